@@ -9,7 +9,6 @@ of 100 experiments, 100 runs, 1,000 rows and one column are 5 seconds and 1 GB f
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -18,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from idle import project
+from idle import measured, project
 
 import sierra
 from sierra.stats import aggregate
@@ -57,13 +56,7 @@ def main(experiments: int = 10, runs: int = 100, rows: int = 1000, columns: int 
 
 def figures(here: Path, *names: str) -> tuple[float, float, int]:
     """Draw the default figures, or the named one; return the seconds, the CPU seconds, and the largest memory in bytes."""
-    words = [SIERRA, "figures", str(sierra.open(here).batches[-1].batch), *names]
-    began = time.perf_counter()
-    process = subprocess.Popen(words, cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0, "sierra figures fails"
-    return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+    return measured(here, SIERRA, "figures", str(sierra.open(here).batches[-1].batch), *names)
 
 
 def statements(here: Path) -> tuple[float, float]:

@@ -602,6 +602,12 @@ def drawing(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_drawing.py")], check=True)
 
 
+def videos(folder: Path) -> None:
+    """Measure videos of 1,000 and of 3,000 frames."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_videos.py")], check=True)
+
+
 def large_drawing(folder: Path) -> None:
     """Measure figures of 10,000 runs with 10 million rows."""
     del folder
@@ -662,6 +668,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "packages": packages,
     "figures": figures,
     "drawing": drawing,
+    "videos": videos,
     "large_drawing": large_drawing,
     "containers": containers,
     "clusters": clusters,

@@ -14,7 +14,7 @@ from sierra.deliverables.figures import style
 
 if TYPE_CHECKING:
     from sierra.deliverables.videos.encode import Image
-    from sierra.deliverables.videos.scene import Box
+    from sierra.deliverables.videos.text_strip import Box
     from sierra.deliverables.videos.tracks import Floats, State
 
 RADIUS, LENGTH, WIDTH = 3.5, 10.0, 1.0

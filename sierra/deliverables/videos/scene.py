@@ -19,9 +19,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.transforms import Bbox
 
 from sierra.deliverables.figures import style
+from sierra.deliverables.videos.text_strip import Box, TextStrip
 from sierra.errors import UsageError
 from sierra.util.text import counted
 
@@ -47,24 +47,6 @@ class Painter(Protocol):
 
     def paint(self, image: Image, panel: int, box: Box, state: State) -> None:
         """Paint a state into the pixels of a panel."""
-
-
-@dataclass(frozen=True, slots=True)
-class Box:
-    """A rectangle of pixels; `top` and `left` belong to it, `bottom` and `right` do not."""
-
-    top: int
-    bottom: int
-    left: int
-    right: int
-
-    def bbox(self, height: int) -> Bbox:
-        """Return the rectangle as matplotlib counts, from below, in an image of this height."""
-        return Bbox.from_extents(self.left, height - self.bottom, self.right, height - self.top)
-
-    @property
-    def pixels(self) -> tuple[slice, slice]:
-        return slice(self.top, self.bottom), slice(self.left, self.right)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +86,8 @@ class Scene:
         self._write(words)
         self._canvas.draw()
         self._background = self._pixels()
-        self._strip = self._canvas.copy_from_bbox(self._lines.bbox(self._background.shape[0]))
+        self._strip = TextStrip(self._canvas, self._text, self._lines, self._background)
         self._boxes = [self._box(plot) for plot in self.plots]
-        self._text.set_visible(True)
 
     def _write(self, words: Words) -> None:
         figure = self._figure
@@ -153,16 +134,8 @@ class Scene:
         for panel, state in enumerate(states):
             if state is not None:
                 self._painter.paint(image, panel, self._boxes[panel], state)
-        self._stamp(image, text)
+        self._strip.write(image, text)
         return image
-
-    def _stamp(self, image: Image, text: str) -> None:
-        """Write the text that changes with each frame."""
-        self._canvas.restore_region(self._strip)
-        self._text.set_text(text)
-        self._figure.draw_artist(self._text)
-        rows = slice(self._lines.top, self._lines.bottom)
-        image[rows] = np.asarray(self._canvas.buffer_rgba())[rows, :, :3]
 
 
 def _canvas(figure: Figure) -> Any:
@@ -258,7 +231,7 @@ class MatrixPainter:
             self._places[box] = _cells(box.bottom - box.top, len(self._up)), _cells(box.right - box.left, len(self._across))
         rows, places = self._places[box]
         colours = self._tables[scale][_shades(values.astype(np.float64), scale)]
-        image[box.pixels] = np.take(np.take(colours, rows, axis=0), places, axis=1)
+        image[box.pixels] = np.take(np.take(colours, places, axis=1), rows, axis=0)  # whole rows are copied last: faster
 
 
 def _cells(pixels: int, cells: int) -> npt.NDArray[np.intp]:
