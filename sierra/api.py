@@ -1012,13 +1012,13 @@ class Project:
         prefix: str | None = None,
         *names: str,
         jobs: int | None = None,
-        progress: Callable[[int, int], None] = lambda done, frames: None,
+        progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
     ) -> tuple[list[Path], list[str]]:
         """Make the videos `[videos.NAME]` of a batch, all or those with these names; return the files and notes.
 
         Notes say what could not be shown, and which runs are not in a video. `jobs` is the number of files that are made at a
-        time, by default the number of cores. `progress` receives the number of frames that are drawn, and of all frames of a
-        video. Raises NotFound, SierraError if a video that is named cannot be made.
+        time, by default the number of cores. `progress` receives the number of frames that are done, that of all frames of a
+        video, and `frames read` or `frames drawn`. Raises NotFound, SierraError if a video that is named cannot be made.
 
         >>> project.videos(summary.batch)
         Traceback (most recent call last):
@@ -1026,8 +1026,30 @@ class Project:
         """
         from sierra.deliverables.videos import render
 
-        batch = self.batch(prefix)
-        return render.videos(self._loaded, self.store, batch, names, jobs=_slots(jobs), progress=progress)
+        batches = {"": self.batch(prefix)}
+        return render.videos(self._loaded, self.store, batches, names, jobs=_slots(jobs), progress=progress)
+
+    def videos_of_two(
+        self,
+        first: str,
+        second: str,
+        *names: str,
+        jobs: int | None = None,
+        progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
+    ) -> tuple[list[Path], list[str]]:
+        """Make the videos `[videos.NAME]` of two batches side by side: A, B and, for matrices, A − B; return files and notes.
+
+        The batches are prefixes or names of queries, also as `LABEL=PREFIX`. There is a file for each experiment that both
+        have. The other arguments, and errors, are those of `videos`; UsageError if shapes or times of the batches differ.
+
+        >>> project.videos_of_two("a", "a")
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.deliverables.videos import render
+
+        found = self._groups_of((first, second))
+        return render.videos(self._loaded, self.store, found, names, jobs=_slots(jobs), progress=progress)
 
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.

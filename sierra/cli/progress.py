@@ -6,6 +6,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -15,6 +16,9 @@ from sierra.errors import UsageError
 from sierra.execution.observer import Observer, Progress
 from sierra.execution.progress_display import text
 from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
 FIRST_S, LAST_S = 10.0, 300.0
 """Seconds between two lines. The interval grows, so that the log of days stays short."""
@@ -61,27 +65,36 @@ def telling(*, quiet: bool) -> Iterator[Callable[[str], None]]:
 
 
 @contextlib.contextmanager
-def counting(things: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that shows how many `things` are done, unless `quiet`: as a bar, or as lines without a terminal."""
+def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
+    """Yield a function that shows how many of all things are done, and the text, unless `quiet`.
+
+    It shows a bar on a terminal, and lines elsewhere.
+    """
     if quiet:
-        yield lambda done, every: None
+        yield lambda done, every, things: None
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
-        shown = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn(things), TimeRemainingColumn())
+        shown = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
         with Bars(*shown, console=Console(file=raw(sys.stderr)), transient=True) as bars:
-            task = bars.add_task("", total=None)
-            yield lambda done, every: bars.update(task, completed=done, total=every)
+            tasks: dict[str, TaskID] = {}
+
+            def show(done: int, every: int, things: str) -> None:
+                if things not in tasks:
+                    tasks[things] = bars.add_task(things, total=None)
+                bars.update(tasks[things], completed=done, total=every)
+
+            yield show
     else:
-        yield _counted_lines(things)
+        yield _counted_lines()
 
 
-def _counted_lines(things: str) -> Callable[[int, int], None]:
+def _counted_lines() -> Callable[[int, int, str], None]:
     said = time.monotonic()
 
-    def tell(done: int, every: int) -> None:
+    def tell(done: int, every: int, things: str) -> None:
         nonlocal said
         if time.monotonic() - said >= FIRST_S:
             said = time.monotonic()

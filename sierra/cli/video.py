@@ -9,6 +9,7 @@ import typer
 from sierra.cli import complete
 from sierra.cli.arguments import AsJsonList, Jobs
 from sierra.cli.figures import PREFIX, print_files
+from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -18,37 +19,49 @@ def video(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[HASH] [NAME]...",
+            metavar="[HASH [HASH]] [NAME]...",
             autocompletion=complete.batches_and_figures,
-            help="Batch id or prefix, or the name of a query (default: the last batch); then names of videos (default: all).",
+            help="Batch id or prefix, or the name of a query (default: the last batch); two, also as LABEL=HASH, are shown "
+            "side by side. Then names of videos (default: all).",
         ),
     ] = None,
     jobs: Jobs = None,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.")] = False,
     as_json: AsJsonList = False,
 ) -> None:
-    """Make the videos that sierra.toml declares for a batch.
+    """Make the videos that sierra.toml declares for a batch, or for two side by side.
 
     They are made from recorded results; nothing is executed. Each file appears whole or not at all, in the folder of the
-    batch's figures. `sierra figures --check` tells whether they still follow from the store.
+    batch's figures. `sierra figures --check` tells whether they still follow from the store. Videos of two batches show A, B
+    and, for matrices, A − B, for each experiment that both have.
 
     \b
     Examples:
       sierra video
       sierra video 3f9a1c heat
+      sierra video slow=3f9a1c fast=518b72
     """
     from sierra.cli.open_project import project
     from sierra.cli.progress import counting
 
     opened = project()
-    prefix, names = _split(opened, words or [])
-    with counting("frames", quiet=quiet) as progress:
-        paths, notes = opened.videos(prefix, *names, jobs=jobs, progress=progress)
+    batches, names = _split(opened, words or [])
+    with counting(quiet=quiet) as progress:
+        if len(batches) > 1:
+            first, second = batches
+            paths, notes = opened.videos_of_two(first, second, *names, jobs=jobs, progress=progress)
+        else:
+            paths, notes = opened.videos(batches[0] if batches else None, *names, jobs=jobs, progress=progress)
     print_files(paths, notes, as_json=as_json)
 
 
-def _split(opened: Project, words: list[str]) -> tuple[str | None, list[str]]:
-    """Return the batch, if the first word is one, and the names of videos."""
-    if words and words[0] not in opened.config.videos and (words[0] in opened.config.queries or PREFIX.fullmatch(words[0])):
-        return words[0], words[1:]
-    return None, words
+def _split(opened: Project, words: list[str]) -> tuple[list[str], list[str]]:
+    """Return the batches, which come first, and the names of videos. Raises UsageError for more than two batches."""
+    declared = opened.config.videos
+    is_name = [
+        word in declared or not ("=" in word or word in opened.config.queries or PREFIX.fullmatch(word)) for word in words
+    ]
+    count = is_name.index(True) if True in is_name else len(words)
+    if count > 2:
+        raise UsageError(f"a video shows two batches at most, not {count}")
+    return words[:count], words[count:]

@@ -13,11 +13,13 @@ Kind = Literal["matrix", "grid", "poses"]
 Format = Literal["mp4", "webm", "gif"]
 COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3)}
 """The smallest and the largest number of columns of each kind."""
+NUMERIC = ("matrix", "grid")
+"""The kinds whose states are numbers, which have means and differences."""
 OF_KINDS = {
     "fill": ("matrix",),
-    "palette": ("matrix", "grid"),
-    "limits": ("matrix", "grid"),
-    "label": ("matrix", "grid"),
+    "palette": NUMERIC,
+    "limits": NUMERIC,
+    "label": NUMERIC,
     "robot": ("poses",),
     "xlim": ("poses",),
     "ylim": ("poses",),
@@ -98,7 +100,7 @@ class Video(Table):
     def _shows(self) -> Video:
         if (self.show == "difference") != bool(self.groups) or len(self.groups) not in (0, 2):
             raise ValueError('show = "difference" and two "groups", such as ["noise=0", "noise=0.4"], belong together')
-        if self.show in ("mean", "difference") and self.kind == "poses":
+        if self.show in ("mean", "difference") and self.kind not in NUMERIC:
             raise ValueError(f'show = "{self.show}" needs numbers: kind "matrix" or "grid", not {self.kind!r}')
         if self.show in ("mean", "tiles") and self.run is not None:
             raise ValueError(f'show = "{self.show}" shows all runs, so it cannot be used with "run"')

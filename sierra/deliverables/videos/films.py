@@ -94,7 +94,7 @@ def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[s
     for experiment in experiments:
         called = name if alone else f"{name}_experiment{experiment}"
         try:
-            made.append(_film(called, video, members, experiment))
+            made.append(film_of(called, video, members, experiment))
         except SierraError as error:
             notes.append(f"video {called}: {error}")
     if not made:
@@ -102,7 +102,8 @@ def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[s
     return made, notes
 
 
-def _film(name: str, video: Video, members: Members, experiment: int) -> Film:
+def film_of(name: str, video: Video, members: Members, experiment: int) -> Film:
+    """Return the file of one experiment. Raises NotFound if it has no run with a result."""
     title = members.label(experiment)
     runs = members.of(experiment)
     if video.show == "run":

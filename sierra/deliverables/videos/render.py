@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
 from sierra.config.video_table import Format, Video
+from sierra.deliverables import overlay
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder, origin_of
 from sierra.deliverables.videos import encode
@@ -22,6 +23,7 @@ from sierra.deliverables.videos.films import Film, Members, films
 from sierra.deliverables.videos.subjects import Subject, subjects
 from sierra.deliverables.videos.survey import Survey, survey
 from sierra.deliverables.videos.tracks import aligned, frame_times, uneven
+from sierra.deliverables.videos.two_batches import films_of_two
 from sierra.errors import Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
 from sierra.store.layout import ProjectPaths
@@ -40,8 +42,13 @@ if TYPE_CHECKING:
 KIND = "video"
 """The kind of the records of videos, among deliverables."""
 MARK = "Figures drawn by SIERRA: see the table deliverables."
-Progress = Callable[[int, int], None]
-"""A function that receives the number of frames that are drawn, and of all frames."""
+Progress = Callable[[int, int, str], None]
+"""A function that receives the number of frames that are done, and of all frames; and what is done: `READ`, or `DRAWN`."""
+READ, DRAWN = "frames read", "frames drawn"
+
+
+def no_progress(done: int, frames: int, what: str) -> None:
+    """Show no progress."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,8 @@ class Prepared:
 
     name: str
     video: Video
-    batch: str
+    batches: Mapping[str, str]
+    """The batches that are shown, by label; the label of a single one is empty."""
     films: tuple[Ready, ...]
     whole: Survey
     """The ranges of all films together."""
@@ -86,9 +94,11 @@ class Prepared:
         definition: dict[str, JsonView] = {
             "video": self.video.model_dump(mode="json", exclude_unset=True, by_alias=True),
             "files": shown,
+            **({"name": self.name, "batches": list(self.batches)} if len(self.batches) > 1 else {}),
         }
         sql = "\n\n".join(dict.fromkeys(one.subject.sql for one in self.films))
-        return Content(KIND, self.name, (self.batch,), definition, sql, self.data, _made_by())
+        own = self.name if len(self.batches) == 1 else overlay.name_of(self.name, self.batches)
+        return Content(KIND, own, tuple(self.batches.values()), definition, sql, self.data, _made_by())
 
     @property
     def data(self) -> str:
@@ -99,30 +109,32 @@ class Prepared:
 def videos(
     project: LoadedProject,
     store: Store,
-    batch: str,
+    batches: Mapping[str, str],
     names: Sequence[str] = (),
     *,
     jobs: int = 1,
-    progress: Progress = lambda done, frames: None,
+    progress: Progress = no_progress,
 ) -> tuple[list[Path], list[str]]:
-    """Make the videos of a batch, all or those with these names; return the files, and what could not be shown and why.
+    """Make the videos of a batch, or of two, all or those with these names; return the files, and notes.
 
-    `jobs` is the number of files that are made at a time. Raises NotFound if none has that name, NotInstalled without the
-    encoders, SierraError if a video that is named cannot be made.
+    `batches` are by label. `jobs` is the number of files that are made at a time. Notes say what could not be shown and why.
+    Raises NotFound if none has that name, NotInstalled without the encoders, SierraError if a video that is named cannot be
+    made.
     """
-    config = targets.of_batch(project, store, batch).config
+    config = targets.of_batch(project, store, next(iter(batches.values()))).config
     wanted = _wanted(config.videos, names)
     encode.check({format for video in wanted.values() for format in video.formats})
     made: list[Path] = []
-    with Frame(store, batch) as frame:
-        gallery = Gallery(project, store, frame, only=_tables(wanted))
-        notes = [*gallery.declared_notes]
-        recorder = Recorder(store, project.root, batch, frame)
-        folder = marked_folder(ProjectPaths(project.root).drawn(short(batch)), MARK)
+    with ExitStack() as frames:
+        galleries = _galleries(project, store, batches, _tables(wanted), frames)
+        first = next(iter(galleries.values()))
+        recorder = Recorder(store, project.root, first.frame.batch, first.frame)
+        notes = _once(galleries, lambda one: one.declared_notes)
+        folder = marked_folder(ProjectPaths(project.root).drawn("-".join(map(short, batches.values()))), MARK)
         try:
             for name, video in wanted.items():
                 try:
-                    prepared = prepare(name, video, gallery)
+                    prepared = prepare(name, video, galleries, progress)
                     files = write(prepared, folder, jobs, progress)
                 except SierraError as error:
                     if names or (isinstance(error, Missing) and not isinstance(error, NotInstalled)):
@@ -134,8 +146,20 @@ def videos(
                 notes += prepared.notes
         finally:
             notes += _recorded(recorder)
-        notes += gallery.time_notes.values()
+        notes += _once(galleries, lambda one: one.time_notes.values())
     return made, notes
+
+
+def _galleries(
+    project: LoadedProject, store: Store, batches: Mapping[str, str], tables: Container[str] | None, frames: ExitStack
+) -> dict[str, Gallery]:
+    opened = {label: frames.enter_context(Frame(store, batch)) for label, batch in batches.items()}
+    return {label: Gallery(project, store, frame, only=tables) for label, frame in opened.items()}
+
+
+def _once(galleries: Mapping[str, Gallery], notes: Callable[[Gallery], Iterable[str]]) -> list[str]:
+    """Return the notes of all galleries, each once."""
+    return list(dict.fromkeys(note for one in galleries.values() for note in notes(one)))
 
 
 def _recorded(recorder: Recorder) -> list[str]:
@@ -172,21 +196,38 @@ def _tables(wanted: Mapping[str, Video]) -> set[str] | None:
     return {video.table for video in wanted.values()} if known else None
 
 
-def prepare(name: str, video: Video, gallery: Gallery) -> Prepared:
-    """Return a video with the facts about its states. Raises SierraError if there is nothing that can be shown."""
-    members = Members(gallery.axes, gallery.cells, tuple(gallery.frame.runs()))
-    chosen, notes = films(name, video, members)
-    subject = subjects(video, gallery)
+def prepare(name: str, video: Video, galleries: Mapping[str, Gallery], progress: Progress = no_progress) -> Prepared:
+    """Return a video of the batches of one or two galleries, by label, with the facts about its states.
+
+    Raises SierraError if there is nothing that can be shown.
+    """
+    notes: list[str] = []
+    shown = []
+    for film, subject in _subjects(name, video, galleries, notes):
+        shown.append((film, subject, frame_times(subject.tracks, video.step)))
+    told = _Counter(sum(len(times) for *_, times in shown), progress, READ)
     ready, whole = [], Survey()
-    for film in chosen:
-        shown = subject(film)
-        times = frame_times(shown.tracks, video.step)
-        found = survey(film, shown.tracks, times, carry=video.step is not None)
-        ready.append(Ready(film, shown, times, found))
+    for film, subject, times in shown:
+        found = survey(film, subject.tracks, times, carry=video.step is not None, seen=told.add)
+        ready.append(Ready(film, subject, times, found))
         whole = whole.joined(found)
-    prepared = Prepared(name, video, gallery.frame.batch, tuple(ready), whole, tuple(notes))
+    batches = {label: gallery.frame.batch for label, gallery in galleries.items()}
+    prepared = Prepared(name, video, batches, tuple(ready), whole, tuple(notes))
     said = (f"video {one.film.name}: {note}" for one in ready for note in (*one.film.notes, *_on_times(prepared, one)))
     return replace(prepared, notes=(*notes, *said))
+
+
+def _subjects(name: str, video: Video, galleries: Mapping[str, Gallery], notes: list[str]) -> Iterator[tuple[Film, Subject]]:
+    """Yield the films of a video with their subjects; add notes on what is not shown."""
+    if len(galleries) > 1:
+        yield from films_of_two(name, video, galleries, notes)
+        return
+    (gallery,) = galleries.values()
+    chosen, found = films(name, video, Members(gallery.axes, gallery.cells, tuple(gallery.frame.runs())))
+    notes += found
+    subject = subjects(video, gallery)
+    for film in chosen:
+        yield film, subject(film)
 
 
 def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tuple[Path, ...]:
@@ -194,8 +235,9 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
     from sierra.deliverables.videos.scene import settings
 
     work = [(one, format) for one in prepared.films for format in prepared.video.formats]
-    told = _Counter(prepared.frames, progress)
-    origin = origin_of(prepared.batch, prepared.data)
+    told = _Counter(prepared.frames, progress, DRAWN)
+    first, *others = prepared.batches.values()
+    origin = origin_of(first, prepared.data, *others)
 
     def make(one: Ready, format: Format) -> Path:
         path = folder / f"{one.film.name}.{format}"
@@ -211,20 +253,23 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
 
 
 class _Counter:
-    """The count of frames that all threads have drawn; it stops them if one has failed."""
+    """The count of frames of all threads; it stops them if one has failed."""
 
-    def __init__(self, frames: int, progress: Progress) -> None:
+    def __init__(self, frames: int, progress: Progress, what: str) -> None:
         self.stop = False
-        self._done, self._frames, self._progress, self._lock = 0, frames, progress, threading.Lock()
+        self._done, self._frames, self._progress, self._what, self._lock = 0, frames, progress, what, threading.Lock()
+
+    def add(self) -> None:
+        with self._lock:
+            self._done += 1
+            self._progress(self._done, self._frames, self._what)
 
     def each(self, images: Iterator[Image]) -> Iterator[Image]:
         for image in images:
             if self.stop:
                 raise SierraError("stopped")
             yield image
-            with self._lock:
-                self._done += 1
-                self._progress(self._done, self._frames)
+            self.add()
 
 
 def frames(prepared: Prepared, one: Ready) -> Iterator[Image]:
@@ -276,6 +321,10 @@ def _on_times(prepared: Prepared, one: Ready) -> list[str]:
 
 def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     """Return the content of a recorded video by its definition and the data that the store has now."""
-    video = options(Video, json.loads(row.definition)["video"], f"video {row.name}, as it was recorded")
-    with Frame(store, row.batch) as frame:
-        return prepare(row.name, video, Gallery(project, store, frame, only=_tables({row.name: video}))).content()
+    definition = json.loads(row.definition)
+    video = options(Video, definition["video"], f"video {row.name}, as it was recorded")
+    batches = dict(zip(definition.get("batches", [""]), row.batches, strict=True))
+    name = str(definition.get("name", row.name))
+    with ExitStack() as frames:
+        galleries = _galleries(project, store, batches, _tables({name: video}), frames)
+        return prepare(name, video, galleries).content()

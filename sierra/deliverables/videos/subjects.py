@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -32,6 +32,8 @@ class Subject(Protocol):
     """The name of the time."""
     unit: str
     """The unit of the time; "" if there is none."""
+    layout: Mapping[str, Sequence[float]]
+    """The numbers of the rows and columns of matrices, by their names; others have none."""
     sql: str
     """The SQL that the states are computed from."""
 
@@ -74,6 +76,10 @@ class _Cells(_Timed):
         self._video = video
         self._grid = (Matrices if video.kind == "matrix" else Grids)(self.source, video, film.runs)
         self.tracks = self._grid.tracks
+        self._names = self._grid.columns[:2] if video.kind == "matrix" else ("row", "column")
+        self.layout: Mapping[str, Sequence[float]] = dict(
+            zip(self._names, (self._grid.up.tolist(), self._grid.across.tolist()), strict=True)
+        )
         self.sql = self.source.shown(self._grid.columns, film.runs)
         value = self._grid.columns[-1] if video.kind == "matrix" else self.source.output.name
         self._value = _labelled(video.label or value, gallery.unit(self.source.output, self._grid.columns[-1]))
@@ -92,8 +98,7 @@ class _Cells(_Timed):
     def painter(self, film: Film, survey: Survey) -> Painter:
         from sierra.deliverables.videos.scene import MatrixPainter
 
-        names = self._grid.columns[:2] if self._video.kind == "matrix" else ("row", "column")
-        labels = (names[0].replace("_", " "), names[1].replace("_", " "))
+        labels = (self._names[0].replace("_", " "), self._names[1].replace("_", " "))
         return MatrixPainter(self._grid.up, self._grid.across, labels, self._scales(film, survey))
 
     def _scales(self, film: Film, survey: Survey) -> list[Scale]:
@@ -119,6 +124,7 @@ class _Robots(_Timed):
         super().__init__(source, gallery)
         self._video = video
         self._poses = Poses(source, video, film.runs)
+        self.layout: Mapping[str, Sequence[float]] = {}
         self.tracks = self._poses.tracks
         self.sql = source.shown((*filter(None, (video.robot,)), *video.columns), film.runs)
         x, y = (_labelled(name, gallery.unit(source.output, name)) for name in video.columns[:2])

@@ -92,7 +92,7 @@ def prepared(root: Path, **keys: Any) -> render.Prepared:
     opened = sierra.open(root)
     with Frame(opened.store, opened.batch()) as frame:
         video = Video.model_validate(CELLS | keys)
-        return render.prepare("film", video, Gallery(project, opened.store, frame))
+        return render.prepare("film", video, {"": Gallery(project, opened.store, frame)})
 
 
 def write(root: Path, text: str) -> None:
