@@ -9,9 +9,9 @@ from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 from sierra.config.deliverable_tables import LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Positive, Table
 
-Kind = Literal["matrix", "grid", "poses"]
+Kind = Literal["matrix", "grid", "poses", "pictures"]
 Format = Literal["mp4", "webm", "gif"]
-COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3)}
+COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "pictures": (0, 0)}
 """The smallest and the largest number of columns of each kind."""
 NUMERIC = ("matrix", "grid")
 """The kinds whose states are numbers, which have means and differences."""
@@ -41,7 +41,8 @@ class Video(Table):
         "matrix",
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
         "each row of the table is a row of the matrix, and `columns` are its columns; `poses`: x, y and perhaps the heading "
-        "in radians, a row for each robot",
+        "in radians, a row for each robot; `pictures`: images or videos that runs leave, in the files of the "
+        "output that `table` names",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
@@ -90,6 +91,8 @@ class Video(Table):
         for key, kinds in OF_KINDS.items():
             if key in self.model_fields_set and self.kind not in kinds:
                 raise ValueError(f'"{key}" needs kind {" or ".join(map(repr, kinds))}, not {self.kind!r}')
+        if self.kind == "pictures" and not self.table:
+            raise ValueError("kind 'pictures' needs \"table\": the name of the output with their files")
         least, most = COLUMNS[self.kind]
         if not least <= len(self.columns) <= most:
             wanted = str(least) if least == most else f"{least} to {most}"

@@ -228,9 +228,16 @@ class Gallery:
         declared = self._config.declared(output.name)
         return declared.units.get(column, "") if declared else ""
 
-    def ticks_per_second(self, output: OutputTable) -> Mapping[int, float]:
+    def declared_output(self, name: str) -> Output:
+        """Return the declaration of an output. Raises NotFound."""
+        declared = self._config.outputs.get(name)
+        if declared is None:
+            raise NotFound(f"sierra.toml has no [outputs.{name}]; {like(name, list(self._config.outputs), 'it has')}")
+        return declared
+
+    def ticks_per_second(self, output: str) -> Mapping[int, float]:
         """Return the ticks per second of each experiment, by its position; nothing if the time of the output is no ticks."""
-        declared = self._config.declared(output.name)
+        declared = self._config.declared(output)
         if not isinstance(declared, Output) or declared.ticks_per_second is None:
             return {}
         return seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)
@@ -289,7 +296,9 @@ class Gallery:
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
         tables, models, note = made.tables, made.models, made.note
-        per_second = self.ticks_per_second(output) if tables and all("t" in one.column_names for one in tables.values()) else {}
+        per_second = (
+            self.ticks_per_second(output.name) if tables and all("t" in one.column_names for one in tables.values()) else {}
+        )
         if per_second:
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)

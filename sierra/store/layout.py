@@ -31,6 +31,7 @@ PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the ea
 PROJECT/.sierra/build/              lock: held while products are built; aside/: older products meanwhile
 PROJECT/.sierra/try/                mark  lock; run/: the folder of the run that `sierra try` executed last; store/: its records
                                     while it executes
+PROJECT/.sierra/extracted/          recorded files, while a video of them is made
 PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
 
@@ -125,6 +126,8 @@ class StorePaths:
     """The folder of the sessions' log files; may be deleted."""
     kept_files = _Below("kept")
     """The folder of what `sierra replay --keep` leaves."""
+    extracted = _Below("extracted")
+    """The folder of recorded files that a process needs as files; each process has a folder of its own."""
     tries = _Below("try")
     """The folder of what `sierra try` leaves; the next one replaces it."""
     build = _Below("build")

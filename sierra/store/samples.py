@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from math import isfinite
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
@@ -17,15 +19,17 @@ from sierra.model import Axis, Value
 from sierra.store import robot_means
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
+from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.row_mapper import R
 from sierra.store.schema import RECORDED
-from sierra.store.segments import is_first_part
+from sierra.store.segments import disk_errors, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote
 from sierra.store.sql_result import NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.views import files_with, recording
+from sierra.util.scratch import scratch
 from sierra.util.text import like
 
 if TYPE_CHECKING:
@@ -89,7 +93,9 @@ class Frame:
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
         """`these`: the execution, or the judgement of it, to use for each run instead of the effective one."""
         self.batch = batch
-        self._snapshot: Snapshot = store.snapshot(batch)
+        self._folder = store.paths.extracted
+        self._closing = ExitStack()
+        self._snapshot: Snapshot = self._closing.enter_context(store.snapshot(batch))
         self._loaded: set[str] = set()
         self._checked: set[tuple[str, str]] = set()
         """The tables and conditions of valid pairs."""
@@ -114,7 +120,7 @@ class Frame:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._snapshot.__exit__()
+        self._closing.close()
 
     def interrupt(self) -> None:
         """End the statement that another thread executes for this frame; it raises an error there."""
@@ -221,6 +227,26 @@ class Frame:
             return f'(SELECT *, {t} AS "# t", 0 AS "# file", rowid AS "# row" FROM {source.sql} WHERE run = {quote(run.run)})'
         mine = f"execution = {quote(run.judgement or '')}"
         return f'(SELECT *, {t} AS "# t", filename AS "# file", file_row_number AS "# row" FROM {source.sql} WHERE {mine})'
+
+    def files_of_run(self, run: ChosenRun) -> list[Recorded]:
+        """Return the files that the effective execution of a run left, with their paths below `output/`."""
+        chosen = ChosenExecution("", run.experiment, run.number, run.run, None, None, "counts", run.judgement)
+        return [file for file in recorded(self._snapshot, [chosen]) if file.path.startswith(OUTPUT_FOLDER)]
+
+    def extracted(self, files: Sequence[Recorded]) -> list[Path]:
+        """Write recorded files to a temporary folder, which exists until this frame is closed; return their paths in order.
+
+        A path has the ending of the file in lower case, and nothing else of its name. Raises Damaged, Missing.
+        """
+        with disk_errors(self._folder):
+            self._folder.mkdir(exist_ok=True)
+            folder = self._closing.enter_context(scratch(self._folder, "frame-"))
+        paths = [folder / f"{place}{PurePosixPath(file.path).suffix.lower()}" for place, file in enumerate(files)]
+        places = {id(file): path for file, path in zip(files, paths, strict=True)}
+        for content in contents(self._snapshot, files):
+            with disk_errors(folder), places[id(content.file)].open("wb") as written:
+                written.writelines(content.pieces)
+        return paths
 
     @property
     def written(self) -> list[str]:

@@ -213,7 +213,7 @@ def prepare(name: str, video: Video, galleries: Mapping[str, Gallery], progress:
         whole = whole.joined(found)
     batches = {label: gallery.frame.batch for label, gallery in galleries.items()}
     prepared = Prepared(name, video, batches, tuple(ready), whole, tuple(notes))
-    said = (f"video {one.film.name}: {note}" for one in ready for note in (*one.film.notes, *_on_times(prepared, one)))
+    said = (f"video {one.film.name}: {note}" for one in ready for note in _small_print(prepared, one))
     return replace(prepared, notes=(*notes, *said))
 
 
@@ -281,7 +281,7 @@ def frames(prepared: Prepared, one: Ready) -> Iterator[Image]:
     title = ", ".join(filter(None, (video.title, film.title)))
     words = Words(title, [panel.label for panel in film.panels], "; ".join(_small_print(prepared, one)))
     width, height = (side + side % 2 for side in video.size)
-    scene = Scene((width, height), words, one.subject.painter(film, prepared.whole))
+    scene = Scene((width, height), words, one.subject.painter(film, prepared.whole, one.subject.tracks))
     unit = one.subject.unit and f" {one.subject.unit}"
     for time, states in zip(
         one.times.tolist(), aligned(one.subject.tracks, one.times, carry=video.step is not None), strict=True

@@ -34,6 +34,10 @@ LINE = 0.2
 """The height of a line of text at the bottom, in inches."""
 SMALLEST = 60
 """The smallest width and height of a panel with its title, in pixels."""
+THINNEST = 4
+"""The smallest width and height of what a panel shows, in pixels."""
+LARGEST = 4096
+"""The largest width and height of a video, in pixels."""
 CROWDED = 9
 """The largest number of panels with numbers on their axes."""
 EMPTY = "#E6E6E6"
@@ -88,6 +92,8 @@ class Scene:
         self._background = self._pixels()
         self._strip = TextStrip(self._canvas, self._text, self._lines, self._background)
         self._boxes = [self._box(plot) for plot in self.plots]
+        if any(min(box.right - box.left, box.bottom - box.top) < THINNEST for box in self._boxes):
+            raise UsageError(_no_room(count, size))
 
     def _write(self, words: Words) -> None:
         figure = self._figure
@@ -193,6 +199,7 @@ class MatrixPainter:
         self._of = {panel: scale for scale in scales for panel in scale.panels}
         self._tables = {scale: _colours(scale) for scale in scales}
         self._places: dict[Box, tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]] = {}
+        self._size = (0, 0)
 
     def prepare(self, figure: Figure, plots: Sequence[Axes]) -> None:
         from matplotlib import colormaps
@@ -200,6 +207,7 @@ class MatrixPainter:
         from matplotlib.colors import Normalize
 
         high, wide = len(self._up), len(self._across)
+        self._size = _size(figure)
         for plot in plots:
             plot.set_xlim(-0.5, wide - 0.5)
             plot.set_ylim(high - 0.5, -0.5)
@@ -228,10 +236,28 @@ class MatrixPainter:
         (values,) = state
         scale = self._of[panel]
         if box not in self._places:
+            self._check_cells(box)
             self._places[box] = _cells(box.bottom - box.top, len(self._up)), _cells(box.right - box.left, len(self._across))
         rows, places = self._places[box]
         colours = self._tables[scale][_shades(values.astype(np.float64), scale)]
         image[box.pixels] = np.take(np.take(colours, places, axis=1), rows, axis=0)  # whole rows are copied last: faster
+
+    def _check_cells(self, box: Box) -> None:
+        """Raise UsageError if there are more cells than pixels, because some would not be seen."""
+        cells, pixels = (len(self._up), len(self._across)), (box.bottom - box.top, box.right - box.left)
+        factor = max(many / few for many, few in zip(cells, pixels, strict=True))
+        if factor > 1:
+            wide, high = (math.ceil(1.02 * factor * side / 20) * 20 for side in self._size)
+            fits = max(wide, high) <= LARGEST
+            hint = f"set size = [{wide}, {high}]" if fits else "make fewer cells by sql, or show fewer panels"
+            panel = f"a panel of {pixels[0]} × {pixels[1]} pixels"
+            raise UsageError(f"{cells[0]} × {cells[1]} cells do not fit into {panel}, so some would not be seen; {hint}")
+
+
+def _size(figure: Figure) -> tuple[int, int]:
+    """Return the width and the height of a figure in pixels."""
+    width, height = figure.get_size_inches()
+    return round(width * DPI), round(height * DPI)
 
 
 def _cells(pixels: int, cells: int) -> npt.NDArray[np.intp]:

@@ -68,6 +68,12 @@ class Source:
         return f"{derived}\n\n{statement}" if derived else statement
 
 
+def shown_files(glob: str, runs: Sequence[ChosenRun]) -> str:
+    """Return the statement, for `sierra sql`, whose rows are the files that a video of these runs shows."""
+    ids = ", ".join(dict.fromkeys(quote(run.run) for run in runs))
+    return f"SELECT run, path, sha256 FROM artifacts WHERE run IN ({ids}) AND path GLOB {quote(glob)} ORDER BY run, path"
+
+
 class Rows:
     """The rows of one run by time. `columns` are SQL expressions by name."""
 

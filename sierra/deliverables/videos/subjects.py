@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 from sierra.config.deliverable_tables import Figure
+from sierra.config.output_tables import PLACEHOLDER
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos.films import Film
+from sierra.deliverables.videos.pictures import pictures
 from sierra.deliverables.videos.poses import Poses
-from sierra.deliverables.videos.sql_tracks import Grids, Matrices, Source
+from sierra.deliverables.videos.sql_tracks import Grids, Matrices, Source, shown_files
 from sierra.deliverables.videos.survey import Range, Survey
 from sierra.errors import SierraError, UsageError
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
+    from sierra.deliverables.videos.pictures import PictureTrack
     from sierra.deliverables.videos.scene import Painter, Scale
     from sierra.deliverables.videos.tracks import Track
 
@@ -40,12 +43,14 @@ class Subject(Protocol):
     def notes(self, survey: Survey) -> Sequence[str]:
         """Return what the viewer must know of the states."""
 
-    def painter(self, film: Film, survey: Survey) -> Painter:
-        """Return the painter; `survey` has the ranges of all films of the video."""
+    def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
+        """Return the painter; `survey` has the ranges of all films of the video, `tracks` are those of the film's runs."""
 
 
 def subjects(video: Video, gallery: Gallery) -> Callable[[Film], Subject]:
     """Return the function that makes what a film shows. It raises SierraError for a table or column that does not suit."""
+    if video.kind == "pictures":
+        return partial(_Pictures, video, gallery)
     kind = _Robots if video.kind == "poses" else _Cells
     return partial(kind, video, gallery, source_of(video, gallery))
 
@@ -56,7 +61,7 @@ def source_of(video: Video, gallery: Gallery) -> Source:
     time = gallery.time(output)
     if not time:
         raise UsageError(f'output {output.name!r} has no time column; set time = "COLUMN" in [outputs.{output.name}]')
-    return Source(gallery.frame, output, time, gallery.ticks_per_second(output))
+    return Source(gallery.frame, output, time, gallery.ticks_per_second(output.name))
 
 
 class _Timed:
@@ -95,9 +100,10 @@ class _Cells(_Timed):
             *(["values beyond the scale have the colours of its ends"] if beyond else []),
         ]
 
-    def painter(self, film: Film, survey: Survey) -> Painter:
+    def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
         from sierra.deliverables.videos.scene import MatrixPainter
 
+        del tracks
         labels = (self._names[0].replace("_", " "), self._names[1].replace("_", " "))
         return MatrixPainter(self._grid.up, self._grid.across, labels, self._scales(film, survey))
 
@@ -139,9 +145,10 @@ class _Robots(_Timed):
             *(["robots beyond the limits are not shown"] if cut else []),
         ]
 
-    def painter(self, film: Film, survey: Survey) -> Painter:
+    def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
         from sierra.deliverables.videos.pose_painter import PosePainter
 
+        del film, tracks
         return PosePainter(self._limits(0, self._video.xlim, survey), self._limits(1, self._video.ylim, survey), self._labels)
 
     def _limits(self, place: int, given: tuple[float, float] | None, survey: Survey) -> tuple[float, float]:
@@ -151,6 +158,31 @@ class _Robots(_Timed):
         low, high = _ends(survey.columns[place] if place < len(survey.columns) else Range())
         margin = 0.05 * (high - low)
         return low - margin, high + margin
+
+
+class _Pictures:
+    """Pictures that runs left in files."""
+
+    def __init__(self, video: Video, gallery: Gallery, film: Film) -> None:
+        output = gallery.declared_output(video.table)
+        per_second = gallery.ticks_per_second(video.table)
+        self.tracks = [
+            pictures(gallery.frame, video.table, output, run, per_second.get(run.experiment, 1.0)) for run in film.runs
+        ]
+        self.time = output.ticks[0] if output.ticks else "time"
+        self.unit = "s" if per_second or not output.ticks else output.units.get(self.time, "")
+        self.layout: Mapping[str, Sequence[float]] = {}
+        self.sql = shown_files(PLACEHOLDER.sub("*", output.file.removeprefix("./")), film.runs)
+
+    def notes(self, survey: Survey) -> Sequence[str]:
+        del survey
+        return [track.missing for track in self.tracks if track.missing]
+
+    def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
+        from sierra.deliverables.videos.picture_painter import PicturePainter
+
+        del survey
+        return PicturePainter([cast("PictureTrack", tracks[panel.plus[0]]) for panel in film.panels])
 
 
 def _labelled(name: str, unit: str) -> str:

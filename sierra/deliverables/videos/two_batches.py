@@ -45,8 +45,8 @@ class TwoSubjects:
     def notes(self, survey: Survey) -> Sequence[str]:
         return list(dict.fromkeys(note for one in self._sides for note in one.notes(survey)))
 
-    def painter(self, film: Film, survey: Survey) -> Painter:
-        return self._sides[0].painter(film, survey)
+    def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
+        return self._sides[0].painter(film, survey, tracks)
 
 
 def films_of_two(name: str, video: Video, galleries: Mapping[str, Gallery], notes: list[str]) -> Iterator[tuple[Film, Subject]]:

@@ -151,7 +151,7 @@ def test_a_difference_is_a_minus_b_with_zero_in_the_middle(root: Path) -> None:
     (film,) = made.films
     assert [panel.label for panel in film.film.panels] == ["A: population size = 1", "B: population size = 2", "A − B"]
     assert (film.found.differences.low, film.found.differences.high) == pytest.approx((-5, -5))
-    painter = film.subject.painter(film.film, made.whole)
+    painter = film.subject.painter(film.film, made.whole, film.subject.tracks)
     assert isinstance(painter, MatrixPainter)
     values, differences = painter.scales
     assert (values.low, values.high) == pytest.approx((15, 23.12))
@@ -231,7 +231,7 @@ def test_robots_are_at_their_places_with_their_headings(root: Path) -> None:
 def test_poses_share_their_limits_over_all_frames_and_files(root: Path) -> None:
     made = prepared(root, **POSES, experiments="population_size=1,3")
     for one in made.films:
-        painter = one.subject.painter(one.film, made.whole)
+        painter = one.subject.painter(one.film, made.whole, one.subject.tracks)
         assert isinstance(painter, PosePainter)
         assert (*painter.xlim, *painter.ylim) == pytest.approx((0.8, 5.2, 0.85, 4.15))
 
@@ -269,3 +269,20 @@ def test_cells_keep_their_places() -> None:
         else:
             assert videos.part(image[y, x]) == pytest.approx(value, abs=0.01)
     assert videos.is_grey(empty[box.top + 5, box.left + 5])
+
+
+def test_a_matrix_with_more_cells_than_pixels_is_refused_with_a_size_that_fits() -> None:
+    from sierra.deliverables.videos.scene import Scale, Scene, Words, settings
+
+    def frame(cells: int, size: tuple[int, int]) -> None:
+        with settings():
+            painter = MatrixPainter(np.arange(1.0 * cells), np.arange(20.0), ("i", "j"), [Scale(0, 1, "viridis", "v", (0,))])
+            Scene(size, Words("", [""], ""), painter).frame("t = 0", [(np.zeros((cells, 20)),)])
+
+    frame(200, (400, 300))
+    with pytest.raises(sierra.SierraError, match=r"500 × 20 cells do not fit into a panel of \d+ × \d+ pixels") as caught:
+        frame(500, (400, 300))
+    wide, high = map(int, re.findall(r"size = \[(\d+), (\d+)\]", str(caught.value))[0])
+    frame(500, (wide, high))
+    with pytest.raises(sierra.SierraError, match="make fewer cells by sql"):
+        frame(20_000, (400, 300))
