@@ -9,20 +9,24 @@ from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 from sierra.config.deliverable_tables import LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Positive, Table
 
-Kind = Literal["matrix", "grid", "poses", "pictures"]
+Kind = Literal["matrix", "grid", "poses", "network", "pictures"]
 Format = Literal["mp4", "webm", "gif"]
-COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "pictures": (0, 0)}
+COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "network": (2, 3), "pictures": (0, 0)}
 """The smallest and the largest number of columns of each kind."""
 NUMERIC = ("matrix", "grid")
 """The kinds whose states are numbers, which have means and differences."""
 OF_KINDS = {
     "fill": ("matrix",),
-    "palette": NUMERIC,
-    "limits": NUMERIC,
-    "label": NUMERIC,
+    "palette": (*NUMERIC, "network"),
+    "limits": (*NUMERIC, "network"),
+    "label": (*NUMERIC, "network"),
     "robot": ("poses",),
-    "xlim": ("poses",),
-    "ylim": ("poses",),
+    "xlim": ("poses", "network"),
+    "ylim": ("poses", "network"),
+    "place": ("network",),
+    "layout": ("network",),
+    "directed": ("network",),
+    "node_value": ("network",),
 }
 """The keys that only some kinds have."""
 Side = Annotated[int, Field(ge=160, le=4096)]
@@ -41,8 +45,8 @@ class Video(Table):
         "matrix",
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
         "each row of the table is a row of the matrix, and `columns` are its columns; `poses`: x, y and perhaps the heading "
-        "in radians, a row for each robot; `pictures`: images or videos that runs leave, in the files of the "
-        "output that `table` names",
+        "in radians, a row for each robot; `network`: source, target and perhaps a weight, a row for each edge; `pictures`: "
+        "images or videos that runs leave, in the files of the output that `table` names",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
@@ -76,6 +80,14 @@ class Video(Table):
     robot: str = Field("", description="column that tells robots apart; a robot has one row at a time; default: not checked")
     xlim: LimitsOfAxis | None = Field(None, description="limits of x; default: those of all frames")
     ylim: LimitsOfAxis | None = Field(None, description="limits of y; default: those of all frames")
+    place: ListOfWords = Field(
+        (), description="columns of x and y of the source of a row at its time; default: a layout that is the same at all times"
+    )
+    layout: Literal["spring", "kamada_kawai", "circular"] = Field(
+        "spring", description="layout of the edges of all times, if `place` is not given"
+    )
+    directed: bool = Field(False, description="draw arrows, and do not merge the two directions of an edge")
+    node_value: str = Field("", description="column that gives the source of a row its colour; default: one colour")
     title: str = Field("", description="title above the frames; default: none")
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
     size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
@@ -93,6 +105,12 @@ class Video(Table):
                 raise ValueError(f'"{key}" needs kind {" or ".join(map(repr, kinds))}, not {self.kind!r}')
         if self.kind == "pictures" and not self.table:
             raise ValueError("kind 'pictures' needs \"table\": the name of the output with their files")
+        if len(self.place) not in (0, 2):
+            raise ValueError('"place" should name the two columns of x and y')
+        if self.kind == "network" and not self.place and {"xlim", "ylim"} & self.model_fields_set:
+            raise ValueError('"xlim" and "ylim" of a network need "place"')
+        if self.kind == "network" and not self.node_value and {"palette", "limits", "label"} & self.model_fields_set:
+            raise ValueError('"palette", "limits" and "label" of a network need "node_value"')
         least, most = COLUMNS[self.kind]
         if not least <= len(self.columns) <= most:
             wanted = str(least) if least == most else f"{least} to {most}"

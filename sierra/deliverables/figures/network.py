@@ -5,6 +5,7 @@ A computed layout is that of the edges of all panels together, so that a node ha
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -62,10 +63,10 @@ def network(drawing: Drawing, options: NetworkOptions) -> Figure:
     _check_size(edges, nodes, ARROWS if options.directed else EDGES)
     links, known = _by_experiment(edges), _by_experiment(nodes)
     figure, plots = _panels(drawing, list(known))
-    layout = {} if options.place else _layout(edges, nodes, options.layout)
+    computed = {} if options.place else _layout(edges, nodes, options.layout)
     most = float(np.abs(style.column(edges, "weight")).max(initial=0.0)) or 1.0
     for plot, (ordinal, mine) in zip(plots, known.items(), strict=True):
-        places = _given(mine) if options.place else {name: layout[name] for name in mine.column("node").to_pylist()}
+        places = _given(mine) if options.place else {name: computed[name] for name in mine.column("node").to_pylist()}
         own = links[ordinal].to_pylist() if ordinal in links else []
         _edges(plot, [(places[e["source"]], places[e["target"]], abs(e["weight"]) / most) for e in own], options)
         _nodes(plot, places, {name for edge in own for name in (edge["source"], edge["target"])})
@@ -126,16 +127,23 @@ def _given(nodes: pa.Table) -> Places:
 
 def _layout(edges: pa.Table, nodes: pa.Table, name: str) -> Places:
     """Return computed positions of the nodes of all panels."""
+    return layout(nodes.column("node").to_pylist(), [(edge["source"], edge["target"]) for edge in edges.to_pylist()], name)
+
+
+def layout(nodes: Iterable[str], edges: Iterable[tuple[str, str]], name: str, *, apart: bool = False) -> Places:
+    """Return positions between -1 and 1, always the same for the same edges in the same order. Raises NotInstalled.
+
+    With `apart`, a spring layout keeps nodes apart also if the network has several parts.
+    """
     try:
         import networkx
     except ImportError as error:
         raise NotInstalled(f"networkx is not installed; {EXTRA}") from error
     graph = networkx.Graph()
-    graph.add_nodes_from(sorted(set(nodes.column("node").to_pylist()), key=natural))
-    for edge in edges.to_pylist():
-        graph.add_edge(edge["source"], edge["target"])
+    graph.add_nodes_from(sorted(set(nodes), key=natural))
+    graph.add_edges_from(edges)
     if name == "spring":
-        found = networkx.spring_layout(graph, seed=SEED, iterations=200)
+        found = networkx.spring_layout(graph, seed=SEED, iterations=200, method="energy" if apart else "auto")
     else:
         found = {"kamada_kawai": networkx.kamada_kawai_layout, "circular": networkx.circular_layout}[name](graph)
     return {node: (float(x), float(y)) for node, (x, y) in found.items()}

@@ -174,7 +174,7 @@ def _recorded(recorder: Recorder) -> list[str]:
 def _made_by() -> tuple[str, ...]:
     """Return SIERRA and the libraries that make videos, as name==version; those that are not installed are not in it."""
     found = [f"sierra-experiments=={__version__}"]
-    for name in ("av", "matplotlib", "numpy"):
+    for name in ("av", "matplotlib", "networkx", "numpy", "pillow"):
         with suppress(PackageNotFoundError):
             found.append(f"{name}=={version(name)}")
     return tuple(found)
@@ -213,7 +213,7 @@ def prepare(name: str, video: Video, galleries: Mapping[str, Gallery], progress:
         whole = whole.joined(found)
     batches = {label: gallery.frame.batch for label, gallery in galleries.items()}
     prepared = Prepared(name, video, batches, tuple(ready), whole, tuple(notes))
-    said = (f"video {one.film.name}: {note}" for one in ready for note in _small_print(prepared, one))
+    said = (f"video {one.film.name}: {note}" for one in ready for note in _told(prepared, one))
     return replace(prepared, notes=(*notes, *said))
 
 
@@ -300,7 +300,12 @@ def _count(film: Film, numbers: Sequence[tuple[int, ...]]) -> str:
 
 def _small_print(prepared: Prepared, one: Ready) -> list[str]:
     """Return what the viewer must know, for the bottom of the frames."""
-    return [*one.film.notes, *_on_times(prepared, one), *one.subject.notes(prepared.whole)]
+    return [*_told(prepared, one), *one.subject.notes(prepared.whole)]
+
+
+def _told(prepared: Prepared, one: Ready) -> list[str]:
+    """Return what the user is told, too."""
+    return [*one.film.notes, *_on_times(prepared, one), *one.subject.left_out()]
 
 
 def _on_times(prepared: Prepared, one: Ready) -> list[str]:

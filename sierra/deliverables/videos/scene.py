@@ -72,7 +72,7 @@ class Scene:
         self._painter = painter
         self._figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI)
         figure = self._figure
-        self._canvas = _canvas(figure)
+        self._canvas = canvas_of(figure)
         count = len(words.panels)
         across = columns(count, size)
         _check_room(size, count, across)
@@ -144,7 +144,7 @@ class Scene:
         return image
 
 
-def _canvas(figure: Figure) -> Any:
+def canvas_of(figure: Figure) -> Any:
     """Return a canvas; matplotlib publishes no types for it."""
     return FigureCanvasAgg(figure)
 
@@ -188,6 +188,20 @@ class Scale:
     """True if values are below the lowest, and above the highest colour."""
 
 
+def add_scale(figure: Figure, plots: Sequence[Axes], scale: Scale) -> None:
+    """Draw the bar of a scale beside its panels."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    mapped = ScalarMappable(Normalize(scale.low, scale.high), colormaps[scale.palette])
+    extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[scale.beyond]
+    bar = figure.colorbar(mapped, ax=list(plots), pad=0.02, fraction=0.06, aspect=24, extend=extend)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=6, length=2)
+    bar.set_label(style.shortened(scale.label, 40))
+
+
 class MatrixPainter:
     """Paints matrices, row 0 above. Cells without a value are grey."""
 
@@ -202,10 +216,6 @@ class MatrixPainter:
         self._size = (0, 0)
 
     def prepare(self, figure: Figure, plots: Sequence[Axes]) -> None:
-        from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
         high, wide = len(self._up), len(self._across)
         self._size = _size(figure)
         for plot in plots:
@@ -223,14 +233,7 @@ class MatrixPainter:
             plots[0].set_xlabel(style.shortened(self._labels[1], 60))
             plots[0].set_ylabel(style.shortened(self._labels[0], 40))
         for scale in self.scales:
-            mapped = ScalarMappable(Normalize(scale.low, scale.high), colormaps[scale.palette])
-            extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[scale.beyond]
-            bar = figure.colorbar(
-                mapped, ax=[plots[panel] for panel in scale.panels], pad=0.02, fraction=0.06, aspect=24, extend=extend
-            )
-            bar.outline.set_visible(False)
-            bar.ax.tick_params(labelsize=6, length=2)
-            bar.set_label(style.shortened(scale.label, 40))
+            add_scale(figure, [plots[panel] for panel in scale.panels], scale)
 
     def paint(self, image: Image, panel: int, box: Box, state: State) -> None:
         (values,) = state

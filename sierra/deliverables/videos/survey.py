@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from sierra.deliverables.videos.tracks import Floats, State
 
+FEW = 4
 VERSION = b"sierra video 1\n"
 
 
@@ -58,17 +59,18 @@ class Survey:
     differences: Range = field(default_factory=Range)
     """The range of the panels that show differences."""
     columns: tuple[Range, ...] = ()
-    """The ranges of the first two columns of the states: for poses, of x and of y."""
+    """The ranges of the first `FEW` columns of each part of the states: for poses, of x, of y and of the heading."""
     empty: int = 0
     """The number of cells without a finite value, in all panels and frames."""
     gaps: int = 0
     """The number of frames in which a panel has no data."""
 
-    def add_columns(self, values: Floats) -> None:
-        """Add the values of a state to the ranges of its first two columns."""
-        self.columns = self.columns or tuple(Range() for _ in range(min(2, values.shape[1])))
-        for place, column in enumerate(self.columns):
-            column.add((values[:, place],))
+    def add_columns(self, state: State) -> None:
+        """Add the values of a state to the ranges of its first columns."""
+        columns = [part[:, place] for part in state if part.ndim > 1 for place in range(min(FEW, part.shape[1]))]
+        self.columns = self.columns or tuple(Range() for _ in columns)
+        for known, column in zip(self.columns, columns, strict=True):
+            known.add((column,))
 
     def joined(self, other: Survey) -> Survey:
         """Return the facts about two films together; these have no hash."""
@@ -102,7 +104,7 @@ def survey(
                 digest.update(np.ascontiguousarray(_plain(part)).data)
             if state[0].dtype.kind != "f":
                 continue  # pictures have no limits
-            found.add_columns(state[0])
+            found.add_columns(state)
             (found.differences if panel.minus else found.values).add(state)
             found.empty += int((~np.isfinite(state[0])).sum())
         found.gaps += gap

@@ -76,6 +76,7 @@ class TextStrip:
         self._text.set_visible(True)
         self._text.draw(self._canvas.get_renderer())
         pixels = np.asarray(self._canvas.buffer_rgba())[self._rows, :, :3]
-        inked = np.flatnonzero((pixels != self._empty).any(axis=(0, 2)))
+        pixels = np.where(pixels == self._empty, 255, pixels).astype(np.uint8)  # only the text: notes may be near
+        inked = np.flatnonzero((pixels < 255).any(axis=(0, 2)))
         width, _, _ = self._canvas.get_renderer().get_text_width_height_descent(part, self._text.get_fontproperties(), False)
-        return pixels[:, : int(inked.max(initial=0)) + 1].copy(), round(width)
+        return pixels[:, : int(inked.max(initial=0)) + 1], round(width)

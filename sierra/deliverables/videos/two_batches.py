@@ -35,12 +35,15 @@ class TwoSubjects:
         _check_same(labels, "times", f"{a.time} {a.unit}", f"{b.time} {b.unit}")
         for name in a.layout:
             if a.layout[name] != b.layout[name]:
-                raise _different(labels, f"numbers of {name!r}", _span(a.layout[name]), _span(b.layout[name]))
+                raise _different(labels, repr(name), _span(a.layout[name]), _span(b.layout[name]))
         if not even:
             _check_times(labels, a.tracks, b.tracks)
         self.tracks: Sequence[Track] = (*a.tracks, *b.tracks)
         self.time, self.unit, self.layout = a.time, a.unit, a.layout
         self.sql = "\n\n".join(f"-- batch {label}\n{one.sql}" for label, one in zip(labels, sides, strict=True))
+
+    def left_out(self) -> Sequence[str]:
+        return [f"{letter}: {note}" for letter, one in zip("AB", self._sides, strict=True) for note in one.left_out()]
 
     def notes(self, survey: Survey) -> Sequence[str]:
         return list(dict.fromkeys(note for one in self._sides for note in one.notes(survey)))
@@ -121,5 +124,6 @@ def _check_times(labels: Sequence[str], first: Sequence[Track], second: Sequence
         raise _different(labels, "times", _span(a), f"{_span(b)}; with step, frames show the last values of each")
 
 
-def _span(numbers: Sequence[float]) -> str:
-    return f"{len(numbers)} from {numbers[0]:g} to {numbers[-1]:g}" if numbers else "none"
+def _span(values: Sequence[float] | Sequence[str]) -> str:
+    first, last = (f"{one:g}" if isinstance(one, float) else one for one in (values[0], values[-1])) if values else ("", "")
+    return f"{len(values)} from {first} to {last}" if values else "none"

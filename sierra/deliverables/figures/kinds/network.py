@@ -57,7 +57,7 @@ class Network:
     def needs(self, request: Request) -> Needs:
         if len(request.columns) not in (2, 3):
             raise UsageError(f"a network needs two or three columns, source, target and weight, not {len(request.columns)}")
-        source, target, *_ = map(_node, request.columns)
+        source, target, *_ = map(node_name, request.columns)
         weight = f"{identifier(request.columns[2])}::DOUBLE" if len(request.columns) == 3 else "1.0"
         x, y = (f"{identifier(name)}::DOUBLE" for name in self._options.place) if self._options.place else ("NULL", "NULL")
         rows = f"""\
@@ -127,7 +127,7 @@ SELECT count(*) FILTER (source = target) AS loops, count(*) FILTER (source IS NU
 FROM rows"""
 
 
-def _node(name: str) -> str:
+def node_name(name: str) -> str:
     """Return the SQL of a node's name: a whole number without `.0`, and no name for NaN."""
     column = identifier(name)
     number = f"CASE WHEN isfinite(TRY_CAST({column} AS DOUBLE)) THEN regexp_replace({column}::VARCHAR, '\\.0$', '') END"

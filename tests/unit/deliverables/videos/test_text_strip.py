@@ -39,3 +39,17 @@ def test_composed_text_is_where_whole_text_is(text: str) -> None:
     assert ours[0] == theirs[0]
     rows = [np.flatnonzero((image < 200).any(axis=(1, 2))) for image in (again, expected)]
     assert (rows[0][0], rows[0][-1]) == (rows[1][0], rows[1][-1])
+
+
+def test_notes_below_the_text_are_not_repeated() -> None:
+    with style.settings():
+        figure = Figure(figsize=(3, 0.5), dpi=100)
+        written = figure.text(0.01, 0.3, "", va="bottom", fontsize=8, visible=False)
+        canvas = FigureCanvasAgg(figure)  # type: ignore[no-untyped-call]
+        canvas.draw()
+        background = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        background[38:40, 3:6] = 0
+        strip = TextStrip(canvas, written, LINES, background)
+        image = background.copy()
+        strip.write(image, "k = 123456")
+    assert (image[38:40, 8:] == background[38:40, 8:]).all()

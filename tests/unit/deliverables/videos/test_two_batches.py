@@ -96,7 +96,7 @@ def test_limits_are_those_of_both_and_the_difference_is_of_means(root: Path) -> 
 @pytest.mark.parametrize(
     ("second", "keys", "message"),
     [
-        (2, {}, "batches 'calm' and 'noisy' have different numbers of 'j': 2 from 0 to 1 and 3 from 0 to 2"),
+        (2, {}, "batches 'calm' and 'noisy' have different 'j': 2 from 0 to 1 and 3 from 0 to 2"),
         (2, NARROW, "have different times: 3 from 0 to 2 and 2 from 0 to 1; with step, frames show the last values of each"),
         (1, {"show": "tiles"}, 'show = "tiles" shows one batch'),
         (1, {"experiments": "population_size=2"}, "population_size"),
