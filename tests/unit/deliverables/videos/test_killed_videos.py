@@ -10,26 +10,30 @@ from tests import projects, stores, videos
 from tests.waiting import until
 
 SIMULATOR = """\
-with open("floor.csv", "w") as file:
-    print("tick,i,j,heat", file=file)
-    for tick in range(400):
-        for cell in range(4):
-            print(tick, cell // 2, cell % 2, tick + cell, sep=",", file=file)
+for tick in range(400):
+    with open(f"frame-{tick}.ppm", "wb") as file:
+        file.write(b"P6 16 12 255 " + bytes((tick % 256, 0, 0)) * 192)
 """
-VIDEO = '[outputs.floor]\nfile = "floor.csv"\ntime = "tick"\n[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\n'
+VIDEO = (
+    '[outputs.camera]\nfile = "frame-{tick}.ppm"\ntime = "tick"\n[videos.camera]\nkind = "pictures"\ntable = "camera"\n'
+    "size = [1600, 1200]\n"
+)
 
 
 @pytest.mark.integration
 def test_a_killed_encoder_leaves_no_half_video(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", projects.CONFIG + VIDEO, simulator=SIMULATOR)
     batch = stores.ask(root, "population_size=1", runs=1)
-    folder = root / "figures" / batch[:10]
+    folder, extracted = root / "figures" / batch[:10], root / ".sierra/extracted"
     with projects.start(root, "video") as making:
-        until(lambda: any(path.stat().st_size for path in folder.glob(".video-*/heat.mp4")))
+        until(lambda: any(path.stat().st_size for path in folder.glob(".video-*/camera.mp4")))
         making.kill()
     assert [path.name for path in folder.glob("*.mp4")] == []
     assert list(folder.glob(".video-*"))
+    assert len(list(extracted.glob("frame-*/*.ppm"))) == 400
+    (root / "sierra.toml").write_text(projects.CONFIG + VIDEO.replace("1600, 1200", "160, 160"))
     done = projects.quick(root, "video")
     assert done.returncode == 0, done.stderr
-    assert len(videos.decoded(folder / "heat.mp4")) == 400
+    assert len(videos.decoded(folder / "camera.mp4")) == 400
     assert list(folder.glob(".video-*")) == []
+    assert list(extracted.iterdir()) == []

@@ -241,7 +241,10 @@ def test_poses_share_their_limits_over_all_frames_and_files(root: Path) -> None:
     [
         ('column = ["i", "j"]', "kind 'matrix' needs 3 columns, not 2"),
         ('column = ["i", "j", "v"]\nshow = "difference"', 'show = "difference" and two "groups"'),
-        ('kind = "poses"\ncolumn = ["x", "y"]\nlimits = [0, 1]', "\"limits\" needs kind 'matrix' or 'grid', not 'poses'"),
+        (
+            'kind = "poses"\ncolumn = ["x", "y"]\nlimits = [0, 1]',
+            "\"limits\" needs kind 'matrix' or 'grid' or 'network', not 'poses'",
+        ),
         ('kind = "poses"\ncolumn = ["x", "y"]\nshow = "mean"', 'show = "mean" needs numbers'),
         ('column = ["i", "j", "v"]\nsize = [9000, 480]', "4096"),
         ('column = ["i", "j", "v"]\nformats = ["avi"]', "'mp4', 'webm' or 'gif'"),
