@@ -122,6 +122,8 @@ class ImageFiles:
         ticks = sorted(by_tick)
         self._files = _extracted(frame, where, [by_tick[tick] for tick in ticks])
         self.times: Floats = np.array(ticks, np.float64) / per_second
+        if len(np.unique(self.times)) < len(ticks):
+            raise UsageError(f"{where}: numbers in {output.file} are too large to be told apart as times")
         self.size = _checked(self._files[0])
         for one in self._files[1:]:
             if (size := _checked(one)) != self.size:

@@ -144,6 +144,11 @@ PLAYLIST = b"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.
             FRAMES,
             "frame-1.png: an image that moves",
         ),
+        (
+            lambda: {f"frame-{10**17 + k}.png": image() for k in (1, 2)},
+            FRAMES,
+            "numbers in frame-{tick}.png are too large to be told apart",
+        ),
         (dict, FRAMES, "run 0 of experiment 1: no file 'frame-{tick}.png' (output 'camera')"),
         (lambda: {"a.png": image()}, Output(file="a.png"), "'a.png' names no time; write the number in it as {tick}"),
         (lambda: {"a.csv": b""}, Output(file="a.csv"), "'a.csv' is no image or video file"),
@@ -218,6 +223,7 @@ size = [200, 160]
 """
 
 
+@pytest.mark.integration
 def test_recorded_files_become_videos_and_tiles(tmp_path: Path) -> None:
     template = projects.TEMPLATE.replace("<arena ", '<arena run="0" ')
     root = projects.make(tmp_path / "p", CONFIG, simulator=SIMULATOR, template=template)

@@ -17,6 +17,7 @@ from sierra.deliverables.videos import render
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
 
+pytestmark = [pytest.mark.integration, pytest.mark.each_case]
 SIMULATOR = """\
 import sys
 
