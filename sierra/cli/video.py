@@ -29,11 +29,11 @@ def video(
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.")] = False,
     as_json: AsJsonList = False,
 ) -> None:
-    """Make the videos that sierra.toml declares for a batch, or for two side by side.
+    """Make the videos of a batch, or of two side by side.
 
-    They are made from recorded results; nothing is executed. Each file appears whole or not at all, in the folder of the
-    batch's figures. `sierra figures --check` tells whether they still follow from the store. Videos of two batches show A, B
-    and, for matrices, A − B, for each experiment that both have.
+    sierra.toml declares them. They are made from recorded results; nothing is executed. Each file appears whole or not at all,
+    in the folder of the batch's figures. `sierra figures --check` tells whether they still follow from the store. Videos of two
+    batches show A, B and, for matrices, A − B, for each experiment that both have.
 
     \b
     Examples:
