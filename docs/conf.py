@@ -35,6 +35,7 @@ CONTENTS = {
         "how-to/report",
         "how-to/figure-kinds",
         "how-to/videos",
+        "how-to/capture",
         "how-to/models",
         "how-to/compare",
         "how-to/claims",

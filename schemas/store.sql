@@ -75,7 +75,7 @@ CREATE TABLE executions (
     "environment" VARCHAR,  -- the environment in which it ran
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
     "ingest_rules" VARCHAR,  -- hash of the rules by which it was evaluated: [outputs] and [success] of the project
-    "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
+    "purpose" VARCHAR,  -- run, replay or capture; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
     "lamport" BIGINT  -- its position in the logical order, as in sessions
@@ -350,6 +350,22 @@ CREATE TABLE equivalences (
     "reason" VARCHAR  -- the reason, in one line
 );
 
+-- Captures: measured runs that were executed once more with rendering, for their frames alone, and compared.
+CREATE TABLE captures (
+    "execution" VARCHAR,  -- the execution with rendering; its frames are among its artifacts
+    "session" VARCHAR,  -- what executed it
+    "batch" VARCHAR,  -- the batch for which it was executed
+    "run" VARCHAR,  -- the run
+    "recorded" VARCHAR,  -- the measured execution with which it was compared, or a later judgement of it
+    "rendering" VARCHAR,  -- hash of its inputs, command, variables and services; the same rendering has the same hash
+    "files" VARCHAR,  -- pattern of the names of its frames, relative to its output folder
+    "frames" BIGINT,  -- number of frames that it left [1]
+    "ticks_per_second" DOUBLE,  -- ticks, as the names of its frames have them, in a second of simulated time; NULL if unknown [1/s]
+    "verdict" VARCHAR,  -- how far its other outputs agree with the measured ones: identical, equal, within tolerance, different or failed
+    "reason" VARCHAR,  -- the reason in one line; empty if they are identical
+    "lamport" BIGINT  -- its position in the logical order, as in sessions
+);
+
 -- Environments of executions (operating system, hardware, libraries, variables), each recorded once.
 CREATE TABLE environments (
     "environment" VARCHAR,  -- hash of all columns below
@@ -590,7 +606,7 @@ CREATE TABLE runs (
     "spec" VARCHAR,  -- the specification that it shares with other runs
     "status" VARCHAR,  -- ok if it has an effective execution; otherwise the status of its last execution (stale if that is ok); missing if there is none
     "execution" VARCHAR,  -- its effective execution in the batch that was submitted last; batches that were executed here come first
-    "executions" BIGINT  -- number of its executions [1]
+    "executions" BIGINT  -- number of its executions, without captures [1]
 );
 
 -- The effective execution of each run in each batch: the last successful one with the programs and the rules of the batch's last session. Statistics, figures and outputs use no other execution. If a batch was executed here, only executions that were made here count in it; otherwise only those of the package that was imported first.
@@ -630,7 +646,7 @@ CREATE TABLE all_judgements (
     "environment" VARCHAR,  -- the environment in which it ran
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
     "ingest_rules" VARCHAR,  -- hash of the rules by which it was evaluated: [outputs] and [success] of the project; by this judgement
-    "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
+    "purpose" VARCHAR,  -- run, replay or capture; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
     "lamport" BIGINT,  -- its position in the logical order, as in sessions
@@ -664,7 +680,7 @@ CREATE TABLE all_candidates (
     "environment" VARCHAR,  -- the environment in which it ran
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
     "ingest_rules" VARCHAR,  -- hash of the rules by which it was evaluated: [outputs] and [success] of the project
-    "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
+    "purpose" VARCHAR,  -- run, replay or capture; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
     "lamport" BIGINT,  -- its position in the logical order, as in sessions

@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest
+    from sierra.replay.capture import Captures
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.resource_estimate import Estimate
     from sierra.store.derived_tables import Rules
@@ -672,6 +673,35 @@ class Project:
         options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
+
+    def capture(
+        self,
+        prefix: str | None = None,
+        *,
+        runs: int = 1,
+        jobs: int | None = None,
+        runner: str = "local",
+        engine: str | None = None,
+        again: bool = False,
+        observer: Observer | None = None,
+        progress: bool | None = None,
+    ) -> Captures:
+        """Execute recorded runs once more with rendering, for their frames alone; compare the rest with the record.
+
+        `prefix` is a batch, experiment, run or execution, or the name of a query, by default the last batch. `runs`: the number
+        of runs of each experiment, the first ones. Runs whose frames are recorded are not executed `again`. `[capture]` and the
+        platform say how runs render. Raises ConfigError if they do not, and the errors of `replay`.
+
+        >>> project.capture(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.ConfigError: nothing says how runs of platform 'command' render; ...
+        """
+        from sierra.replay import capture
+
+        if prefix is None or prefix in self.config.queries:
+            prefix = self.batch(prefix)
+        options = capture.CaptureOptions(_slots(jobs), runs, runner, engine, again)
+        return capture.capture(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False, runs: Container[str] | None = None) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.resource_estimate`.

@@ -554,6 +554,8 @@ class Purpose(StrEnum):
 
     RUN = "run"
     REPLAY = "replay"
+    CAPTURE = "capture"
+    """An execution with rendering, for its frames alone."""
 
 
 class Status(StrEnum):

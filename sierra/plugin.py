@@ -50,6 +50,7 @@ below.
 
 from __future__ import annotations
 
+from sierra.config.capture_table import Capture
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import Table
@@ -87,7 +88,7 @@ from sierra.model import (
     Times,
     Value,
 )
-from sierra.platforms.base import Following, Platform
+from sierra.platforms.base import Following, Platform, Rendering, Renders
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
@@ -116,6 +117,7 @@ __all__ = [
     "BootstrapOptions",
     "Bounds",
     "Capabilities",
+    "Capture",
     "Cell",
     "CellResult",
     "Change",
@@ -177,6 +179,8 @@ __all__ = [
     "Rename",
     "Rendered",
     "Renderer",
+    "Rendering",
+    "Renders",
     "Request",
     "Requirement",
     "Result",

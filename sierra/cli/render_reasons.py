@@ -38,6 +38,7 @@ HISTORY = {
     ChangeReason.CONCURRENT: "another session executed it at the same time without this session's knowledge",
     ChangeReason.JUST_EXECUTED: "another session had just executed it ({}) without this session's knowledge",
     ChangeReason.REPLAY: "a replay{}",
+    ChangeReason.CAPTURE: "a capture of frames",
 }
 """Why a session executed a run."""
 EFFECTIVE = {

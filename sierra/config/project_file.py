@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_
 
 from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
+from sierra.config.capture_table import Capture
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.claim_table import Claim
 from sierra.config.cluster_table import ClusterTable, check_directives
@@ -220,6 +221,7 @@ class Project(Table):
     paper_tables: Mapping[Name, TableForPaper] = Field(
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
+    capture: Capture = Capture.model_construct()
     videos: Mapping[Name, Video] = Field(default_factory=dict, description="videos, by name, for `sierra video`")
     models: Mapping[Name, Model] = Field(
         default_factory=dict, description="predictions that are drawn with the data, by name, for figures and `sierra models`"

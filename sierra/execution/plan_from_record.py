@@ -138,14 +138,31 @@ AND starts_with(f.path, '{project}/') AND f.use IN ('executed', 'read') AND f.sh
 def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recalled:
     """Return the recorded plan of a batch for one set of programs and one set of rules."""
     with store.snapshot() as snapshot:
-        row = required_row(SpecRow, snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
+        row = required_row(SpecRow, snapshot, SPEC, b=batch)
         rules = required_row(IngestRulesRow, snapshot, "SELECT * FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
         used = row_queries.programs(snapshot, [programs])
         build = recorded_build.find(snapshot, row.source, programs)
         observed = {one.path: one.sha256 for one in snapshot.select(_Observed, OBSERVED, b=batch, p=programs)}
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
-    spec = RunSpec(
+    manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
+    check_packages({output.kind for output in outputs.values()})
+    return Recalled(
+        batch, _spec_of(row), manifest, commit, used, programs, outputs, success, installed(readers), build, observed
+    )
+
+
+def spec(store: Store, batch: str) -> RunSpec:
+    """Return the recorded specification of a batch's runs."""
+    with store.snapshot() as snapshot:
+        return _spec_of(required_row(SpecRow, snapshot, SPEC, b=batch))
+
+
+SPEC = "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b"
+
+
+def _spec_of(row: SpecRow) -> RunSpec:
+    return RunSpec(
         row.platform,
         tuple(row.command),
         json.loads(row.variables),
@@ -157,9 +174,6 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         around.recorded(row.around),
         around.commands_of_robots(row.robots),
     )
-    manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
-    check_packages({output.kind for output in outputs.values()})
-    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build, observed)
 
 
 def installed(readers: Used) -> Used:

@@ -33,6 +33,8 @@ class ChangeReason(StrEnum):
     """Another session had executed the run just before."""
     REPLAY = "replay"
     """The run was executed for a replay."""
+    CAPTURE = "capture"
+    """The run was executed with rendering, for its frames."""
     NEVER = "never"
     """The run was never executed."""
     STALE = "stale"

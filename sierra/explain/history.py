@@ -39,7 +39,7 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One session or one replay."""
+    """One session, replay or capture."""
 
     session: str
     when: datetime | None
@@ -201,6 +201,7 @@ class Replay(NamedTuple):
 
 
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
+CAPTURES = "SELECT DISTINCT session FROM captures WHERE list_contains($s, session)"
 
 
 def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
@@ -212,6 +213,7 @@ def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
             "findings",
             "all_sessions",
             "replays",
+            "captures",
             "batch_runs",
             "attempts",
             "duplicates",
@@ -230,6 +232,7 @@ def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     sessions = {row.session: row for row in found}
     keys = list(dict.fromkeys((*sessions, *executed, *reevaluated)))
     replays = {row.replay: row for row in snapshot.select(Replay, REPLAYS, s=keys)}
+    ended = {*sessions, *replays, *snapshot.values(str, CAPTURES, s=keys)}
     notes = _notes(snapshot)
 
     def place(key: str) -> int:
@@ -239,7 +242,14 @@ def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
 
     return [
         _event(
-            snapshot, key, executed.get(key, []), sessions.get(key), replays.get(key), reevaluated.get(key), notes.get(key, [])
+            snapshot,
+            key,
+            executed.get(key, []),
+            sessions.get(key),
+            replays.get(key),
+            reevaluated.get(key),
+            notes.get(key, []),
+            ended=key in ended,
         )
         for key in sorted(keys, key=place)
     ]
@@ -253,6 +263,8 @@ def _event(
     replay: Replay | None,
     reevaluated: Reevaluated | None,
     notes: Sequence[str],
+    *,
+    ended: bool,
 ) -> Event:
     rules = other_rules(snapshot, reevaluated.was_rules, reevaluated.ingest_rules) if reevaluated else None
     first = next(one for one in (submission, *rows, reevaluated) if one is not None)
@@ -268,7 +280,7 @@ def _event(
         reevaluated=reevaluated.runs if reevaluated else 0,
         other_rules="" if rules is None else _lines(rules),
         reused=submission.reused if submission else None,
-        ended=submission is not None or replay is not None,
+        ended=ended,
         causes=tuple(_cause(snapshot, row, replay) for row in rows),
         notes=tuple(notes),
     )
@@ -303,6 +315,8 @@ def _cause(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Cause:
 
 
 def _why(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Reason:
+    if row.purpose == Purpose.CAPTURE:
+        return Reason(ChangeReason.CAPTURE)
     if row.purpose != Purpose.RUN:
         of = f" of {replay.kind} {short(replay.target)}: {replay.verdict}" if replay else " that did not end"
         return Reason(ChangeReason.REPLAY, of)

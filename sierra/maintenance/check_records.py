@@ -491,6 +491,8 @@ LOST_BY_EXECUTION = {
     "verdicts belong to executions that are not recorded": """
         SELECT DISTINCT recorded FROM verdicts v WHERE recorded NOT IN (SELECT execution FROM executions)
         UNION SELECT execution FROM verdicts WHERE execution NOT IN (SELECT execution FROM executions)""",
+    "captures belong to executions that are not recorded": """
+        SELECT execution FROM captures WHERE execution NOT IN (SELECT execution FROM executions)""",
 }
 
 

@@ -351,6 +351,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
         "replays": {"replay": replays},
         "equivalences": {"replay": replays},
         "verdicts": {"replay": replays, "recorded": executions, "execution": executions},
+        "captures": {"recorded": executions, "execution": executions},
     }
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}

@@ -6,9 +6,11 @@ Shipped platforms are `command` (any program) and `argos`. Others are entry poin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar, Protocol, runtime_checkable
 
+from sierra.config.capture_table import Capture
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project
@@ -79,6 +81,37 @@ class Following(Protocol):
 
         `document` is an experiment's input with all changes, without those of single runs. `base` is the template with only the
         platform's own changes. What another change has set must stay as it is.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Rendering:
+    """The differences between a measured execution of a run and one with rendering."""
+
+    command: tuple[str, ...]
+    """The command, with its placeholders."""
+    files: str
+    """The names of the frames, relative to the output folder: `frames/{tick}.png`, or a glob."""
+    changes: Callable[[Reader], Sequence[Change]] = lambda document: ()
+    """The changes to the input of a run, which the function reads. They must not change what is simulated."""
+    ticks_per_second: Callable[[Reader], float | None] = lambda document: None
+    """The number of ticks, as the names of frames have them, in a second of a run's simulated time; None if unknown."""
+    replaced: tuple[tuple[str, bytes], ...] = ()
+    """Input files that take the place of those with the same names, in any folder."""
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """Further variables."""
+    display: tuple[int, int] | None = None
+    """Width and height in pixels of an X display that is started for each run, in DISPLAY; None without one."""
+
+
+@runtime_checkable
+class Renders(Protocol):
+    """A platform whose simulator can render frames, for `sierra capture`."""
+
+    def rendering(self, capture: Capture, command: tuple[str, ...]) -> Rendering:
+        """Return how a run with this recorded command is executed with rendering, as `[capture]` says.
+
+        Raises ConfigError for a camera, a size or an interval that is not possible.
         """
 
 

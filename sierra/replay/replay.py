@@ -32,7 +32,7 @@ from sierra.execution.plan_from_record import Recalled
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
-from sierra.model import Purpose, Run, Status, Value
+from sierra.model import Run, Status, Value
 from sierra.provenance import environment, fingerprint_programs, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Kind, Programs, mentioned
@@ -41,6 +41,7 @@ from sierra.replay.compare_outputs import compare_all
 from sierra.replay.compare_values import Agreement, Verdict
 from sierra.replay.equivalence import Metric
 from sierra.replay.same_files import UsedFiles
+from sierra.replay.variation import Variation
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
@@ -82,6 +83,8 @@ class ReplayOptions:
     """The recorded image, if it is in another place than the pinned or recorded one."""
     earlier: frozenset[str] = frozenset()
     """Sessions of earlier replays. Their successful executions count, if programs, machine and isolation are the same."""
+    variation: Variation = field(default_factory=Variation)
+    """The ways in which runs are executed otherwise than they were recorded."""
 
     def includes(self, one: ChosenExecution) -> bool:
         """Return whether a run is replayed."""
@@ -120,6 +123,7 @@ def replay(
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}; use --no-record to replay without writing there")
     observer = observer or Observer()
+    variation = options.variation
     recover.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), options)
     project = targets.of_batch(project, store, record.of.batch)
@@ -160,8 +164,8 @@ def replay(
         variables = commands.declared(record.of.spec.environment, root, project.root)
         now = reported_versions.with_versions(checkout.programs_in(root), project.config.programs, variables, root)
         around = of_fields(EnvironmentRow, environment.capture(__version__, project.config.environment.record))
-        limits = commands.limits(project.config)
-        setup = Setup(project, record.of.spec, engine, image, limits, root, around)
+        limits = variation.limits(project.config)
+        setup = Setup(project, variation.spec(record.of.spec), engine, image, limits, root, around)
         service = Service(setup, store, session, stays=runner.stays)
         files = _used_files(store, record, now, root, variables["PATH"]) if image is None else None
         notes = (
@@ -177,7 +181,7 @@ def replay(
         context = Context(
             session.id,
             record.of.batch,
-            Purpose.REPLAY,
+            variation.purpose,
             around.environment,
             now.id,
             record.of.outputs,
@@ -202,7 +206,7 @@ def replay(
             and service.execute(
                 runner,
                 context,
-                _inputs(record, rest, store),
+                ((run, variation.files(files)) for run, files in _inputs(record, rest, store)),
                 len(rest),
                 now,
                 tally,
@@ -216,11 +220,13 @@ def replay(
         _leave(session.paths, kept)
         if interrupted:
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept, built=built)
-        compared = _compare(record, store, made, failed, declared)
+        compared = [
+            replace(one, outputs=variation.compared(one.outputs)) for one in _compare(record, store, made, failed, declared)
+        ]
         before = len(record.notes)
         if takes_robots:
             record.notes += on_robots.other_processors(store, [str(one.execution) for one in record.runs], list(made.values()))
-        experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
+        experiments = tuple(_experiments(project, store, record, compared, was, declared))
         late = record.notes[before:]
         for text in late:
             observer.notice(text)
@@ -535,6 +541,7 @@ def _keep(
 ) -> None:
     """Record the replay and its verdicts."""
     writer = store.writer(session.paths.segment, record.of.batch)
+    lamport = stamp(session.number, session.id)
     row = ReplayRow(
         replay=answer.id,
         kind=record.found.kind,
@@ -549,11 +556,12 @@ def _keep(
         tolerances=json.dumps(plain(options.tolerances)) if options.tolerances else None,
         environment=around.environment,
         programs=now.id,
-        lamport=stamp(session.number, session.id),
+        lamport=lamport,
     )
-    writer.records([row])
-    writer.records(row for run in answer.runs for row in verdict_rows(answer.id, run))
-    writer.records(row for one in answer.experiments for row in metric_rows(answer.id, one))
+    verdicts = (row for run in answer.runs for row in verdict_rows(answer.id, run))
+    metrics = (row for one in answer.experiments for row in metric_rows(answer.id, one))
+    for rows in options.variation.records(answer, ([row], verdicts, metrics), store, lamport):
+        writer.records(rows)
     writer.records([around])
     writer.records(now.rows())
     store.publish(writer)

@@ -22,8 +22,8 @@ NUMBER, TIE, POSITION = 23, 18, 22
 """The widths of the three parts in bits."""
 HIGHEST = (1 << NUMBER) - 1
 ORDERED = (
-    *("batches", "builds", "deliverables", "executions", "findings", "imported_sessions", "imports", "judgements", "looks"),
-    *("replays", "sessions", "studies", "trials"),
+    *("batches", "builds", "captures", "deliverables", "executions", "findings", "imported_sessions", "imports"),
+    *("judgements", "looks", "replays", "sessions", "studies", "trials"),
 )
 """The tables with the column `lamport`."""
 

@@ -107,7 +107,7 @@ class ExecutionRow(NamedTuple):
     environment: Annotated[str, "the environment in which it ran"]
     programs: Annotated[str, "fingerprint of the programs outside source and image"]
     ingest_rules: Annotated[str, "hash of the rules by which it was evaluated: [outputs] and [success] of the project"]
-    purpose: Annotated[str, "run, or another purpose; only executions for run count in statistics"]
+    purpose: Annotated[str, "run, replay or capture; only executions for run count in statistics"]
     isolation: Annotated[str | None, "how it was isolated in a container; NULL if it was not"]
     attempt: Annotated[str | None, "on a cluster, the attempt at an array task that executed it; NULL otherwise"]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
@@ -410,6 +410,27 @@ class VerdictRow(NamedTuple):
     max_abs: Annotated[float | None, "the greatest absolute difference in that column, in its unit"]
     max_rel: Annotated[float | None, "the greatest difference relative to the recorded number", "1"]
     max_ulp: Annotated[float | None, "the greatest difference in units in the last place", "1"]
+
+
+class CaptureRow(NamedTuple):
+    """Captures: measured runs that were executed once more with rendering, for their frames alone, and compared."""
+
+    execution: Annotated[str, "the execution with rendering; its frames are among its artifacts"]
+    session: Annotated[str, "what executed it"]
+    batch: Annotated[str, "the batch for which it was executed"]
+    run: Annotated[str, "the run"]
+    recorded: Annotated[str, "the measured execution with which it was compared, or a later judgement of it"]
+    rendering: Annotated[str, "hash of its inputs, command, variables and services; the same rendering has the same hash"]
+    files: Annotated[str, "pattern of the names of its frames, relative to its output folder"]
+    frames: Annotated[int, "number of frames that it left", "1"]
+    ticks_per_second: Annotated[
+        float | None, "ticks, as the names of its frames have them, in a second of simulated time; NULL if unknown", "1/s"
+    ]
+    verdict: Annotated[
+        str, "how far its other outputs agree with the measured ones: identical, equal, within tolerance, different or failed"
+    ]
+    reason: Annotated[str | None, "the reason in one line; empty if they are identical"]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
 
 
 class EquivalenceRow(NamedTuple):
@@ -769,6 +790,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "replays": ReplayRow,
     "verdicts": VerdictRow,
     "equivalences": EquivalenceRow,
+    "captures": CaptureRow,
     "environments": EnvironmentRow,
     "sources": SourceRow,
     "blobs": BlobRow,

@@ -86,7 +86,7 @@ DERIVED = {
                 ID,
                 "its effective execution in the batch that was submitted last; batches that were executed here come first",
             ),
-            ("executions", INT, "number of its executions", "1"),
+            ("executions", INT, "number of its executions, without captures", "1"),
         ),
         _table(
             "effective",

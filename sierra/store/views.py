@@ -290,7 +290,7 @@ class Views:
         axes = "".join(f"{_only(_value(axis))} AS {identifier(axis)}, " for axis in self.axes())
         return (
             "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, lamport) AS last FROM executions "
-            "GROUP BY run), "
+            "WHERE purpose <> 'capture' GROUP BY run), "
             f"counted AS ({self._counted}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
             "any_value(m.spec) AS spec, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
@@ -448,7 +448,7 @@ NONDETERMINISM = """
 WITH several AS (
     SELECT run, programs, count(*) AS executions, count(DISTINCT result) AS results
     FROM executions e ANTI JOIN imported_sessions i ON i.session = e.session
-    WHERE status = 'ok' GROUP BY run, programs HAVING min(result) < max(result)
+    WHERE status = 'ok' AND purpose <> 'capture' GROUP BY run, programs HAVING min(result) < max(result)
 ),
 compared AS (
     SELECT e.run, e.programs, max(CASE v.verdict WHEN 'identical' THEN 0 WHEN 'equal' THEN 1 WHEN 'within tolerance' THEN 2

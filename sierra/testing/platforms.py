@@ -18,11 +18,12 @@ from itertools import chain
 from pathlib import Path
 from types import UnionType
 
+from sierra.config.capture_table import Capture
 from sierra.config.project_file import Project
 from sierra.config.validate import options
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
-from sierra.platforms.base import Following, Platform, Reader
+from sierra.platforms.base import Following, Platform, Reader, Renders
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arch", "arguments"))
@@ -49,6 +50,7 @@ def check(make: Make, project: Project, template: Reader, examples: Mapping[str,
     changes_are_well_formed(made(make, project), template)
     seed_changes_are_well_formed(made(make, project))
     what_follows_is_well_formed(made(make, project), template)
+    rendering_is_well_formed(made(make, project), template)
     says_none_for_unknown_criteria(made(make, project), template)
     describes_its_criteria(made(make, project), examples)
     for criterion in examples.values():
@@ -114,6 +116,23 @@ def what_follows_is_well_formed(platform: Platform, template: Reader) -> None:
         return
     _are_changes(first)
     holds(first == again, "follow() differs when it is called again")
+
+
+def rendering_is_well_formed(platform: Platform, template: Reader) -> None:
+    """Check that the rendering of a recorded command has frames and repeats, if the platform renders."""
+    if not isinstance(platform, Renders):
+        return
+    rendering = platform.rendering(Capture(), platform.command())
+    holds(bool(rendering.files.strip()), "rendering() names no frames")
+    holds(bool(rendering.command), "rendering() has no command")
+    holds(rendering.files == platform.rendering(Capture(), platform.command()).files, "rendering() differs when called again")
+    try:
+        first, again = tuple(rendering.changes(template)), tuple(rendering.changes(template))
+    except SierraError as error:  # the template may be valid only after the changes
+        is_one_line(str(error))
+        return
+    _are_changes(first)
+    holds(first == again, "the changes of rendering() differ when they are made again")
 
 
 def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None:

@@ -26,7 +26,10 @@ from sierra.store.store import Snapshot, Store
 
 ROWS = 65_536
 MARKS = "redactions"
-MARKED = {**dict.fromkeys(("executions", "sessions", "builds", "attempts", MARKS), "session"), "replays": "replay"}
+MARKED = {
+    **dict.fromkeys(("executions", "sessions", "builds", "attempts", "captures", MARKS), "session"),
+    "replays": "replay",
+}
 """The column with the session, by table."""
 
 

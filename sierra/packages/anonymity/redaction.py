@@ -142,6 +142,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         "replay experiment metric output column measure recorded_mean replayed_mean n difference low high margin alpha p power "
         "equivalent reason"
     ),
+    "captures": _rules("execution session batch run recorded rendering files frames ticks_per_second verdict reason lamport"),
     "environments": _rules(
         "os kernel machine cpu cpu_flags cores memory gpus libc limits python sierra distributions lock packages",
         environment=Rule.ROW,

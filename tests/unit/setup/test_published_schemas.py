@@ -75,6 +75,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "package": "Package",
         "robots": "RobotsTable",
         "trials": "Trials",
+        "capture": "Capture",
     }.items():
         found[model] = set(table[name])
     for name, model in {"authors": "Author", "related": "Related", "data": "ExternalData"}.items():

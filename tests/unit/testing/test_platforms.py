@@ -17,7 +17,7 @@ from sierra.config.plugin_registry import PLATFORMS
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
 from sierra.platforms.argos import Argos
-from sierra.platforms.base import Platform, Reader
+from sierra.platforms.base import Platform, Reader, Rendering
 from sierra.platforms.command import Command
 from sierra.query import grammar
 from sierra.templates.xml import XmlTemplate
@@ -199,6 +199,20 @@ def test_what_follows_may_be_missing_but_not_wrong() -> None:
     ):
         with pytest.raises(AssertionError, match=complaint):
             check(type("Broken", (Sound,), {"follow": follow}))
+
+
+@pytest.mark.parametrize(
+    ("rendering", "complaint"),
+    [
+        (Rendering(("sound",), ""), "names no frames"),
+        (Rendering((), "*.png"), "has no command"),
+        (Rendering(("sound",), "*.png", lambda document: (Set("/a/@b", "1"),)), "has no `why`"),
+    ],
+)
+def test_a_rendering_may_be_missing_but_not_wrong(rendering: Rendering, complaint: str) -> None:
+    check(type("Renders", (Sound,), {"rendering": lambda self, *args: Rendering(("sound",), "*.png")}))
+    with pytest.raises(AssertionError, match=complaint):
+        check(type("Broken", (Sound,), {"rendering": lambda self, *args: rendering}))
 
 
 @pytest.mark.parametrize(

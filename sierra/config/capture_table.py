@@ -1,0 +1,49 @@
+"""The table `[capture]` of `sierra.toml`: how the simulator of a recorded run renders frames, for `sierra capture`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import Field
+
+from sierra.config.change_tables import ChangeTable
+from sierra.config.field_types import Argv, Positive, Table, Text, VariableName
+
+Side = Annotated[int, Field(ge=16, le=8192)]
+"""The length of a side of a frame, in pixels."""
+
+
+class Capture(Table):
+    """How recorded runs are executed once more with rendering. Nothing of it changes measured runs or their identity."""
+
+    files: str = Field(
+        "",
+        description="names of the frames, relative to the output folder: `frames/{tick}.png` with a number in each name, or a "
+        "glob; default: those of the platform",
+        examples=["frames/{tick}.png"],
+    )
+    ticks_per_second: Positive | None = Field(
+        None, description="number of ticks, as the names of frames have them, in a simulated second; default: the platform's"
+    )
+    arguments: Argv = Field((), description="words that are added to the command, such as `--frames {output}/frames`")
+    command: Argv = Field((), description="the command that takes the place of the recorded one; default: the recorded one")
+    changes: tuple[ChangeTable, ...] = Field(
+        (), description="changes to the input of each run, such as one that turns rendering on; values are plain texts"
+    )
+    environment: Mapping[VariableName, Text] = Field(default_factory=dict, description="further variables")
+    display: bool = Field(
+        False, description="whether each run gets an X display of its own (Xvfb) in DISPLAY; needs Xvfb where runs execute"
+    )
+    camera: str = Field(
+        "", description="name of the camera, for platforms that render (`sierra schema` has their cameras); default: theirs"
+    )
+    size: tuple[Side, Side] = Field((640, 480), description="width and height of frames, and of the display, in pixels")
+    interval: Positive | None = Field(
+        None, description="simulated time between two frames in seconds, for platforms that render; default: theirs"
+    )
+    wall: Positive | None = Field(
+        None,
+        description="time limit of an execution in seconds; default: none. Limits of time and output in [limits] are for "
+        "measured runs",
+    )

@@ -1,0 +1,165 @@
+"""Capture: execute recorded runs once more with rendering, for their frames alone, and compare the rest with the record.
+
+Rendering takes time and may disturb a simulation, so measured runs do not render. A capture is a replay with another command,
+other variables or an input that asks for frames. Its executions have the purpose `capture`: they are never effective, and
+nothing counts them. Their outputs other than frames are compared with the measured ones, and the verdict is recorded with the
+frames: a video can say if it shows another course of events than the one that was measured.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from sierra.config.project_file import LoadedProject
+from sierra.errors import NotFound, UsageError
+from sierra.execution import plan_from_record, targets
+from sierra.execution.observer import Observer
+from sierra.model import RunSpec
+from sierra.replay import replay
+from sierra.replay.compare_values import Verdict, worst
+from sierra.replay.rendered_runs import RenderedRuns, check_display
+from sierra.replay.verdicts import Compared, Replay
+from sierra.store import captures
+from sierra.store.recorded_files import ChosenExecution, take
+from sierra.store.row_types import CaptureRow
+from sierra.store.store import Found, Store
+from sierra.util.hashing import short
+
+NO_FRAMES = "the execution left no file {!r}; see [capture]"
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """Options of a capture."""
+
+    slots: int
+    runs: int = 1
+    """Number of runs to capture per experiment, from the first."""
+    runner: str = "local"
+    engine: str | None = None
+    again: bool = False
+    """True to capture runs whose frames are recorded already."""
+
+
+@dataclass(frozen=True, slots=True)
+class Captures:
+    """Result of a capture."""
+
+    batch: str
+    made: tuple[CaptureRow, ...]
+    """The captures that were made now, in the order of the runs."""
+    known: int
+    """Number of runs whose frames were recorded before, by the same rendering."""
+    notes: tuple[str, ...] = ()
+    interrupted: bool = False
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return the verdict of the worst capture; an interrupted one has failed."""
+        return Verdict.FAILED if self.interrupted else worst(Verdict(one.verdict) for one in self.made)
+
+
+def capture(
+    project: LoadedProject, store: Store, prefix: str, options: CaptureOptions, observer: Observer | None = None
+) -> Captures:
+    """Execute the runs of an id with rendering, record their frames, and compare the rest with the record.
+
+    Raises NotFound for an unknown id, ConfigError if nothing says how runs render, UsageError for runs on robots, Missing if a
+    display is not possible here, and the errors of a replay.
+    """
+    found = store.resolve(prefix)
+    batch = found.batch or found.id
+    project = targets.of_batch(project, store, batch)
+    spec = plan_from_record.spec(store, batch)
+    if spec.robots is not None:
+        raise UsageError(f"batch {short(batch)} was executed on robots, which cannot repeat a run for frames")
+    rendered = _Recorded(project, spec)
+    if options.runner == "local" and (spec.image is None or options.engine == "none"):
+        check_display(rendered.rendering)
+    chosen = _chosen(store, found, options)
+    for one, files in plan_from_record.inputs(store, chosen):
+        rendered.identities[one.run], rendered.rates[one.run] = rendered.identity(files), rendered.ticks_per_second(files)
+    known = set() if options.again else _known(store, chosen, rendered.identities)
+    rest = frozenset(one.run for one in chosen) - known
+    if not rest:
+        return Captures(batch, (), len(known))
+    as_replay = replay.ReplayOptions(options.slots, None, options.runner, options.engine, only=rest, variation=rendered)
+    answer = replay.replay(project, store, prefix, as_replay, observer)
+    made = captures.of_session(store, answer.id)
+    return Captures(batch, tuple(made), len(known), answer.notes, answer.interrupted)
+
+
+def _chosen(store: Store, found: Found, options: CaptureOptions) -> list[ChosenExecution]:
+    """Return the measured executions that are captured. Raises NotFound if there is none."""
+    with store.snapshot() as snapshot:
+        named = take(snapshot, found)
+    chosen = [one for one in named if one.status == "ok" and (found.kind in ("run", "execution") or one.number < options.runs)]
+    if not chosen:
+        raise NotFound(f"{found.kind} {short(found.id)} has no successful execution to capture; execute it with sierra run")
+    return chosen
+
+
+def _known(store: Store, chosen: Sequence[ChosenExecution], identities: Mapping[str, str]) -> set[str]:
+    """Return the runs whose last capture has the same rendering."""
+    with store.snapshot() as snapshot:
+        before = captures.newest(snapshot, [str(one.judgement) for one in chosen])
+    return {row.run for row in before.values() if row.rendering == identities[row.run]}
+
+
+class _Recorded(RenderedRuns):
+    """The runs that render, with the records of their captures."""
+
+    def __init__(self, project: LoadedProject, recorded: RunSpec) -> None:
+        super().__init__(project, recorded)
+        self.identities: dict[str, str] = {}
+        """The identity of the rendering of each run."""
+        self.rates: dict[str, float | None] = {}
+        """The ticks per simulated second of the frames of each run."""
+
+    def records(
+        self, answer: Replay, as_replay: Iterable[Iterable[NamedTuple]], store: Store, lamport: int
+    ) -> Iterable[Iterable[NamedTuple]]:
+        del as_replay
+        return [list(self._rows(answer, store, lamport))]
+
+    def _rows(self, answer: Replay, store: Store, lamport: int) -> Iterator[CaptureRow]:
+        with store.snapshot() as snapshot:
+            snapshot.views.make(("artifacts", "executions"))
+            frames = Counter(str(row[0]) for row in snapshot.run(WRITTEN, {"s": answer.id}) if self.is_frame(row[1]))
+            ends: dict[str, str | None] = dict(snapshot.run(FAILED, {"s": answer.id}))
+        for place, run in enumerate(answer.runs):
+            execution = str(run.execution)
+            verdict, reason = self._verdict(run, frames[execution], ends.get(execution) or "")
+            yield CaptureRow(
+                execution=execution,
+                session=answer.id,
+                batch=answer.found.batch or answer.found.id,
+                run=run.taken.run,
+                recorded=str(run.taken.judgement),
+                rendering=self.identities[run.taken.run],
+                files=self.rendering.files,
+                frames=frames[execution],
+                ticks_per_second=self.rates[run.taken.run],
+                verdict=verdict,
+                reason=reason,
+                lamport=lamport + place,
+            )
+
+    def _verdict(self, run: Compared, frames: int, end: str) -> tuple[Verdict, str | None]:
+        """Return the verdict and the reason; `end` is the end of the log of a failed execution."""
+        if run.verdict is not Verdict.FAILED and not frames:
+            return Verdict.FAILED, NO_FRAMES.format(self.rendering.files)
+        if run.verdict is Verdict.IDENTICAL:
+            return run.verdict, None
+        found = next(((path, one.reason) for path, one in run.outputs.items() if one.verdict is run.verdict), (None, ""))
+        words = [*(str(part) for part in found if part), *end.strip().splitlines()[-1:]]
+        return run.verdict, ": ".join(words) or None
+
+
+WRITTEN = """
+SELECT a.execution, a.path FROM artifacts a JOIN executions e USING (execution) WHERE e.session = $s AND a.kind <> 'log'
+"""
+FAILED = "SELECT execution, log_tail FROM executions WHERE session = $s AND status <> 'ok'"

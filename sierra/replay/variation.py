@@ -1,0 +1,46 @@
+"""Variation: the ways in which a replay executes recorded runs otherwise than they were recorded, and what it records.
+
+`Variation` itself changes nothing. `sierra.replay.capture` has the one that makes runs render.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from sierra.config.project_file import Project
+from sierra.execution import commands
+from sierra.model import Limits, Purpose, RunSpec
+from sierra.replay.compare_values import Agreement
+from sierra.replay.verdicts import Replay
+from sierra.store.store import Store
+from sierra.templates.base import Files
+
+
+class Variation:
+    """A replay that executes runs as they were recorded."""
+
+    purpose = Purpose.REPLAY
+
+    def spec(self, recorded: RunSpec) -> RunSpec:
+        """Return the specification that is executed."""
+        return recorded
+
+    def files(self, recorded: Files) -> Files:
+        """Return the input files of a run that is executed."""
+        return recorded
+
+    def limits(self, project: Project) -> Limits:
+        """Return the limits of each execution."""
+        return commands.limits(project)
+
+    def compared(self, outputs: Mapping[str | None, Agreement]) -> Mapping[str | None, Agreement]:
+        """Return the outputs, by path, whose agreement with the record counts."""
+        return outputs
+
+    def records(
+        self, answer: Replay, as_replay: Iterable[Iterable[NamedTuple]], store: Store, lamport: int
+    ) -> Iterable[Iterable[NamedTuple]]:
+        """Return the records of the result, by table; `as_replay` are those of a replay."""
+        del answer, store, lamport
+        return as_replay
