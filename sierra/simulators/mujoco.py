@@ -5,6 +5,7 @@ The program is an input file, so it is part of the identity of runs, and a repla
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -13,12 +14,14 @@ from pydantic import Field, StringConstraints
 
 from sierra.plugin import (
     Axis,
+    Capture,
     Change,
     ConfigError,
     Criterion,
     Point,
     Project,
     QueryError,
+    Rendering,
     Set,
     Table,
     TemplateError,
@@ -113,3 +116,16 @@ class Mujoco:
 
     def environment(self) -> Mapping[str, str]:
         return {}
+
+    def rendering(self, capture: Capture, command: tuple[str, ...]) -> Rendering:
+        """Return the rendering off screen by the program of this version, which simulates like that of earlier ones."""
+        interval = float(command[command.index("--interval") + 1])
+        every = round((capture.interval or interval) / interval)
+        if every < 1 or not math.isclose(every * interval, capture.interval or interval, rel_tol=1e-6):
+            rows = f"the {interval:g} s between two rows of the outputs"
+            raise ConfigError(f"[capture] interval: {capture.interval:g} s is not a multiple of {rows}")
+        size = (str(side) for side in capture.size)
+        camera = ("--camera", capture.camera) if capture.camera else ()
+        words = (*command, "--frames", "{output}/frames", "--size", *size, "--every", str(every), *camera)
+        driver = self.files(b"")[1]
+        return Rendering(words, "frames/{tick}.png", replaced=(driver,), ticks_per_second=lambda document: 1 / interval)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.image import imread
 
 import sierra
 from sierra.config import project_file
@@ -132,3 +133,23 @@ def test_twenty_runs_replay_identically_after_changes_of_the_code(tmp_path: Path
         again = json.loads(quick_("replay", first, "--runs", "2", "--json", cwd=folder))
         assert (again["verdict"], again["runs"]) == ("identical", 4)
     assert len(batches) == 3
+
+
+def test_frames_of_the_arena_are_captured(tmp_path: Path, require: Any) -> None:
+    """The robots are seen by the camera above, and the rendered execution is the measured one."""
+    from ctypes.util import find_library
+
+    require("EGL", there=find_library("EGL") is not None)
+    folder = tmp_path / "swarm"
+    quick_("init", "--example", "swarm", str(folder), cwd=tmp_path)
+    template = folder / "template.xml"
+    template.write_text(template.read_text().replace('"duration" data="60"', '"duration" data="2"'))
+    quick_("run", "population_size=3", "--runs", "1", "--no-figures", cwd=folder)
+    answer = json.loads(quick_("capture", "--json", cwd=folder))
+    [made] = answer["made"]
+    assert (made["verdict"], made["frames"], made["ticks_per_second"]) == ("identical", 5, 5)
+    quick_("files", made["execution"], "--to", str(tmp_path / "files"), cwd=folder)
+    [last] = (tmp_path / "files").rglob("frames/10.png")
+    pixels = imread(last)
+    assert pixels.shape == (480, 480, 3)
+    assert (pixels[..., 2] > pixels[..., 0] + 0.2).any()

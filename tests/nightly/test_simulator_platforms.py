@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 from collections.abc import Callable
+from ctypes.util import find_library
 from pathlib import Path
 
 import pytest
+from matplotlib.image import imread
 
 from tests import projects
 from tests.simulators import Environment, Install, values
@@ -96,6 +99,24 @@ def test_the_example_of_mujoco_goes_from_a_query_to_figures(started: Started) ->
     batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
     replayed = projects.quick(root, "replay", batch[:10])
     assert (replayed.returncode, "identical (4 runs: 4 identical)" in replayed.stdout) == (0, True), replayed.stderr
+
+
+def test_frames_of_mujoco_are_captured_without_changing_its_physics(started: Started, require: Callable[..., str]) -> None:
+    require("EGL or OSMesa", there=bool(find_library("EGL") or find_library("OSMesa")))
+    root = mujoco_project(started)
+    configure(root, "duration = 20.0", "duration = 2.0")
+    projects.run(root, "population_size=1,8", "--runs", "2")
+    with (root / "sierra.toml").open("a") as settings:
+        settings.write('capture = { camera = "top", interval = 0.5, size = [160, 120] }\n')
+    done = projects.quick(root, "capture", "--json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    made = json.loads(done.stdout)["made"]
+    assert [(row["verdict"], row["frames"], row["ticks_per_second"]) for row in made] == [("identical", 5, 10)] * 2
+    projects.quick(root, "files", made[1]["execution"], "--to", str(root.parent / "files"))
+    [last] = (root.parent / "files").rglob("frames/000020.png")
+    pixels = imread(last)
+    assert pixels.shape == (120, 160, 3)
+    assert (pixels[..., 2] > pixels[..., 0] + 0.2).any(), "the robots are blue"
 
 
 def test_what_is_recorded_of_mujoco_and_how_often_changes_no_physics(started: Started) -> None:

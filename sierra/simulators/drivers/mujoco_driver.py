@@ -6,6 +6,9 @@ SIERRA lays this file beside the model of each run. It needs Python, MuJoCo and 
 - `joints.csv`, with a column for each position (qpos) of the joints;
 - `bodies.csv`, with a row for each body: its position x, y, z in the world.
 
+With `--frames FOLDER`, it also renders off screen: an image `FOLDER/NUMBER.png` for every so many intervals. Rendering changes
+nothing of the simulation.
+
 A controller may write files of its own.
 
 One generator with the run's seed draws all random numbers: the noise of the first positions, the noise of the controls before
@@ -16,15 +19,23 @@ from __future__ import annotations
 
 import argparse
 import csv
+import ctypes.util
 import math
 import os
 import runpy
+import struct
 import sys
+import zlib
 from collections.abc import Callable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-os.environ["MUJOCO_GL"] = "disable"  # physics alone: `import mujoco` need not look for a display
+if "--frames" not in sys.argv:
+    os.environ["MUJOCO_GL"] = "disable"  # physics alone: `import mujoco` need not look for a display
+elif "MUJOCO_GL" not in os.environ:
+    if not (ctypes.util.find_library("EGL") or ctypes.util.find_library("OSMesa")):
+        sys.exit("rendering needs EGL or OSMesa, and neither is installed (Debian, Ubuntu: apt install libegl1 libgl1)")
+    os.environ["MUJOCO_GL"] = "egl" if ctypes.util.find_library("EGL") else "osmesa"
 
 import mujoco as mj
 import numpy as np
@@ -129,6 +140,39 @@ def values(source: np.ndarray, places: list[tuple[int, int]]) -> Row:
     return [value for start, size in places for value in source[start : start + size].tolist()]
 
 
+class Camera:
+    """An off-screen renderer that writes images."""
+
+    def __init__(self, model: mj.MjModel, folder: Path, name: str | None, size: list[int], every: int) -> None:
+        """Render every so many intervals. Raises InputError for an unknown camera."""
+        cameras = [mj.mj_id2name(model, mj.mjtObj.mjOBJ_CAMERA, number) for number in range(model.ncam)]
+        if name and name not in cameras:
+            raise InputError(f"the model has no camera {name!r}; known are {', '.join(filter(None, cameras)) or 'none'}")
+        self._camera: str | int = name or (0 if cameras else -1)  # -1: the free camera, which sees the whole model
+        self._folder, self._every = folder, every
+        width, height = size
+        model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+        model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+        self._renderer = mj.Renderer(model, height, width)
+        folder.mkdir(parents=True)
+
+    def look(self, data: mj.MjData, number: int) -> None:
+        """Write an image, if one is wanted of this interval."""
+        if number % self._every == 0:
+            self._renderer.update_scene(data, self._camera)
+            (self._folder / f"{number:06}.png").write_bytes(png(self._renderer.render()))
+
+
+def png(pixels: np.ndarray) -> bytes:
+    """Return an image as PNG; `pixels` are height × width × 3 bytes, and each row begins with its filter: none."""
+    height, width, _ = pixels.shape
+    rows = np.hstack([np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)]).tobytes()
+    header = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
+    parts = [b"IHDR" + header, b"IDAT" + zlib.compress(rows, 1), b"IEND"]
+    chunks = (struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part)) for part in parts)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
 def simulate(given: argparse.Namespace) -> None:
     """Run the whole simulation and write its files. Raises InputError."""
     simulation = Simulation(given)
@@ -142,12 +186,15 @@ def simulate(given: argparse.Namespace) -> None:
     writers = [csv.writer(file, lineterminator="\n") for file in opened]
     for writer, (_, columns, _) in zip(writers, files, strict=True):
         writer.writerow(["time", *columns])
+    camera = Camera(simulation.model, given.frames, given.camera, given.size, given.every) if given.frames else None
     for number in range(round(given.duration / given.interval) + 1):
         if number:
             simulation.advance(steps)
             simulation.look()
         for writer, (_, _, rows) in zip(writers, files, strict=True):
             writer.writerows([round(number * given.interval, 9), *row] for row in rows())
+        if camera:
+            camera.look(simulation.data, number)
     for file in opened:
         file.close()
 
@@ -162,8 +209,11 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, required=True)
     for name in ("position-noise", "control-noise"):
         parser.add_argument(f"--{name}", type=float, default=0.0)
-    for name in ("control", "keyframe"):
+    for name in ("control", "keyframe", "camera"):
         parser.add_argument(f"--{name}")
+    parser.add_argument("--frames", type=Path)
+    parser.add_argument("--size", type=int, nargs=2, default=[640, 480])
+    parser.add_argument("--every", type=int, default=1)
     for name in ("sensors", "joints", "bodies"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     given = parser.parse_args()

@@ -11,9 +11,11 @@ import sierra.simulators
 from sierra.config import project_file
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.platforms import base
+from sierra.platforms.base import Rendering, Renders
 from sierra.query import grammar
 from sierra.simulators.mujoco import DRIVER, Mujoco
 from sierra.templates import several
+from sierra.templates.xml import XmlTemplate
 from sierra.testing import platforms
 from tests import projects
 from tests.simulator_inputs import inputs
@@ -74,6 +76,27 @@ def test_the_program_lies_beside_the_model_if_there_are_files(tmp_path: Path) ->
 def test_populations_that_do_not_fit_are_refused(tmp_path: Path, query: str, more: str, message: str) -> None:
     with pytest.raises(QueryError, match=re.escape(message)):
         inputs(make(tmp_path / "p", more), query)
+
+
+def rendering(root: Path) -> Rendering:
+    project = project_file.load(root).config
+    made = base.find("mujoco", project)
+    assert isinstance(made, Renders)
+    return made.rendering(project.capture, made.command())
+
+
+def test_captures_use_the_intervals_of_the_recorded_command(tmp_path: Path) -> None:
+    more = 'platforms.mujoco = { interval = 0.2 }\ncapture = { camera = "top", interval = 0.6, size = [320, 240] }\n'
+    made = rendering(make(tmp_path / "p", more))
+    assert " ".join(made.command).endswith(" --frames {output}/frames --size 320 240 --every 3 --camera top")
+    assert (made.files, made.ticks_per_second(XmlTemplate(b"<a/>", "a"))) == ("frames/{tick}.png", 5)
+    assert [name for name, _ in made.replaced] == [DRIVER]
+
+
+def test_a_capture_between_two_rows_is_refused(tmp_path: Path) -> None:
+    message = "[capture] interval: 0.25 s is not a multiple of the 0.1 s between two rows of the outputs"
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        rendering(make(tmp_path / "p", "capture = { interval = 0.25 }\n"))
 
 
 def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:

@@ -1,21 +1,30 @@
-"""Robots that cover a walled arena, in MuJoCo: `python swarm.py INPUT.xml OUTPUT_FOLDER`.
+"""Robots that cover a walled arena, in MuJoCo: `python swarm.py INPUT.xml OUTPUT_FOLDER [FRAMES_FOLDER]`.
 
 All settings stand in the input, and the same input gives the same bytes. Two files are written:
 `swarm.csv`, a row per tick: the clock [s], the coverage (share of the free floor cells that robots have been
 in), the contacts (how often two robots have run into each other) and the energy [J] that the motors have spent;
 `poses.csv`, a row per robot and second: the clock [s], the robot's number, its x and y [m].
+With a third argument, the camera `top` also writes an image of every second tick, `TICK.png`; it changes nothing else.
 """
 
 from __future__ import annotations
 
 import csv
+import ctypes.util
 import math
 import os
+import struct
 import sys
+import zlib
 from pathlib import Path
 from random import Random
 
-os.environ["MUJOCO_GL"] = "disable"  # physics alone: `import mujoco` need not look for a display
+if len(sys.argv) < 4:
+    os.environ["MUJOCO_GL"] = "disable"  # physics alone: `import mujoco` need not look for a display
+elif "MUJOCO_GL" not in os.environ:
+    if not ctypes.util.find_library("EGL"):
+        sys.exit("images need EGL, which is not installed (Debian, Ubuntu: apt install libegl1 libgl1)")
+    os.environ["MUJOCO_GL"] = "egl"
 
 import mujoco as mj
 import numpy as np
@@ -149,14 +158,37 @@ def pheromone(swarm: Swarm) -> list[float]:
 CONTROLLERS = {"random_walk": random_walk, "pheromone": pheromone}
 
 
-def simulate(model: mj.MjModel, folder: Path) -> None:
-    """Run the whole experiment and write its two files."""
+class Camera:
+    """The camera `top`, which writes images as PNG."""
+
+    def __init__(self, model: mj.MjModel, folder: Path, side: int = 480) -> None:
+        self.renderer, self.folder = mj.Renderer(model, side, side), folder
+        folder.mkdir(parents=True)
+
+    def look(self, data: mj.MjData, tick: int) -> None:
+        self.renderer.update_scene(data, "top")
+        (self.folder / f"{tick}.png").write_bytes(png(self.renderer.render()))
+
+
+def png(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """An image as PNG; the pixels are height x width x 3 bytes, and each row begins with its filter: none."""
+    height, width, _ = pixels.shape
+    rows = np.hstack([np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)]).tobytes()
+    header = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
+    parts = [b"IHDR" + header, b"IDAT" + zlib.compress(rows, 1), b"IEND"]
+    chunks = (struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part)) for part in parts)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def simulate(model: mj.MjModel, folder: Path, frames: Path | None = None) -> None:
+    """Run the whole experiment and write its two files, and images into `frames`."""
     controller = text(model, "controller")
     if controller not in CONTROLLERS:
         raise InputError(f"there is no controller {controller!r}; use {' or '.join(CONTROLLERS)}")
     swarm, rate = Swarm(model), number(model, "ticks_per_second")
     contacts, energy, before = 0, 0.0, swarm.touching()
     folder.mkdir(parents=True, exist_ok=True)
+    camera = Camera(model, frames) if frames else None
     with (folder / "swarm.csv").open("w", newline="") as one, (folder / "poses.csv").open("w", newline="") as other:
         rows, poses = csv.writer(one, lineterminator="\n"), csv.writer(other, lineterminator="\n")
         rows.writerow(["clock", "coverage", "contacts", "energy"])
@@ -169,6 +201,8 @@ def simulate(model: mj.MjModel, folder: Path) -> None:
             rows.writerow([tick / rate, swarm.coverage, contacts, energy])
             if tick % max(1, round(rate)) == 0:
                 poses.writerows([tick / rate, robot, *xy] for robot, xy in enumerate(swarm.positions.tolist()))
+            if camera and tick % 2 == 0:
+                camera.look(swarm.data, tick)
 
 
 def number(model: mj.MjModel, name: str, *, positive: bool = False) -> float:
@@ -189,10 +223,10 @@ def text(model: mj.MjModel, name: str) -> str:
 
 def main(arguments: list[str]) -> None:
     """Simulate; say in one line what is wrong with the input."""
-    if len(arguments) != 2:
-        sys.exit("usage: python swarm.py INPUT.xml OUTPUT_FOLDER")
+    if len(arguments) not in (2, 3):
+        sys.exit("usage: python swarm.py INPUT.xml OUTPUT_FOLDER [FRAMES_FOLDER]")
     try:
-        simulate(mj.MjModel.from_xml_path(arguments[0]), Path(arguments[1]))
+        simulate(mj.MjModel.from_xml_path(arguments[0]), *map(Path, arguments[1:]))
     except (InputError, ValueError, KeyError, OSError, MemoryError, mj.FatalError) as error:
         sys.exit(f"{arguments[0]}: {' '.join(str(error.args[0] if isinstance(error, KeyError) else error).split())}")
 
