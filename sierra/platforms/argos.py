@@ -15,6 +15,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
+from sierra.config.capture_table import Capture
 from sierra.config.field_types import Table
 from sierra.config.project_file import Project
 from sierra.errors import ConfigError, QueryError, TemplateError
@@ -34,14 +35,16 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
-from sierra.platforms import argos_physics, argos_scripts
-from sierra.platforms.base import Reader
+from sierra.platforms import argos_physics, argos_rendering, argos_scripts
+from sierra.platforms.base import Reader, Rendering
 from sierra.query import ranges
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"
 WHY_CONTROLLER = f"{PLACEHOLDER} in the template needs a controller"
 COMMAND = ("argos3", "-n", "-c", "{input}")
+NO_VISUALIZATION = ("-z", "--no-visualization")
+"""The options of ARGoS by which it ignores the visualization."""
 INPUT = "input.argos"
 
 ROOT = "/argos-configuration"
@@ -122,6 +125,10 @@ class ArgosOptions(Table):
     )
     libraries: tuple[str, ...] = Field(
         ("build",), description="folders of the project that contain the libraries of the template"
+    )
+    cameras: Mapping[Annotated[str, StringConstraints(pattern=_TAG)], argos_rendering.Camera] = Field(
+        default_factory=dict,
+        description="cameras for `sierra capture`, by name; `overhead`, `corner` and `around` are there without being declared",
     )
     label: Annotated[str, StringConstraints(pattern=_TAG)] | None = Field(
         None, description=f"tag that replaces {PLACEHOLDER}; default: the controller's name"
@@ -253,6 +260,25 @@ class Argos:
     def environment(self) -> Mapping[str, str]:
         folders = ("{project}", *(f"{{project}}/{folder}" for folder in self._options.libraries))
         return {"ARGOS_PLUGIN_PATH": ":".join(folders)}
+
+    def rendering(self, capture: Capture, command: tuple[str, ...]) -> Rendering:
+        """Return the rendering by the visualization of ARGoS on a display; its frames have their tick in their names."""
+
+        def changes(document: Reader) -> tuple[Change, ...]:
+            center, sides = (tuple(map(float, one)) for one in (_center(document), _vector(document, f"{ARENA}/@size")))
+            rate = _ticks_per_second(document)
+            every = max(1, round((capture.interval or 0) * rate))
+            ticks = math.ceil(_number(_at_most_one(document, f"{EXPERIMENT}/@length") or "0", "length") * rate)
+            cameras = self._options.cameras
+            return tuple(argos_rendering.changes(document, capture, cameras, center, sides, ticks, every))  # type: ignore[arg-type]
+
+        return Rendering(
+            tuple(word for word in command if word not in NO_VISUALIZATION),
+            argos_rendering.FILES,
+            changes,
+            ticks_per_second=lambda document: float(_ticks_per_second(document)),
+            display=argos_rendering.window(capture.size),
+        )
 
     def _length(self) -> tuple[Change, ...]:
         wanted = {"length": self._options.length, "ticks_per_second": self._options.ticks_per_second}
@@ -476,6 +502,11 @@ def _check_folder(folder: str) -> None:
     parts = PurePosixPath(folder).parts
     if not parts or parts[0] == "/" or ".." in parts or set(folder) & set(":;,={}"):
         raise ConfigError(f'{TABLE}: libraries: {folder!r} is not a folder in the project; use one such as ["build"]')
+
+
+def _ticks_per_second(document: Reader) -> Fraction:
+    path = f"{EXPERIMENT}/@ticks_per_second"
+    return _number(_at_most_one(document, path) or "0", path)
 
 
 def _check_length(document: Reader) -> None:
