@@ -9,9 +9,9 @@ from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 from sierra.config.deliverable_tables import LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Positive, Table
 
-Kind = Literal["matrix", "grid", "poses", "network", "pictures"]
+Kind = Literal["matrix", "grid", "poses", "network", "pictures", "capture"]
 Format = Literal["mp4", "webm", "gif"]
-COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "network": (2, 3), "pictures": (0, 0)}
+COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "network": (2, 3), "pictures": (0, 0), "capture": (0, 0)}
 """The smallest and the largest number of columns of each kind."""
 NUMERIC = ("matrix", "grid")
 """The kinds whose states are numbers, which have means and differences."""
@@ -46,7 +46,8 @@ class Video(Table):
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
         "each row of the table is a row of the matrix, and `columns` are its columns; `poses`: x, y and perhaps the heading "
         "in radians, a row for each robot; `network`: source, target and perhaps a weight, a row for each edge; `pictures`: "
-        "images or videos that runs leave, in the files of the output that `table` names",
+        "images or videos that runs leave, in the files of the output that `table` names; `capture`: the frames "
+        "that `sierra capture` has recorded",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
@@ -105,6 +106,8 @@ class Video(Table):
                 raise ValueError(f'"{key}" needs kind {" or ".join(map(repr, kinds))}, not {self.kind!r}')
         if self.kind == "pictures" and not self.table:
             raise ValueError("kind 'pictures' needs \"table\": the name of the output with their files")
+        if self.kind == "capture" and (self.table or self.sql):
+            raise ValueError('kind \'capture\' shows the frames that sierra capture records; remove "table" and "sql"')
         if len(self.place) not in (0, 2):
             raise ValueError('"place" should name the two columns of x and y')
         if self.kind == "network" and not self.place and {"xlim", "ylim"} & self.model_fields_set:

@@ -8,8 +8,11 @@ from sierra.store.row_types import CaptureRow
 from sierra.store.store import Snapshot, Store
 
 NEWEST = """
-SELECT * FROM captures WHERE list_contains($j, recorded) AND frames > 0 AND verdict <> 'failed'
-QUALIFY row_number() OVER (PARTITION BY recorded ORDER BY lamport DESC) = 1
+SELECT c.* REPLACE (w.judgement AS recorded)
+FROM (SELECT unnest($j::VARCHAR[]) AS judgement) w JOIN all_judgements m ON m.judgement = w.judgement
+JOIN all_judgements r ON r.execution = m.execution JOIN captures c ON c.recorded = r.judgement
+WHERE c.frames > 0 AND c.verdict <> 'failed'
+QUALIFY row_number() OVER (PARTITION BY w.judgement ORDER BY c.lamport DESC) = 1
 """
 
 
@@ -19,6 +22,6 @@ def of_session(store: Store, session: str) -> list[CaptureRow]:
 
 
 def newest(snapshot: Snapshot, judgements: Collection[str]) -> Mapping[str, CaptureRow]:
-    """Return the last capture with frames of each of these judgements of measured executions, if it has one."""
-    snapshot.views.make(("captures",))
+    """Return the last capture with frames, by the judgement of the measured execution; none of executions without frames."""
+    snapshot.views.make(("captures", "all_judgements"))
     return {row.recorded: row for row in snapshot.select(CaptureRow, NEWEST, j=list(judgements))}

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
-from sierra.store import robot_means
+from sierra.store import captures, robot_means
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.row_mapper import R
+from sierra.store.row_types import CaptureRow
 from sierra.store.schema import RECORDED
 from sierra.store.segments import disk_errors, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote
@@ -232,6 +233,10 @@ class Frame:
         """Return the files that the effective execution of a run left, with their paths below `output/`."""
         chosen = ChosenExecution("", run.experiment, run.number, run.run, None, None, "counts", run.judgement)
         return [file for file in recorded(self._snapshot, [chosen]) if file.path.startswith(OUTPUT_FOLDER)]
+
+    def captures(self, runs: Sequence[ChosenRun]) -> Mapping[str, CaptureRow]:
+        """Return the last capture with frames of each run that has one, by the judgement of its effective execution."""
+        return captures.newest(self._snapshot, [run.judgement for run in runs if run.judgement is not None])
 
     def extracted(self, files: Sequence[Recorded]) -> list[Path]:
         """Write recorded files to a temporary folder, which exists until this frame is closed; return their paths in order.

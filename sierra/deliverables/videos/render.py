@@ -192,7 +192,7 @@ def _wanted(declared: Mapping[str, Video], names: Sequence[str]) -> dict[str, Vi
 
 def _tables(wanted: Mapping[str, Video]) -> set[str] | None:
     """Return the tables that videos need; None if it may be any table."""
-    known = all(video.table or video.sql for video in wanted.values())
+    known = all(video.table or video.sql or video.kind == "capture" for video in wanted.values())
     return {video.table for video in wanted.values()} if known else None
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from sierra.config.deliverable_tables import Figure
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.videos.captured import CapturedSubject
 from sierra.deliverables.videos.films import Film
 from sierra.deliverables.videos.sql_tracks import Source
 from sierra.deliverables.videos.subject_kinds import CellSubject, Layout, NetworkSubject, PictureSubject, RobotSubject
@@ -48,6 +49,8 @@ class Subject(Protocol):
 
 def subjects(video: Video, gallery: Gallery) -> Callable[[Film], Subject]:
     """Return the function that makes what a film shows. It raises SierraError for a table or column that does not suit."""
+    if video.kind == "capture":
+        return partial(CapturedSubject, gallery.frame)
     if video.kind == "pictures":
         return partial(PictureSubject, video, gallery)
     source = source_of(video, gallery)

@@ -13,8 +13,8 @@ import pytest
 
 import sierra
 from sierra.api import Project
-from sierra.errors import Missing
-from tests import projects
+from sierra.errors import Missing, NotFound
+from tests import projects, videos
 from tests.waiting import until
 
 SIMULATOR = """\
@@ -35,7 +35,7 @@ with open("swarm.csv", "w") as file:
     for tick in range(3):
         print(tick, tick * count + drift, sep=",", file=file)
         if frames:
-            (frames / f"{tick * 10}.ppm").write_bytes(b"P6 2 2 255\\n" + bytes([tick, count, 0] * 4))
+            (frames / f"{tick * 10}.ppm").write_bytes(b"P6 2 2 255\\n" + bytes([tick, count * 50, 0] * 4))
 """
 CONFIG = """\
 template = "arena.xml"
@@ -103,7 +103,7 @@ def test_frames_are_recorded_and_nothing_counts_their_executions(root: Path) -> 
         {"purpose": "run", "n": 4},
     ]
     frame = projects.quick(root, "files", answer["made"][1]["execution"], "output/frames/20.ppm")
-    assert frame.stdout.encode("latin-1", "replace").startswith(b"P6 2 2 255\n\x02\x02")
+    assert frame.stdout.encode("latin-1", "replace").startswith(b"P6 2 2 255\n\x02")
     again, _ = projects.run(root, "population_size=1,2")
     assert (again["executed"], again["reused"]) == (0, 4)
     assert projects.quick(root, "fsck").returncode == 0
@@ -241,3 +241,28 @@ def test_each_run_gets_a_display_that_ends_with_it(root: Path, require: Any) -> 
     numbers = [projects.quick(root, "files", row["execution"], "output/display.txt").stdout for row in answer["made"]]
     assert len(set(numbers)) == 2
     assert [number for number in numbers if Path(f"/tmp/.X11-unix/X{number}").exists()] == []
+
+
+VIDEO = '[videos.seen]\nkind = "capture"\nsize = [320, 240]\n'
+
+
+@pytest.mark.integration
+def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measured(root: Path) -> None:
+    """The frames of the second experiment have one colour, which has more green than the others."""
+    project = sierra.open(configured(root, CAPTURE + VIDEO))
+    with pytest.raises(NotFound, match="no captured frames of run 0 of experiment 0; sierra capture --runs 1 makes them"):
+        project.videos(None, "seen")
+    assert captured(root)[0] == 0
+    paths, notes = project.videos()
+    assert [path.name for path in paths] == ["seen_experiment0.mp4", "seen_experiment1.mp4"]
+    assert [note for note in notes if "NOT what was measured" in note] == []
+    assert "rendered apart from the measured runs, with the same results" in str(table(project, "FROM deliverables"))
+    frames = videos.decoded(paths[1])
+    assert len(frames) == 3
+    assert frames[2][120, 160].astype(int) == pytest.approx((2, 100, 0), abs=12)
+    assert [one.problem for one in project.check_figures()] == [None]
+
+    changed = sierra.open(configured(root, CAPTURE + 'environment = { DRIFT = "0.5" }\n' + VIDEO))
+    assert captured(root)[0] == 1
+    _, notes = changed.videos()
+    assert any("NOT what was measured: run 0 differs when it is rendered (swarm.csv: " in note for note in notes), notes
