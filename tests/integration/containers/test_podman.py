@@ -79,6 +79,31 @@ def test_a_batch_executes_in_its_image_and_sql_reports_it(tmp_path: Path, busybo
     assert containers.left(folder) == []
 
 
+RENDERS = """
+if [ -n "$2" ]; then mkdir "$2"; for tick in 0 1 2; do printf 'P1 1 1 %s' $((tick % 2)) > "$2/$tick.pbm"; done; fi
+"""
+
+
+def test_runs_in_an_image_are_captured_in_it(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    with (folder / "sim.sh").open("a") as simulator:
+        simulator.write(RENDERS)
+    says(folder, *RUN)
+    config = (folder / "sierra.toml").read_text()
+    capture = '[capture]\narguments = "{output}/frames"\nfiles = "frames/{tick}.pbm"\n'
+    (folder / "sierra.toml").write_text(config + capture)
+    says(folder, "capture")
+    [one] = rows(
+        folder,
+        "SELECT count(*) AS n, min(frames) AS frames, min(verdict) AS verdict, min(i.engine) AS engine "
+        "FROM captures JOIN executions USING (execution) JOIN isolations i USING (isolation)",
+    )
+    assert one == {"n": 2, "frames": 3, "verdict": "identical", "engine": "podman"}
+    (folder / "sierra.toml").write_text(f"{config}{capture}display = true\n")
+    assert "the program 'Xvfb' is not in the image" in says(folder, "capture", code=3)
+    assert containers.left(folder) == []
+
+
 TOLD = """\
 { echo what,said
 grep -c : /proc/net/dev | sed 's/^/interfaces,/'
