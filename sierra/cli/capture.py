@@ -33,7 +33,7 @@ def capture(
     again: Annotated[bool, typer.Option("--again", help="Also capture runs whose frames are recorded already.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Execute recorded runs once more with rendering, for their frames.
+    """Execute recorded runs again to render frames.
 
     A capture uses the recorded code and inputs, as a replay does; [capture] in sierra.toml and the platform say how the
     simulator renders. Statistics, figures and replays never use such an execution. Its other outputs are compared with the

@@ -29,6 +29,7 @@ from sierra.store.store import Found, Store
 from sierra.util.hashing import short
 
 NO_FRAMES = "the execution left no file {!r}; see [capture]"
+NOTHING_ELSE = "no other output could be compared"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +104,10 @@ def _chosen(store: Store, found: Found, options: CaptureOptions) -> list[ChosenE
 
 
 def _known(store: Store, chosen: Sequence[ChosenExecution], identities: Mapping[str, str]) -> set[str]:
-    """Return the runs whose last capture has the same rendering."""
+    """Return the runs whose last capture has the same rendering, and shows what was measured."""
     with store.snapshot() as snapshot:
         before = captures.newest(snapshot, [str(one.judgement) for one in chosen])
-    return {row.run for row in before.values() if row.rendering == identities[row.run]}
+    return {row.run for row in before.values() if row.rendering == identities[row.run] and Verdict(row.verdict).fine}
 
 
 class _Recorded(RenderedRuns):
@@ -152,6 +153,8 @@ class _Recorded(RenderedRuns):
         """Return the verdict and the reason; `end` is the end of the log of a failed execution."""
         if run.verdict is not Verdict.FAILED and not frames:
             return Verdict.FAILED, NO_FRAMES.format(self.rendering.files)
+        if not run.outputs:
+            return Verdict.DIFFERENT, NOTHING_ELSE
         if run.verdict is Verdict.IDENTICAL:
             return run.verdict, None
         found = next(((path, one.reason) for path, one in run.outputs.items() if one.verdict is run.verdict), (None, ""))

@@ -130,7 +130,7 @@ def replay(
     if record.of.spec.robots is not None:
         project = replace(project, config=configured(project.config))
     declared = _declared(record, project, options.tolerances)
-    was = _metrics(project, store, record, declared)
+    was = _metrics(project, store, record, declared) if variation.is_replay else None
     engine = plan_from_record.engine(
         store, record.of.batch, record.of.spec, options.engine, project.config.engines, hosted=True
     )
@@ -200,6 +200,8 @@ def replay(
             notes = (*notes, f"{runs} executed by an earlier call here, by the same programs")
             observer.notice(notes[-1])
         tally = Tally(Relay(observer, leave=False), len(rest))
+        timed = runner.stays and variation.is_replay  # rendering takes longer than what was recorded
+        times = expected_durations.recorded(store, [one.run for one in rest]) if timed else None
         source_guard = guard(root, b"", now)
         interrupted = (
             bool(rest)
@@ -210,7 +212,7 @@ def replay(
                 len(rest),
                 now,
                 tally,
-                times=expected_durations.recorded(store, [one.run for one in rest]) if runner.stays else None,
+                times=times,
                 doubt=lambda: service.doubt(source_guard),
                 kept=kept,
             ).interrupted

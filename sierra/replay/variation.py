@@ -22,6 +22,11 @@ class Variation:
 
     purpose = Purpose.REPLAY
 
+    @property
+    def is_replay(self) -> bool:
+        """Return whether runs are executed as they were recorded, and take about as long."""
+        return self.purpose is Purpose.REPLAY
+
     def spec(self, recorded: RunSpec) -> RunSpec:
         """Return the specification that is executed."""
         return recorded

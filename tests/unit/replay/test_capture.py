@@ -148,6 +148,15 @@ def test_captures_without_frames_have_failed(root: Path, capture: str, reason: s
 
 
 @pytest.mark.integration
+def test_frames_without_another_output_are_not_taken_for_what_was_measured(root: Path) -> None:
+    status, answer = captured(configured(root, CAPTURE.replace("frames/{tick}.ppm", "*")))
+    assert (status, {(row["verdict"], row["reason"]) for row in answer["made"]}) == (
+        1,
+        {("different", "no other output could be compared")},
+    )
+
+
+@pytest.mark.integration
 def test_rendering_may_be_turned_on_in_the_input(root: Path) -> None:
     """The simulator finds its argument in the input; the recorded input stays as it is."""
     code = SIMULATOR.replace("sys.argv[2]) if len(sys.argv) > 2 else None", '"frames") if "<render/>" in arena else None')
