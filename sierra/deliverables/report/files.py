@@ -11,12 +11,14 @@ from sierra.deliverables.report.page import GENERATOR
 from sierra.errors import Missing, UsageError
 from sierra.store.layout import REPORTS, ProjectPaths
 from sierra.store.segments import disk_errors
-from sierra.util.fs import write_whole
 from sierra.util.hashing import short
+from sierra.util.scratch import scratch
 
 OURS = f'<meta name="generator" content="{GENERATOR} '.encode()
 BEGINNING = 8192
 """The number of bytes at the beginning of a file in which a report names its program."""
+UNFINISHED = ".report-"
+"""The beginning of the names of folders with unfinished reports."""
 LONGEST = 5
 """The largest number of batches that the name of a file has."""
 
@@ -53,7 +55,12 @@ def check(file: Path) -> None:
 
 
 def write(file: Path, data: bytes) -> Path:
-    """Write a report completely or not at all. Raises the errors of `check`, Missing if it cannot be written."""
+    """Write a report completely or not at all. Raises the errors of `check`, Missing if it cannot be written.
+
+    The next report in the same folder removes what killed processes left there.
+    """
     check(file)
-    with disk_errors(file):
-        return write_whole(file, data)
+    with disk_errors(file), scratch(file.parent, UNFINISHED) as folder:
+        unfinished = folder / file.name
+        unfinished.write_bytes(data)
+        return unfinished.replace(file)

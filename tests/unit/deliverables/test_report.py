@@ -6,6 +6,9 @@ import base64
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -20,7 +23,29 @@ from sierra.deliverables.report import files, index
 from sierra.execution import list_batches
 from tests import projects, stores
 from tests.support import reported
+from tests.waiting import until
 
+WAITING = """
+import time
+from pathlib import Path
+if count == 2:
+    Path("{folder}/waits").touch()
+    while not Path("{folder}/go").exists():
+        time.sleep(0.02)
+"""
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from sierra.deliverables.report import files
+
+def half(path, data):
+    with path.open("wb") as file:
+        file.write(data[:50])
+    os.kill(os.getpid(), signal.SIGKILL)
+
+Path.write_bytes = half
+files.write(Path(sys.argv[1]), b"new" * 100)
+"""
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 VOID = {"meta", "img", "br"}
 
@@ -183,20 +208,22 @@ def test_a_report_of_very_many_batches_is_their_list(recorded: Path, tmp_path: P
 
 @pytest.mark.integration
 def test_a_batch_that_still_runs_is_reported_as_such(tmp_path: Path) -> None:
-    root = projects.make(tmp_path / "project")
+    waiting = WAITING.format(folder=tmp_path)
+    root = projects.make(tmp_path / "project", simulator=projects.SIMULATOR + waiting)
     project = sierra.open(root)
     batch = project.run("population_size=1,2", only="population_size=1", figures=False).batch
     found, _ = reported_by(root, to=tmp_path / "part.html")
     assert "Incomplete. 2 of 4 runs succeeded, 2 have no result." in found.text
-    from sierra.execution.sessions import Session
-
-    session = Session(project.store.paths, logged=False)
+    running = projects.start(root, "run", "population_size=1,2", "--no-figures")
     try:
-        session.claim(set(project.store.values(str, "SELECT run FROM batch_runs WHERE batch = $b", b=batch)))
-        found, _ = reported_by(root, to=tmp_path / "part.html")
+        until((tmp_path / "waits").exists)
+        found, _ = reported_by(root, batch, to=tmp_path / "part.html")
     finally:
-        session.close()
+        (tmp_path / "go").touch()
+        running.communicate()
     assert "Still running. 2 of 4 runs succeeded, 2 are not finished." in found.text
+    found, _ = reported_by(root, to=tmp_path / "part.html")
+    assert "Complete. 4 of 4 runs succeeded." in found.text
 
 
 def test_only_a_report_is_replaced(recorded: Path, tmp_path: Path) -> None:
@@ -226,6 +253,19 @@ def test_a_report_that_is_interrupted_leaves_the_one_before(tmp_path: Path, monk
         files.write(tmp_path / "report.html", b"new")
     monkeypatch.undo()
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"report.html": before}
+
+
+@pytest.mark.integration
+def test_a_report_whose_writer_is_killed_is_as_before_and_nothing_of_it_stays(tmp_path: Path) -> None:
+    before = files.OURS + b'0.1.0">'
+    file = tmp_path / "report.html"
+    file.write_bytes(before)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(file)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert file.read_bytes() == before
+    assert len([*tmp_path.iterdir()]) == 2, "the unfinished file is in a folder of its own"
+    files.write(file, before + b"after")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"report.html": before + b"after"}
 
 
 def test_ten_thousand_batches_are_a_list_that_says_how_many_it_lacks() -> None:
