@@ -504,12 +504,12 @@ CREATE TABLE images (
     "size" BIGINT  -- total size of its files [bytes]
 );
 
--- Deliverables: figures, tables and videos that were made from the store, with a row each time that one has changed.
+-- Deliverables: figures, tables, videos and reports made from the store, with a row each time that one has changed.
 CREATE TABLE deliverables (
     "deliverable" VARCHAR,  -- hash of all columns below except made and lamport
     "batch" VARCHAR,  -- the batch that it was made for
     "batches" VARCHAR[],  -- the batches whose data it shows
-    "kind" VARCHAR,  -- figure, table, comparison or video
+    "kind" VARCHAR,  -- figure, table, comparison, video or report
     "name" VARCHAR,  -- its name
     "definition" VARCHAR,  -- what it shows and how, with labels, units and notes, as JSON
     "sql" VARCHAR,  -- the SQL that computed its data

@@ -596,7 +596,7 @@ class Project:
         """
         from sierra.deliverables import check
 
-        return check.find(self._loaded, self.store, Path(file))
+        return check.find(self._loaded, self.store, Path(file), self.compare_declared)
 
     def _shown_study(self, prefix: str) -> StudyOutcome | None:
         """Return the study with this id; None if the id is that of another object."""
@@ -1085,13 +1085,14 @@ class Project:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.
 
         A figure's `problem` is None if its files are those that were drawn and the store gives the same data; else the reason.
+        Tables, comparisons, videos and reports are checked, too.
 
         >>> {checked.problem for checked in project.check_figures(summary.batch)}
         {None}
         """
         from sierra.deliverables import check
 
-        return check.check(self._loaded, self.store, self.batch(prefix))
+        return check.check(self._loaded, self.store, self.batch(prefix), self.compare_declared)
 
     def draw_batches(self, *words: str, name: str | None = None, formats: Sequence[str] = ()) -> tuple[list[Path], list[str]]:
         """Draw several batches together: in figures with a line for each batch, and in tables with the batches side by side.
@@ -1520,7 +1521,7 @@ class Project:
         >>> written.file.suffix, written.notes
         ('.html', ())
         """
-        from sierra.deliverables.report import files, make
+        from sierra.deliverables.report import files, make, recorded
 
         if every and words:
             raise UsageError("--all is about all batches; leave out the others")
@@ -1531,7 +1532,9 @@ class Project:
             files.check(Path(to))
         made = make.of_batches(source, batches, tell, f"All batches of {self.root.name}" if every else "")
         file = files.default(self.paths, batches, every=every) if to is None else Path(to)
-        return files.Written(files.write(file, made.data), tuple(made.batches), tuple(made.notes))
+        files.write(file, recorded.named(made))
+        notes = (*made.notes, *recorded.record(self.store, self.root, file, made))
+        return files.Written(file, tuple(made.batches), notes)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.
@@ -1577,6 +1580,8 @@ class Project:
         wheels: bool = False,
         pythons: Sequence[str] = (),
         machines: Sequence[str] = (),
+        report: bool = True,
+        videos: bool = True,
         anonymous: bool = False,
         allow: Sequence[str] = (),
     ) -> Packed | None:
@@ -1587,6 +1592,7 @@ class Project:
 
         `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`. With `wheels`, Python
         packages are packed for these versions of Python (as `3.12`) and processors (as `x86_64`); by default, for this Python.
+        `report` and `videos`: false to leave out the report, which is made now, and the videos, which were made before.
 
         Raises NotFound if such a batch has not been recorded, UsageError if there is no batch or the file exists, ConfigError
         if `[package]` has no title, authors or licence, Missing for a source that no longer exists, Identifying if an anonymous
@@ -1608,7 +1614,7 @@ class Project:
             batches = (*batches, *(batch for ids in decide.values() for batch in ids))
         if not batches:
             raise UsageError("name the batches to be packed")
-        options = Options(image, wheels, tuple(pythons), tuple(machines))
+        options = Options(image, wheels, tuple(pythons), tuple(machines), report, videos)
         if allow and not anonymous:
             raise UsageError("--allow accepts names in anonymous packages; add --anonymous")
         anonymity = Anonymity(self._loaded, allow) if anonymous else None
@@ -1759,21 +1765,9 @@ def report_package(
     Traceback (most recent call last):
     sierra.errors.Missing: results.zip: No such file or directory
     """
-    from sierra.deliverables.report import files, make
-    from sierra.deliverables.report.reproduce import Received
-    from sierra.packages.reading import received
+    from sierra.packages.reading import received, report
 
-    path = Path(package)
-    opened = received.open_package(path)
-    file = path.with_name(f"{path.stem}-report.html") if to is None else Path(to)
-    files.check(file)
-    described, config = opened.manifest, opened.project.config.package
-    about = config.model_copy(update={"date": config.date or described.date, "title": config.title or described.title})
-    source = make.Source(
-        opened.project, opened.store, received=Received(path.name, opened.id, about, (*described.notes, *opened.notes))
-    )
-    made = make.of_batches(source, received.batches(opened.store), tell, about.title or path.name)
-    return files.Written(files.write(file, made.data), tuple(made.batches), tuple(made.notes))
+    return report.write(received.open_package(Path(package)), None if to is None else Path(to), tell)
 
 
 def _observer(wanted: bool | None) -> Observer:

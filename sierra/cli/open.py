@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 READING = ("ls", "show", "sql", "stats", "explore", "outputs", "files", "compare", "diff", "why", "fsck")
 """Commands that read records, and execute nothing of the package."""
-OF_PACKAGES = {"figures": "sierra.cli.open_figures:figures", "claims": "sierra.cli.open_claims:claims"}
+OF_PACKAGES = {
+    "figures": "sierra.cli.open_figures:figures",
+    "video": "sierra.cli.open_figures:video",
+    "report": "sierra.cli.open_report:report",
+    "claims": "sierra.cli.open_claims:claims",
+}
 """Commands that differ from those of projects: they read the package, which their context has."""
 
 
@@ -51,6 +56,7 @@ def open_(
       sierra open results.zip sql "SELECT * FROM runs"
       sierra open results.zip claims
       sierra open results.zip figures --to figures
+      sierra open results.zip report
     """
     from sierra.cli import open_project
     from sierra.packages.reading import received

@@ -1,4 +1,4 @@
-"""`sierra open FILE.zip figures`: list or write the figures of a package."""
+"""`sierra open FILE.zip figures` and `video`: list or write the figures and videos of a package."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def figures(
     to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write their files to this folder.")] = None,
     as_json: AsJsonList = False,
 ) -> None:
-    """List the figures and tables of a package, as they were drawn.
+    """List the figures, tables and videos of a package, as they were made.
 
     Nothing is drawn. With --to, their files are written. Files that no record of the package knows are listed as not recorded.
 
@@ -26,9 +26,31 @@ def figures(
       sierra open results.zip figures
       sierra open results.zip figures coverage --to figures
     """
+    _show(context, names, to, as_json=as_json)
+
+
+def video(
+    context: typer.Context,
+    names: Annotated[list[str] | None, typer.Argument(metavar="NAME", help="Videos (default: all).")] = None,
+    to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write their files to this folder.")] = None,
+    as_json: AsJsonList = False,
+) -> None:
+    """List the videos of a package, as they were made.
+
+    Nothing is made. With --to, their files are written.
+
+    \b
+    Examples:
+      sierra open results.zip video
+      sierra open results.zip video heat --to videos
+    """
+    _show(context, names, to, kind="video", as_json=as_json)
+
+
+def _show(context: typer.Context, names: list[str] | None, to: Path | None, *, kind: str = "", as_json: bool) -> None:
     from sierra.packages.reading import drawn
 
-    found = drawn.find(context.obj, names or ())
+    found = drawn.find(context.obj, names or (), kind)
     paths = drawn.write(context.obj, found, to) if to is not None else []
     if as_json:
         print_json(found)
@@ -38,7 +60,7 @@ def figures(
         rows = [(readable(one.name), one.kind, one.batch[:10], _formats(one.files)) for one in found]
         table(("name", "kind", "batch", "formats"), rows)
     else:
-        note("the package has no figures")
+        note(f"the package has no {kind or 'figure'}s")
 
 
 def _formats(files: tuple[str, ...]) -> str:

@@ -52,11 +52,17 @@ def report(
       sierra report --all
       sierra report results.zip
     """
-    from sierra.cli.figures import from_here
     from sierra.cli.progress import telling
 
     with telling(quiet=as_json) as tell:
         written = _written(words or [], to, tell, every=every)
+    print_written(written, as_json=as_json)
+
+
+def print_written(written: Written, *, as_json: bool) -> None:
+    """Print the file of a report, and notes on what it lacks."""
+    from sierra.cli.figures import from_here
+
     for text in written.notes:
         note(text)
     if as_json:

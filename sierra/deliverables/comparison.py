@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison
 from sierra.config.project_file import LoadedProject
+from sierra.deliverables.record import parsing
 from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_time, values_of_runs
 from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
@@ -378,6 +379,8 @@ def _row(one: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
 
 def again(project: LoadedProject, store: Store, row: DeliverableRow) -> Compared:
     """Return a recorded comparison, made again from the data that the store has now. Raises the errors of `compare`."""
-    definition = json.loads(row.definition)
-    asked = Comparison.model_validate(definition["comparison"])
-    return compare(project, store, row.name, dict(zip(definition["groups"], row.batches, strict=True)), asked)
+    with parsing(row.name):
+        definition = json.loads(row.definition)
+        asked = Comparison.model_validate(definition["comparison"])
+        groups = dict(zip(definition["groups"], row.batches, strict=True))
+    return compare(project, store, row.name, groups, asked)

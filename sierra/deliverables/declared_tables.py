@@ -18,7 +18,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
 from sierra.deliverables import paper_tables, table_of_sql, table_of_statistics
 from sierra.deliverables.paper_tables import PaperTable
-from sierra.deliverables.record import Content, origin_of
+from sierra.deliverables.record import Content, origin_of, parsing
 from sierra.deliverables.table_columns import plain_table, side_by_side
 from sierra.deliverables.table_of_statistics import BATCH
 from sierra.errors import Missing, NotFound, SierraError
@@ -108,6 +108,8 @@ def make(project: LoadedProject, store: Store, name: str, declared: TableForPape
 
 def content(project: LoadedProject, store: Store, name: str, definition: str, batches: Sequence[str]) -> Content:
     """Return the content of a recorded table by its definition and the data that the store has now."""
-    recorded = json.loads(definition)
-    declared = options(TableForPaper, recorded["table"], f"table {name}, as it was recorded")
-    return make(project, store, name, declared, dict(zip(recorded["labels"], batches, strict=True))).content()
+    with parsing(name):
+        recorded = json.loads(definition)
+        declared = options(TableForPaper, recorded["table"], f"table {name}, as it was recorded")
+        labelled = dict(zip(recorded["labels"], batches, strict=True))
+    return make(project, store, name, declared, labelled).content()

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import ClassVar
 
-from sierra.errors import Missing, NotFound, SierraError
+from sierra.errors import Damaged, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records
 from sierra.store.deliverable_records import Source
@@ -123,6 +123,15 @@ def origin_of(batch: str, data: str, *others: str) -> str:
     return " ".join([f"sierra {__version__} batch {batch} data {data}", *(f"with batch {other}" for other in others)])
 
 
+@contextlib.contextmanager
+def parsing(name: str) -> Iterator[None]:
+    """Turn the errors of a definition that SIERRA does not write, but a stranger may have, into Damaged."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError) as error:
+        raise Damaged(f"the record of {name!r} has a definition that SIERRA does not write") from error
+
+
 @dataclass(frozen=True, slots=True)
 class Checked:
     """A recorded deliverable, and the reason if it no longer follows from the store."""
@@ -134,14 +143,27 @@ class Checked:
     """The reason, in one line; None if it follows."""
 
 
-def checked(store: Source, root: Path, batch: str, again: Callable[[DeliverableRow], Content]) -> Iterator[Checked]:
+OTHER_DATA = {
+    "report": "the store or sierra.toml has changed since; write it again with: sierra report",
+    "video": "the store has other data now; make it again with: sierra video",
+}
+"""The reason why a deliverable does not follow from the store any more, by its kind."""
+DRAW_AGAIN = "the store has other data now; draw it again with: sierra figures"
+"""The same for all other kinds."""
+
+
+def checked(
+    store: Source, root: Path, batch: str, again: Callable[[DeliverableRow], Content], without: Collection[str] = ()
+) -> Iterator[Checked]:
     """Yield each recorded deliverable of a batch with its state; `again` computes its content from the store as it is now.
 
-    If a deliverable was made in several formats at different times, it is yielded for each time. Files that were not made the
-    last time count only if they still exist.
+    `without` are kinds that are not checked. If a deliverable was made in several formats at different times, it is yielded
+    for each time. Files that were not made the last time count only if they still exist.
     """
     last = None
     for row in deliverable_records.latest(store, batch):
+        if row.kind in without:
+            continue
         kept = row if last != (row.kind, row.name) else _existing(row, root)
         last = (row.kind, row.name)
         if kept.files:
@@ -200,7 +222,7 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
     if now.data != row.data:
         if model := _changed_model(json.loads(row.definition), now.definition):
             return f"{model}; draw it again with: sierra figures"
-        return "the store has other data now; draw it again with: sierra figures"
+        return OTHER_DATA.get(row.kind, DRAW_AGAIN)
     return None
 
 

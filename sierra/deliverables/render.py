@@ -19,7 +19,7 @@ from sierra.config.validate import options
 from sierra.deliverables import declared_tables, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content, Recorder, marked_folder
+from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
 from sierra.errors import Missing, NotInstalled, SierraError
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
@@ -111,8 +111,9 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
 
     `shared` returns the data of the batch if they serve several figures; by default, only those of this figure are read.
     """
-    definition = json.loads(row.definition)
-    figure = options(Figure, definition["figure"], f"figure {row.name}, as it was recorded")
+    with parsing(row.name):
+        definition = json.loads(row.definition)
+        figure = options(Figure, definition["figure"], f"figure {row.name}, as it was recorded")
     if found := overlay.together_in(definition):
         word, names = found
         with ExitStack() as frames:

@@ -37,10 +37,11 @@ PLACES = {
     "package.json": "this description for programs, with the measured needs",
     "manifest-sha256.txt": "the SHA-256 of all files",
     "ro-crate-metadata.json": "the description as a Provenance Run Crate",
+    "report.html": "what the records say, with figures, claims and failures, as one page for a browser",
     "project/": "the project: `sierra.toml`, templates and source",
     "project/.sierra/": "the records: inputs, outputs, environments and logs of all runs",
     "source/": "other sources than that of the newest batch, and the history of commits as a git bundle",
-    "figures/": "figures as they were drawn",
+    "figures/": "figures, tables and videos as they were made",
     "execution/": "what `reproduce.py` executes without SIERRA",
     "environment/": "descriptions of the environment: files of the machine, image, wheels",
 }

@@ -9,12 +9,13 @@ works in it once it is extracted.
     package.json              the description for programs; see sierra.packages.manifest
     manifest-sha256.txt       the hashes of all members; see sierra.packages.members
     ro-crate-metadata.json    the same as a Provenance Run Crate
+    report.html               what the records say, as one page for a browser
     CITATION.cff  .zenodo.json  codemeta.json
     project/                  sierra.toml, sierra.lock, templates, the source of the newest batch, files that runs need
     project/.sierra/          the store with the packed batches
     source/<tree, 12 digits>/ sources of the other batches
     source/history.bundle     the history of the recorded commits, for git clone
-    figures/<batch>/          figures and tables as they were drawn
+    figures/<batch>/          figures, tables and videos as they were made
     execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
     environment/              used-files.txt: files of the machine that runs used; images.json: container images
     environment/images/       container images, by id
@@ -23,12 +24,13 @@ works in it once it is extracted.
 
 from __future__ import annotations
 
-from sierra.store.layout import STORE
+from sierra.store.layout import FIGURES, STORE
 
 README = "README.md"
 INSTRUCTIONS = "REPRODUCING.md"
 PROGRAM = "reproduce.py"
 PACKAGE = "package.json"
+REPORT = "report.html"
 CRATE = "ro-crate-metadata.json"
 PROJECT = "project/"
 STORED = f"{PROJECT}{STORE}/"
@@ -43,3 +45,8 @@ IMAGES = "environment/images.json"
 IMAGE_FILES = "environment/images/"
 WHEELS = "environment/wheels/"
 REQUIREMENTS = "environment/requirements.lock"
+
+
+def drawn(file: str) -> str:
+    """Return the member of a deliverable's file, which a record names relative to the project."""
+    return DRAWN + file.removeprefix(f"{FIGURES}/")

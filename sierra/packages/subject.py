@@ -27,6 +27,10 @@ class Options:
     """Versions of Python for the wheels, as 3.12; default: this one."""
     machines: tuple[str, ...] = ()
     """Processors for the wheels, as x86_64; default: this one."""
+    report: bool = True
+    """False if the report is left out."""
+    videos: bool = True
+    """False if videos are left out."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -656,12 +656,12 @@ class ImageRow(NamedTuple):
 
 
 class DeliverableRow(NamedTuple):
-    """Deliverables: figures, tables and videos that were made from the store, with a row each time that one has changed."""
+    """Deliverables: figures, tables, videos and reports made from the store, with a row each time that one has changed."""
 
     deliverable: Annotated[str, "hash of all columns below except made and lamport"]
     batch: Annotated[str, "the batch that it was made for"]
     batches: Annotated[list[str], "the batches whose data it shows"]
-    kind: Annotated[str, "figure, table, comparison or video"]
+    kind: Annotated[str, "figure, table, comparison, video or report"]
     name: Annotated[str, "its name"]
     definition: Annotated[str, "what it shows and how, with labels, units and notes, as JSON"]
     sql: Annotated[str, "the SQL that computed its data"]

@@ -132,7 +132,7 @@ def test_a_page_without_the_token_shows_nothing_of_the_store(browser: Browser, r
 def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     batch = stores.ask(root, "population_size=1,2", runs=2)
-    sierra.open(root).package(batch, path=tmp_path / "one.zip")
+    sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
     before = (tmp_path / "one.zip").read_bytes()
     refused = projects.quick(tmp_path, "open", "one.zip", "explore", "--write")
     assert (refused.returncode, refused.stderr) == (2, "sierra: a package is never changed; leave out --write\n")

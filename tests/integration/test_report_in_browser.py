@@ -11,7 +11,7 @@ from PIL import Image
 
 from tests import projects, stores
 from tests.browser import Browser
-from tests.support import reported
+from tests.support import filmed, reported
 from tests.waiting import until
 
 pytestmark = pytest.mark.real
@@ -121,6 +121,19 @@ def test_commands_and_sql_can_be_copied(browser: Browser, report: Path) -> None:
     browser.run("document.querySelector('#reproduce .copy').click()")
     browser.settle()
     assert "Jane Doe" in browser.run("getSelection().toString()")
+
+
+def test_videos_are_played_in_the_page(browser: Browser, tmp_path: Path) -> None:
+    root, _ = filmed.make(tmp_path / "project")
+    assert projects.quick(root, "report", "--to", str(tmp_path / "report.html")).returncode == 0
+    browser.open(tmp_path / "report.html", width=390)
+    video = "document.querySelector('video')"
+    browser.run(f"{video}.play().then(() => new Promise(done => {{ {video}.ontimeupdate = done }}))")
+    assert browser.run(f"[{video}.videoWidth, {video}.videoHeight, {video}.error]") == [200, 160, None]
+    assert browser.run(f"{video}.currentTime") > 0
+    assert browser.run("document.documentElement.scrollWidth") == 390
+    assert browser.console == []
+    assert [url for url in browser.requests if not url.startswith("data:")] == [(tmp_path / "report.html").as_uri()]
 
 
 def test_a_report_needs_no_script_and_can_be_printed(browser: Browser, report: Path) -> None:

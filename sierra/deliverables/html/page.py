@@ -12,6 +12,7 @@ from sierra.deliverables.html.escaping import text
 
 ASSETS = Path(__file__).with_name("assets")
 ASKS = "; connect-src 'self'"
+PLAYS = "; media-src data:"
 UPLOT = "uplot"
 """The folder of uPlot 1.6.32, which draws the charts, as its package on npm has it: see THIRD-PARTY.md."""
 
@@ -23,16 +24,17 @@ def page(
     *,
     extra: str = "",
     asks: bool = False,
+    plays: bool = False,
 ) -> bytes:
     """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name.
 
     `extra` is the name of a further script and a further style in `assets`. With `asks`, scripts may ask the server that sent
-    the page.
+    the page. With `plays`, the page may have videos, which are in the page itself.
     """
     script, style = _script(extra), _style(extra)
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
-        f"base-uri 'none'; form-action 'none'{ASKS if asks else ''}"
+        f"base-uri 'none'; form-action 'none'{ASKS if asks else ''}{PLAYS if plays else ''}"
     )
     facts = [f'<meta name="{text(name)}" content="{text(content)}">' for name, content in (metadata or {}).items()]
     lines = (

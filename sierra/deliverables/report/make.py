@@ -14,6 +14,7 @@ from sierra.deliverables.report import (
     design,
     environment,
     failures,
+    films,
     index,
     page,
     question,
@@ -23,9 +24,11 @@ from sierra.deliverables.report import (
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.claims import Claims
 from sierra.deliverables.report.comparisons import Comparisons
+from sierra.deliverables.report.films import Films
 from sierra.deliverables.report.page import Chapter
 from sierra.deliverables.report.parts import Place, Section
 from sierra.deliverables.report.reproduce import Received
+from sierra.deliverables.report.results import Figures
 from sierra.execution import list_batches
 from sierra.store.store import Store
 
@@ -43,15 +46,38 @@ class Source:
     """Makes a declared comparison of several batches; None in a package, whose queries are not resolved."""
     received: Received | None = None
     """The package; None for the user's own project."""
+    read: films.Read | None = None
+    """Reads files of videos; None to read them from the project."""
+
+    def films(self) -> Films:
+        """Return the videos of a new page."""
+        return Films(self.read or films.from_project(self.project.root))
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
     """A page, and notes on what it lacks."""
 
-    data: bytes
+    page: bytes
     batches: Sequence[str]
     notes: Sequence[str]
+    title: str = ""
+    """The title of a report of all batches."""
+    sql: Sequence[str] = ()
+    """The statements behind its figures."""
+    libraries: Sequence[str] = ()
+    """The libraries that made its figures, as name==version."""
+    complete: bool = True
+    """False if it only has the list of too many batches."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """The sections about one batch."""
+
+    sections: Sequence[Section]
+    notes: Sequence[str]
+    figures: Figures
 
 
 def received(source: Source) -> Source:
@@ -72,7 +98,9 @@ def _without_commands(config: Project) -> Project:
     return config.model_copy(update={"models": {name: model for name, model in config.models.items() if not model.command}})
 
 
-def of_batches(source: Source, batches: Sequence[str], tell: Callable[[str], None], every: str = "") -> Report:
+def of_batches(
+    source: Source, batches: Sequence[str], tell: Callable[[str], None] = lambda text: None, every: str = ""
+) -> Report:
     """Return the report of batches: of one, or of several with a list at the beginning.
 
     `every` is the title of a report of all batches; of more than `AT_MOST`, it only has the list. `tell` receives the progress.
@@ -86,8 +114,8 @@ def of_batches(source: Source, batches: Sequence[str], tell: Callable[[str], Non
     tell("comparisons")
     compared = comparisons.find(source.project, source.store, batches, source.declared_between)
     if len(states) == 1:
-        return _single(source, states[0], found, compared, tell)
-    return _several(source, states, found, compared, tell, every or f"{len(states)} batches")
+        return replace(_single(source, states[0], found, compared, tell), title=every)
+    return replace(_several(source, states, found, compared, tell, every or f"{len(states)} batches"), title=every)
 
 
 def _list(source: Source, title: str) -> Report:
@@ -95,15 +123,16 @@ def _list(source: Source, title: str) -> Report:
     listed = list_batches.batches(source.store)[::-1]
     data = page.of_batches(title, [index.section(listed, ())], [], Claims(()), source.received)
     note = f"{len(listed)} batches are too many for one page, so it only has their list; name some instead of --all"
-    return Report(data, [one.batch for one in listed], (note,))
+    return Report(data, [one.batch for one in listed], (note,), complete=False)
 
 
 def _single(source: Source, state: BatchState, found: Claims, compared: Comparisons, tell: Callable[[str], None]) -> Report:
     place = Place()
     of_claims = claims.section(source.project, found, place)
     of_groups = comparisons.section(compared.shown, compared.notes, place)
-    parts, notes = _parts(source, state, place, (of_groups, of_claims), tell)
-    return Report(page.of_batch(state, parts, found, source.received), (state.id,), (*notes, *compared.notes))
+    parts = _parts(source, state, place, (of_groups, of_claims), source.films(), tell)
+    data = page.of_batch(state, parts.sections, found, source.received)
+    return _made(data, [state], [parts], (*parts.notes, *compared.notes))
 
 
 def _several(
@@ -120,37 +149,43 @@ def _several(
     )
     of_claims = claims.section(source.project, found, Place())
     of_groups = comparisons.section(compared.between(), compared.notes, Place())
-    chapters, notes = [], list(compared.notes)
+    every, films = [], source.films()
     for state in states:
         place = Chapter(state, ()).place
         within = comparisons.section(compared.within(state.id), (), place)
-        parts, own = _parts(source, state, place, (within,), tell)
-        chapters.append(Chapter(state, parts))
-        notes += own
+        every.append(_parts(source, state, place, (within,), films, tell))
+    chapters = [Chapter(state, parts.sections) for state, parts in zip(states, every, strict=True)]
     first = [index.section(listed, ids), *filter(None, (of_claims, of_groups))]
-    return Report(page.of_batches(title, first, chapters, found, source.received), [one.id for one in states], notes)
+    data = page.of_batches(title, first, chapters, found, source.received)
+    return _made(data, states, every, (*compared.notes, *(note for parts in every for note in parts.notes)))
+
+
+def _made(data: bytes, states: Sequence[BatchState], every: Sequence[_Parts], notes: Sequence[str]) -> Report:
+    figures = [parts.figures for parts in every]
+    sql = dict.fromkeys(content.sql for one in figures for content in one.contents if content.sql)
+    libraries = sorted({name for one in figures for name in one.libraries})
+    return Report(data, [state.id for state in states], notes, sql=[*sql], libraries=libraries)
 
 
 def _parts(
-    source: Source, state: BatchState, place: Place, between: Sequence[Section | None], tell: Callable[[str], None]
-) -> tuple[list[Section], list[str]]:
-    """Return the sections about a batch, with some after its results, and notes on what could not be made."""
-    sections, notes = _results(state, place, tell)
-    parts = [
+    source: Source,
+    state: BatchState,
+    place: Place,
+    between: Sequence[Section | None],
+    films: Films,
+    tell: Callable[[str], None],
+) -> _Parts:
+    """Return the sections about a batch, with some after its results."""
+    figures = results.figures(state, tell)
+    tables, failed = results.table_section(state, place)
+    sections = [
         question.section(state),
         design.section(state),
-        *sections,
+        results.figure_section(figures, place),
+        *filter(None, (tables, results.other_section(state, films))),
         *filter(None, between),
         failures.section(state, place),
         environment.section(state, place),
         reproduce.section(state, source.received, place),
     ]
-    return parts, notes
-
-
-def _results(state: BatchState, place: Place, tell: Callable[[str], None]) -> tuple[list[Section], list[str]]:
-    """Return the sections with figures, tables and other deliverables, and notes on what could not be made."""
-    found = results.figures(state, tell)
-    tables, failed = results.table_section(state, place)
-    sections = [results.figure_section(found, place), *filter(None, (tables, results.other_section(state)))]
-    return sections, [*found.notes, *failed]
+    return _Parts(sections, (*figures.notes, *failed), figures)

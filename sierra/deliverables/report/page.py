@@ -19,6 +19,8 @@ from sierra.version import __version__
 
 GENERATOR = "SIERRA report"
 """The beginning of the name of the program in the page, by which a report is recognized."""
+ORIGIN = "sierra"
+"""The name of the text in the page that will name its batches and the hash of its data."""
 ASSETS = "report"
 TILES = {Verdict.holds: "claims hold", Verdict.does_not_hold: "claims do not hold", Verdict.cannot_tell: "claims can't be told"}
 
@@ -90,8 +92,8 @@ def _page(
         element("main", *parts, id="content", tabindex=-1),
         element("footer", *_footer(states)),
     )
-    metadata = {"generator": f"{GENERATOR} {__version__}", "description": title}
-    return html.page(f"{title} – SIERRA report", body, metadata, extra=ASSETS)
+    metadata = {"generator": f"{GENERATOR} {__version__}", "description": title, ORIGIN: ""}
+    return html.page(f"{title} – SIERRA report", body, metadata, extra=ASSETS, plays=True)
 
 
 def standing(state: BatchState) -> Markup:
@@ -132,8 +134,8 @@ def _tiles(states: Sequence[BatchState], claims: Claims) -> Markup:
 
 def _package(received: Received | None) -> Iterator[Markup]:
     if received:
-        about = f"From package {short(received.id)} ({received.name}). Nothing of it was executed to make this page."
-        yield element("p", about, class_="note", dir="auto")
+        about = f"From package {short(received.id)} ({received.name})." if received.name else "Part of a reproduction package."
+        yield element("p", f"{about} Nothing of it was executed to make this page.", class_="note", dir="auto")
         yield from (element("p", text, class_="note", dir="auto") for text in received.notes)
 
 

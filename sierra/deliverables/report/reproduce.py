@@ -18,11 +18,12 @@ from sierra.version import __version__
 class Received:
     """The package that a report is about."""
 
-    name: str
-    """The name of its file."""
-    id: str
     package: Package
     """Its description, with the date that it states."""
+    name: str = ""
+    """The name of its file; "" if the report becomes a part of it."""
+    id: str = ""
+    """Its id; "" if the report becomes a part of it, because the id follows from all parts."""
     notes: tuple[str, ...] = ()
 
 
@@ -50,12 +51,16 @@ def citation(package: Package, batch: str, received: Received | None) -> str:
     about = ". ".join(filter(None, (" ".join(filter(None, (names, year))), package.title)))
     version = f"version {package.version}" if package.version else ""
     doi = package.doi and (f"https://doi.org/{package.doi}" if DOI.fullmatch(package.doi) else package.doi)
-    own = f"SIERRA package {received.id}" if received else ""
+    own = f"SIERRA package {received.id}" if received and received.id else ""
     parts = (about, version, doi or package.repository, own, f"SIERRA batch {batch}")
     return f"{'. '.join(filter(None, parts))}. Made with SIERRA {__version__}."
 
 
 def _commands(state: BatchState, received: Received | None) -> Iterator[str]:
+    if received and not received.name:
+        yield "python3 reproduce.py   # in the folder of the extracted package: check all files"
+        yield "sierra reproduce .     # execute the runs again, and compare"
+        return
     if received:
         name = shlex.quote(received.name)
         yield f"sierra reproduce {name}   # execute its runs again, and compare"

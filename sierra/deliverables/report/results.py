@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from sierra.deliverables import comparison, declared_tables, paper_tables
 from sierra.deliverables.declared_tables import Made
+from sierra.deliverables.figures.base import made_by
 from sierra.deliverables.figures.drawing import Drawing, explorable
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html import charts as chart_elements
@@ -18,6 +19,7 @@ from sierra.deliverables.html.escaping import data
 from sierra.deliverables.html.sections import Content, as_data
 from sierra.deliverables.record import origin_of
 from sierra.deliverables.report.batch_state import BatchState
+from sierra.deliverables.report.films import Films
 from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
 from sierra.errors import Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records
@@ -29,8 +31,10 @@ WIDE = 400.0
 """The width in points above which a figure takes a whole row: those for two columns of a paper."""
 SERIES = 8
 """The largest number of series that the text of a picture describes."""
-DRAWN = ("figure", comparison.KIND, declared_tables.KIND)
-"""Kinds of deliverables that the report itself shows."""
+REPORT = "report"
+"""The kind of the records of reports, among deliverables."""
+DRAWN = ("figure", comparison.KIND, declared_tables.KIND, REPORT)
+"""Kinds of deliverables that the report does not list: it shows them, or is one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,8 @@ class Figures:
 
     contents: Sequence[Content]
     notes: Sequence[str]
+    libraries: Sequence[str]
+    """The libraries that draw them, as name==version."""
 
 
 def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
@@ -47,6 +53,7 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
     Raises Missing if something necessary is missing; other errors become notes.
     """
     contents, failed = [], []
+    libraries: set[str] = set()
     with Frame(state.store, state.id) as frame:
         gallery = Gallery(state.project, state.store, frame)
         wanted, notes = gallery.wanted(None)
@@ -54,12 +61,13 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
             tell(name)
             try:
                 contents.append(_content(*explorable(gallery.drawing(name, figure))))
+                libraries.update(made_by(figure.kind))
             except SierraError as error:
                 if isinstance(error, Missing) and not isinstance(error, NotInstalled):
                     raise
                 failed.append(f"figure {name} could not be drawn: {error}")
         more = (*gallery.declared_notes, *gallery.time_notes.values(), *gallery.models.notes([*wanted]))
-    return Figures(contents, (*failed, *notes, *more))
+    return Figures(contents, (*failed, *notes, *more), sorted(libraries))
 
 
 def _content(drawing: Drawing, svg: bytes) -> Content:
@@ -167,14 +175,18 @@ def paper_table(shown: paper_tables.PaperTable) -> Markup:
     return joined((table(shown.headers, rows, numbers=numbers), note(shown.note) if shown.note else None))
 
 
-def other_section(state: BatchState) -> Section | None:
-    """Return the section that lists deliverables in files of their own, such as videos; None if there are none."""
+def other_section(state: BatchState, films: Films) -> Section | None:
+    """Return the section with deliverables in files of their own, such as videos; None if there are none."""
     found = [row for row in deliverable_records.latest(state.store, state.id) if row.kind not in DRAWN]
     if not found:
         return None
     rows = [(row.name, row.kind, joined(auto(file, "div") for file in row.files), _hashes(row.sha256s)) for row in found]
-    text = "These files are not in this page. Their SHA-256 tells whether a file is the recorded one."
-    inner = (element("p", text), table(("name", "kind", "files", "SHA-256"), rows, "Videos and other files"))
+    shown = [player for row in found for player in films.players(row)]
+    text = "Their SHA-256 tells whether a file is the recorded one."
+    if not shown:
+        text = f"These files are not in this page. {text}"
+    listed = table(("name", "kind", "files", "SHA-256"), rows, "Videos and other files")
+    inner = (element("div", *shown, class_="figures") if shown else None, element("p", text), listed)
     return Section("videos", "Videos and other files", joined(inner))
 
 

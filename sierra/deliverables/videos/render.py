@@ -17,7 +17,7 @@ from sierra.config.validate import options
 from sierra.config.video_table import Format, Video
 from sierra.deliverables import overlay
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content, Recorder, marked_folder, origin_of
+from sierra.deliverables.record import Content, Recorder, marked_folder, origin_of, parsing
 from sierra.deliverables.videos import encode
 from sierra.deliverables.videos.films import Film, Members, films
 from sierra.deliverables.videos.subjects import Subject, subjects
@@ -326,10 +326,11 @@ def _on_times(prepared: Prepared, one: Ready) -> list[str]:
 
 def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     """Return the content of a recorded video by its definition and the data that the store has now."""
-    definition = json.loads(row.definition)
-    video = options(Video, definition["video"], f"video {row.name}, as it was recorded")
-    batches = dict(zip(definition.get("batches", [""]), row.batches, strict=True))
-    name = str(definition.get("name", row.name))
+    with parsing(row.name):
+        definition = json.loads(row.definition)
+        video = options(Video, definition["video"], f"video {row.name}, as it was recorded")
+        batches = dict(zip(definition.get("batches", [""]), row.batches, strict=True))
+        name = str(definition.get("name", row.name))
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, _tables({name: video}), frames)
         return prepare(name, video, galleries).content()

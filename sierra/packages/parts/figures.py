@@ -1,6 +1,7 @@
-"""The part `figures/` of a package: figures and tables as they were drawn, if they still follow from the packed records.
+"""The part `figures/` of a package: figures, tables and videos as they were made, if they still follow from the packed records.
 
 A figure that shows other data, whose file was changed, or that rests on batches that are not packed, is named and left out.
+Reports are not among them, because a package has a report of its own.
 """
 
 from __future__ import annotations
@@ -9,30 +10,45 @@ from collections.abc import Iterator, Mapping
 
 from sierra.deliverables.check import check
 from sierra.deliverables.record import Checked
+from sierra.deliverables.report.results import REPORT
+from sierra.deliverables.videos.render import KIND as VIDEO
 from sierra.errors import Missing
-from sierra.packages.layout import DRAWN
+from sierra.packages.layout import drawn
 from sierra.packages.members import unsafe
 from sierra.packages.subject import Made, Member, Subject
-from sierra.store.layout import FIGURES
+from sierra.store import deliverable_records
 from sierra.util.hashing import short
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
-    """Return the files of the recorded deliverables of all packed batches that follow from the packed records."""
+    """Return the files of the recorded deliverables of all packed batches that follow from the packed records.
+
+    `Options.videos` leaves videos out.
+    """
     made: list[Member] = []
     notes: list[str] = []
+    without = (REPORT,) if subject.options.videos else (REPORT, VIDEO)
     for batch in subject.batches:
         try:
-            for one in check(subject.project, subject.store, batch):
+            for one in check(subject.project, subject.store, batch, without=without):
                 reason = one.problem or next(filter(None, map(unsafe, one.files)), "")
                 made += () if reason else _files(subject, one)
                 notes += [f"{one.kind} {one.name!r} of batch {short(batch)} is not packed: {reason}"] if reason else []
         except Missing as error:
             notes.append(f"no figure of batch {short(batch)} is packed: {error}")
-    return Made(made, notes=tuple(notes))
+    return Made(made, notes=tuple(notes), facts=tuple(_left_out(subject)))
+
+
+def _left_out(subject: Subject) -> Iterator[str]:
+    """Yield a line for each batch whose videos are left out."""
+    if subject.options.videos:
+        return
+    for batch in subject.batches:
+        names = [row.name for row in deliverable_records.latest(subject.store, batch) if row.kind == VIDEO]
+        if names:
+            yield f"the videos of batch {short(batch)} are left out: {', '.join(dict.fromkeys(names))}"
 
 
 def _files(subject: Subject, deliverable: Checked) -> Iterator[Member]:
     for file in deliverable.files:
-        name = DRAWN + file.removeprefix(f"{FIGURES}/")
-        yield Member(name, subject.project.root / file, f"{deliverable.kind} {deliverable.name!r}, as it was drawn")
+        yield Member(drawn(file), subject.project.root / file, f"{deliverable.kind} {deliverable.name!r}, as it was drawn")

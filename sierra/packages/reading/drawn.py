@@ -1,4 +1,4 @@
-"""The figures and tables in a package, as they were drawn: a list of them, and their files, of which each is checked."""
+"""The figures, tables and videos in a package, as they were made: a list of them, and their files, of which each is checked."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class _File(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A figure or table of a package."""
+    """A figure, table or video of a package."""
 
     name: str
     kind: str
@@ -41,8 +41,11 @@ class Drawn:
     """The names of its members."""
 
 
-def find(package: Received, names: Sequence[str] = ()) -> list[Drawn]:
-    """Return the figures and tables of a package: those with these names, by default all. Raises NotFound for another name."""
+def find(package: Received, names: Sequence[str] = (), kind: str = "") -> list[Drawn]:
+    """Return the figures, tables and videos of a package: those with these names, by default all. Raises NotFound for another.
+
+    `kind`: only those of this kind.
+    """
     known = {row.sha256: row for row in package.store.select(_File, RECORDED)}
     found: dict[tuple[str, str, str], list[str]] = {}
     with Archive(package.path) as archive:
@@ -50,10 +53,10 @@ def find(package: Received, names: Sequence[str] = ()) -> list[Drawn]:
             row = known.get(archive.hashes[member])
             key = (row.batch, row.name, row.kind) if row else ("", PurePosixPath(member).stem, UNKNOWN)
             found.setdefault(key, []).append(member)
-    drawn = [Drawn(name, kind, batch, tuple(files)) for (batch, name, kind), files in found.items()]
+    drawn = [Drawn(name, of, batch, tuple(files)) for (batch, name, of), files in found.items() if kind in ("", of)]
     for name in names:
         if name not in (has := sorted({one.name for one in drawn})):
-            raise NotFound(f"the package has no figure {name!r}; {like(name, has) if has else 'it has none'}")
+            raise NotFound(f"the package has no {kind or 'figure'} {name!r}; {like(name, has) if has else 'it has none'}")
     return [one for one in drawn if not names or one.name in names]
 
 

@@ -31,13 +31,13 @@ def test_the_recorded_image_is_packed_and_no_other(
     [identity] = sierra.open(root).sql("SELECT image FROM specs").to_pydict()["image"]
     name = "environment/images/" + identity.replace(":", "-")
 
-    done = projects.quick(root, "package", batch, "-o", "../none.zip", "--image", "none")
+    done = projects.quick(root, "package", batch, "--no-report", "-o", "../none.zip", "--image", "none")
     assert "are not packed, only described in environment/images.json" in done.stdout
-    done = projects.quick(root, "package", batch, "-o", "../file.zip", "--image", "both")
+    done = projects.quick(root, "package", batch, "--no-report", "-o", "../file.zip", "--image", "both")
     assert done.returncode == 0, done.stderr
     archive.rename(tmp_path / "aside.tar")
     assert podman_images.holds(identity)
-    sierra.open(root).package(batch, path=tmp_path / "podman.zip", image="both")
+    sierra.open(root).package(batch, report=False, path=tmp_path / "podman.zip", image="both")
     assert (tmp_path / "file.zip").read_bytes() == (tmp_path / "podman.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "podman.zip") as file:
         (tmp_path / "again.tar").write_bytes(file.read(f"{name}.tar"))
@@ -50,9 +50,9 @@ def test_the_recorded_image_is_packed_and_no_other(
 
     monkeypatch.setattr(podman_images, "holds", lambda identity: False)
     with pytest.raises(Missing, match=r"busybox\.tar no longer exists, and podman does not have"):
-        sierra.open(root).package(batch, path=tmp_path / "x.zip", image="oci")
+        sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image="oci")
     containers.host(tmp_path, containers.BUSYBOX).rename(archive)
     for form in ("oci", "sif"):
         with pytest.raises(Damaged, match=r"busybox\.tar is the image sha256:\w+, not sha256"):
-            sierra.open(root).package(batch, path=tmp_path / "x.zip", image=form)
+            sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image=form)
     assert not (tmp_path / "x.zip").exists()

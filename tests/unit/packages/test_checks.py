@@ -66,7 +66,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.integration
 def test_a_package_with_secrets_is_refused_by_name_until_they_are_declared_harmless(root: Path, tmp_path: Path) -> None:
     [batch] = [one.batch for one in sierra.open(root).batches]
-    ended = projects.quick(root, "package", batch, "-o", str(tmp_path / "x.zip"), "--yes")
+    ended = projects.quick(root, "package", batch, "--no-report", "-o", str(tmp_path / "x.zip"), "--yes")
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n"), list(tmp_path.iterdir())) == (2, "", 1, [])
     for place in (
         "deploy.sh (a password in an address)",
@@ -78,16 +78,16 @@ def test_a_package_with_secrets_is_refused_by_name_until_they_are_declared_harml
     config = (root / "sierra.toml").read_text()
     (root / "sierra.toml").write_text(config + 'no_secrets = ["deploy.sh", "LAB_*", "stdout"]\nmax_file = "200 B"\n')
     try:
-        asked = projects.quick(root, "package", batch, "-o", str(tmp_path / "x.zip"))
+        asked = projects.quick(root, "package", batch, "--no-report", "-o", str(tmp_path / "x.zip"))
         assert (asked.returncode, "project/sim.py has " in asked.stderr, "more than 200 bytes" in asked.stderr) == (
             2,
             True,
             True,
         )
-        done = projects.quick(root, "package", batch, "-o", str(tmp_path / "x.zip"), "--yes")
+        done = projects.quick(root, "package", batch, "--no-report", "-o", str(tmp_path / "x.zip"), "--yes")
         assert (done.returncode, "no file with the text of its licence, MIT" in done.stdout) == (0, True)
         (root / "LICENSE.txt").write_text("Permission is hereby granted\n")
-        done = projects.quick(root, "package", batch, "-o", str(tmp_path / "y.zip"), "--yes", "--json")
+        done = projects.quick(root, "package", batch, "--no-report", "-o", str(tmp_path / "y.zip"), "--yes", "--json")
         assert not [fact for fact in json.loads(done.stdout)["preview"]["facts"] if "licence" in fact]
     finally:
         (root / "sierra.toml").write_text(config)

@@ -26,12 +26,12 @@ def test_the_history_of_the_recorded_commits_is_a_bundle(tmp_path: Path) -> None
         (root / "notes.txt").write_text("".join(f"line {one}\n" for one in range(number, 300)))
         projects.commit(root, f"number {number}")
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
-    sierra.open(root).package(batch, path=tmp_path / "one.zip")
+    sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
     (root / "later.txt").write_text("not recorded")
     projects.commit(root, "later")
     git(root, "-c", "gc.pruneExpire=now", "gc", "--aggressive", "--quiet")
     git(root, "config", "pack.window", "3")
-    packed = sierra.open(root).package(batch, path=tmp_path / "two.zip")
+    packed = sierra.open(root).package(batch, report=False, path=tmp_path / "two.zip")
     assert packed is not None
     assert packed.preview.notes == ()
     with zipfile.ZipFile(tmp_path / "one.zip") as one, zipfile.ZipFile(tmp_path / "two.zip") as two:
@@ -44,7 +44,7 @@ def test_the_history_of_the_recorded_commits_is_a_bundle(tmp_path: Path) -> None
     git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{root}", "shallow")
     (root / ".sierra").rename(tmp_path / "shallow/.sierra")
     git(tmp_path / "shallow", "fetch", "--quiet", "--depth=1", "origin", git(root, "rev-parse", "HEAD~1").strip())
-    packed = sierra.open(tmp_path / "shallow").package(batch, path=tmp_path / "three.zip")
+    packed = sierra.open(tmp_path / "shallow").package(batch, report=False, path=tmp_path / "three.zip")
     assert packed is not None
     assert [
         "history of the commits is not packed: the repository is a shallow clone" in one for one in packed.preview.notes
@@ -58,9 +58,9 @@ def test_a_secret_that_only_the_history_has_is_found(tmp_path: Path) -> None:
     (root / "access.txt").unlink()
     projects.commit(root, "second")
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
-    ended = projects.quick(root, "package", batch, "-o", "../x.zip", "--yes")
+    ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--yes")
     assert (ended.returncode, "access.txt (a token of npm in the history" in ended.stderr) == (2, True)
     (root / "sierra.toml").write_text(projects.CONFIG + PACKAGE + "history = false\n")
-    assert projects.quick(root, "package", batch, "-o", "../x.zip").returncode == 0
+    assert projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip").returncode == 0
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         assert BUNDLE not in file.namelist()

@@ -50,8 +50,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     project = sierra.open(root)
     batches = [project.run(*query, figures=False).batch for query in (FIRST, SECOND)]
     project.replay(batches[0], runs=1)
-    project.package(batches[0], path=folder / "first.zip")
-    project.package(*batches, path=folder / "both.zip")
+    project.package(batches[0], report=False, path=folder / "first.zip")
+    project.package(*batches, report=False, path=folder / "both.zip")
     return root
 
 
@@ -127,7 +127,7 @@ def test_an_import_changes_no_result_of_a_batch_that_was_executed_here(lab: Path
         sierra.open(lab).run(*FIRST, figures=False)
     newer = lab.parent / "newer.zip"
     if not newer.exists():
-        sierra.open(lab).package(batch, path=newer)
+        sierra.open(lab).package(batch, report=False, path=newer)
     done = project.import_package(newer)
     assert [one.counts for one in done.batches] == [False]
     assert (rows(other, NOW), rows(other, "SELECT * FROM effective ORDER BY ALL")) == before
@@ -145,7 +145,7 @@ def test_an_import_changes_no_run_that_another_batch_executed_here(lab: Path, ot
     before = rows(other, NOW), rows(other, "SELECT run, status, execution FROM runs ORDER BY run")
     for _ in range(2):  # so that the other laboratory has the higher numbers
         batch = sierra.open(lab).run(*SECOND, figures=False).batch
-    sierra.open(lab).package(batch, path=other.parent / "second.zip")
+    sierra.open(lab).package(batch, report=False, path=other.parent / "second.zip")
     done = project.import_package(other.parent / "second.zip")
     assert [one.counts for one in done.batches] == [True]
     now = rows(other, NOW), rows(other, "SELECT run, status, execution FROM runs ORDER BY run")
@@ -176,7 +176,7 @@ def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, o
     project = sierra.open(other)
     project.import_package(lab.parent / "both.zip")
     own = project.run(*SECOND, figures=False).batch
-    project.package(*(one.batch for one in project.batches), path=tmp_path / "again.zip")
+    project.package(*(one.batch for one in project.batches), report=False, path=tmp_path / "again.zip")
     third = stores.copy(lab.parent / "empty", tmp_path / "third")
     sierra.open(third).import_package(tmp_path / "again.zip")
     for batch in (own, project.batches[0].batch):
@@ -196,7 +196,7 @@ def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, o
 def test_two_packages_are_compared_without_a_project(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
     batch = project.run(*FIRST, figures=False).batch
-    project.package(batch, path=tmp_path / "theirs.zip")
+    project.package(batch, report=False, path=tmp_path / "theirs.zip")
     ours = str(lab.parent / "first.zip")
     said = projects.quick(tmp_path, "diff", ours, "theirs.zip")
     assert said.returncode == 1, said.stderr

@@ -73,32 +73,32 @@ def test_wheels_come_from_the_users_index_and_are_checked_together(tmp_path: Pat
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
 
     monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0", "two": "two>=2"})
-    ended = projects.quick(root, "package", batch, "-o", "../x.zip", "--wheels")
+    ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--wheels")
     assert (ended.returncode, ended.stderr.count("\n"), "no wheels for Python 3" in ended.stderr) == (3, 1, True)
     assert "No matching distribution found for two" in ended.stderr
     monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0"})
-    ended = projects.quick(root, "package", batch, "-o", "../x.zip", "--wheels")
+    ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--wheels")
     assert (ended.returncode, "two" in ended.stderr) == (3, True)
     assert not (tmp_path / "x.zip").exists()
     wheel(index, "two", "2.1")
     monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0", "two": "two==2.1"})
     chosen = ("--wheels", "--python", f"3.13,{HERE.python},3.13", "--arch", HERE.machine)
     for name in ("x", "y"):
-        ended = projects.quick(root, "package", batch, "-o", f"../{name}.zip", *chosen)
+        ended = projects.quick(root, "package", batch, "--no-report", "-o", f"../{name}.zip", *chosen)
         assert ended.returncode == 0, ended.stderr
     assert (tmp_path / "x.zip").read_bytes() == (tmp_path / "y.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         names = [name for name in file.namelist() if name.startswith("environment/wheels/")]
         assert [name.split("/")[-1].split("-")[0] for name in names] == ["one", "pip", "two"]
         assert not [name for name in file.namelist() if str(index).encode() in file.read(name)]
-    assert projects.quick(root, "package", batch, "-o", "../z.zip", "--python", "3.12").returncode == 2
+    assert projects.quick(root, "package", batch, "--no-report", "-o", "../z.zip", "--python", "3.12").returncode == 2
 
 
 @pytest.mark.nightly
 def test_sierra_is_installed_from_a_package_without_an_index(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
-    done = projects.sierra(root, "package", batch, "-o", "../x.zip", "--wheels", "--yes")
+    done = projects.sierra(root, "package", batch, "--no-report", "-o", "../x.zip", "--wheels", "--yes")
     assert done.returncode == 0, done.stderr
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         file.extractall(tmp_path / "x")

@@ -1,0 +1,113 @@
+"""Videos in a report: those that are small are played in the page, all are named.
+
+A film may have several files, one for each format. The page has at most one of them: the first of `FORMATS` that is small
+enough, and that is the recorded file by its SHA-256.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+
+from pydantic import BaseModel, ValidationError
+
+from sierra.deliverables.html.elements import Markup, element
+from sierra.deliverables.report.parts import auto
+from sierra.store.row_types import DeliverableRow
+from sierra.util.fs import inside
+from sierra.util.hashing import sha256
+
+FORMATS = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
+"""The types of the formats that a page can have, in the order in which they are preferred."""
+LARGEST, IN_ALL = 2 << 20, 6 << 20
+"""The largest size in bytes of a video in a page, and of all videos together."""
+Read = Callable[[str, int], bytes | None]
+"""A function that returns the content of a deliverable's file if it exists and has at most this number of bytes."""
+
+
+def from_project(root: Path) -> Read:
+    """Return a function that reads files of a project by their names in records."""
+
+    def read(name: str, most: int) -> bytes | None:
+        file = inside(root, name)
+        try:
+            return file.read_bytes() if file.stat().st_size <= most else None
+        except OSError:
+            return None
+
+    return read
+
+
+class _Titled(BaseModel):
+    title: str = ""
+
+
+class _Definition(BaseModel):
+    """The part of a video's definition that says what its files show."""
+
+    video: _Titled = _Titled()
+    files: dict[str, _Titled] = {}
+
+
+class Films:
+    """The videos that a page plays."""
+
+    def __init__(self, read: Read) -> None:
+        self._read = read
+        self._left = IN_ALL
+
+    def players(self, row: DeliverableRow) -> Iterator[Markup]:
+        """Yield an element for each film of a deliverable of which a file is small enough."""
+        hashes = dict(zip(row.files, row.sha256s, strict=True))
+        caption = _captions(row)
+        for name, files in _films(row.files).items():
+            for file in files:
+                if (data := self._taken(file, hashes[file])) is not None:
+                    yield _player(caption(name), FORMATS[PurePosixPath(file).suffix], data)
+                    break
+
+    def _taken(self, file: str, recorded: str) -> bytes | None:
+        """Return the content of a file if the page has room for it, and it is the recorded one."""
+        data = self._read(file, min(LARGEST, self._left))
+        if data is None or sha256(data) != recorded:
+            return None
+        self._left -= len(data)
+        return data
+
+
+def _films(files: Sequence[str]) -> Mapping[str, Sequence[str]]:
+    """Return the playable files of each film, the preferred one first, by their name without ending."""
+    found: dict[str, list[str]] = {}
+    for suffix in FORMATS:
+        for file in files:
+            if PurePosixPath(file).suffix == suffix:
+                found.setdefault(PurePosixPath(file).stem, []).append(file)
+    return dict(sorted(found.items()))
+
+
+def _captions(row: DeliverableRow) -> Callable[[str], str]:
+    """Return a function that returns the caption of a film: its name, and the titles that its frames have.
+
+    A stranger may have written the definition; then a caption is only the name.
+    """
+    try:
+        found = _Definition.model_validate_json(row.definition)
+    except ValidationError:
+        found = _Definition()
+
+    def caption(name: str) -> str:
+        titles = ", ".join(filter(None, (found.video.title, found.files.get(name, _Titled()).title)))
+        return f"{name}: {titles}" if titles else name
+
+    return caption
+
+
+def _player(caption: str, kind: str, data: bytes) -> Markup:
+    address = f"data:{kind};base64,{base64.b64encode(data).decode()}"
+    if kind.startswith("image/"):
+        shown = element("img", src=address, alt=f"Moving picture. {caption}")
+    else:
+        label = f"Video. {caption}"
+        shown = element("video", src=address, controls=True, loop=True, muted=True, preload="metadata", aria_label=label)
+    return element("figure", shown, element("figcaption", auto(caption)), class_="film")

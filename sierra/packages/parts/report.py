@@ -1,0 +1,42 @@
+"""The part `report.html` of a package: one page that tells what the packed records say, made when the package is written.
+
+It is made as `sierra report` makes that of a received package: from the packed records alone, without executing anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sierra.deliverables.report import make, recorded
+from sierra.deliverables.report.films import Read
+from sierra.deliverables.report.reproduce import Received
+from sierra.errors import SierraError
+from sierra.packages.layout import REPORT, drawn
+from sierra.packages.subject import Made, Member, Subject
+
+
+def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+    """Return the report of all packed batches. `Options.report` leaves it out."""
+    if not subject.options.report:
+        return Made(())
+    package = subject.project.config.package
+    received = Received(package.model_copy(update={"date": package.date or subject.date}))
+    source = make.Source(subject.project, subject.store, received=received, read=_from_members(found))
+    try:
+        made = make.of_batches(source, subject.batches, every=package.title or f"{len(subject.batches)} batches")
+    except SierraError as error:
+        return Made((), notes=(f"no report is packed: {error}",))
+    return Made([Member(REPORT, recorded.named(made), "report of all batches, for a browser")])
+
+
+def _from_members(found: Mapping[str, Member]) -> Read:
+    """Return a function that reads deliverables that are packed."""
+
+    def read(name: str, most: int) -> bytes | None:
+        member = found.get(drawn(name))
+        if member is None or member.size > most:
+            return None
+        with member.open() as file:
+            return file.read()
+
+    return read

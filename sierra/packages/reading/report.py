@@ -1,0 +1,43 @@
+"""The report of a received package, made from its records. Nothing of it is executed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from sierra.deliverables.report import files, make, recorded
+from sierra.deliverables.report.files import Written
+from sierra.deliverables.report.films import Read
+from sierra.deliverables.report.reproduce import Received as About
+from sierra.packages.archive import Archive
+from sierra.packages.layout import drawn
+from sierra.packages.reading.received import Received, batches
+
+
+def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Written:
+    """Write the report of all batches of a package; by default beside it: `results-report.html` for `results.zip`.
+
+    `tell` receives the progress. Raises UsageError for a file that exists and is no report, Missing, Damaged.
+    """
+    file = package.path.with_name(f"{package.path.stem}-report.html") if to is None else to
+    files.check(file)
+    described, config = package.manifest, package.project.config.package
+    about = config.model_copy(update={"date": config.date or described.date, "title": config.title or described.title})
+    received = About(about, package.path.name, package.id, (*described.notes, *package.notes))
+    source = make.Source(package.project, package.store, received=received, read=_from_archive(package))
+    made = make.of_batches(source, batches(package.store), tell, about.title or package.path.name)
+    files.write(file, recorded.named(made))
+    return Written(file, tuple(made.batches), tuple(made.notes))
+
+
+def _from_archive(package: Received) -> Read:
+    """Return a function that reads deliverables in the package, each of which is checked when it is read."""
+
+    def read(name: str, most: int) -> bytes | None:
+        member = drawn(name)
+        with Archive(package.path) as archive:
+            if member not in archive.hashes or archive.size(member) > most:
+                return None
+            return archive.read(member)
+
+    return read
