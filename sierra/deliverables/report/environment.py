@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from sierra.deliverables.html.elements import Markup, Node, element, joined
+from sierra.deliverables.report import robots
 from sierra.deliverables.report.batch_state import BatchState
-from sierra.deliverables.report.parts import Place, Section, badge, details, facts, note, sql, table
+from sierra.deliverables.report.parts import Place, Section, badge, details, facts, filled_table, note, sql, table
 from sierra.util.hashing import short
 from sierra.util.text import few, size
 
@@ -18,13 +19,13 @@ FROM effective f JOIN executions e USING (execution) LEFT JOIN environments n US
 WHERE f.batch = $b GROUP BY ALL ORDER BY executions DESC, e.host, n.kernel, n.cpu, n.cores, n.memory, n.python, n.sierra
 """
 """The hosts of the executions that count."""
-ROBOTS = """
-SELECT r.robot, r.robot_group AS part, any_value(r.machine) AS machine, any_value(r.firmware) AS firmware,
-       count(DISTINCT r.execution) AS executions
-FROM effective f JOIN robots r USING (execution) WHERE f.batch = $b GROUP BY ALL ORDER BY part, robot
+ATTEMPTS = """
+SELECT scheduler, count(DISTINCT node) AS nodes, count(*) AS attempts, state, sum(interrupted_runs)::BIGINT AS cut,
+       coalesce(error, '') AS error
+FROM attempts WHERE batch = $b GROUP BY ALL ORDER BY scheduler, attempts DESC, state, error
 """
 SHOWN = 200
-"""The largest number of programs, robots or hosts that are listed."""
+"""The largest number of programs or hosts that are listed."""
 
 
 class _Host(NamedTuple):
@@ -40,12 +41,13 @@ class _Host(NamedTuple):
     executions: int
 
 
-class _Robot(NamedTuple):
-    robot: str
-    part: str
-    machine: str | None
-    firmware: str | None
-    executions: int
+class _Attempts(NamedTuple):
+    scheduler: str | None
+    nodes: int
+    attempts: int
+    state: str
+    cut: int
+    error: str
 
 
 def section(state: BatchState, place: Place) -> Section:
@@ -59,7 +61,8 @@ def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
     yield from _variables(json.loads(state.shown.spec.variables))
     yield element(place.inner, "Hosts")
     yield from _hosts(state)
-    yield from _robots(state, place)
+    yield from _cluster(state, place)
+    yield from robots.lines(state, place)
     yield from _image(state, place)
     yield from _programs(state)
 
@@ -112,14 +115,14 @@ def _hosts(state: BatchState) -> Iterator[Markup]:
     yield sql(HOSTS, state.id)
 
 
-def _robots(state: BatchState, place: Place) -> Iterator[Markup]:
-    if not state.shown.spec.robots:
-        return
-    found = state.store.select(_Robot, ROBOTS, b=state.id)
-    yield element(place.inner, "Robots")
-    rows = [(one.robot, one.part, one.machine or "", one.firmware or "", one.executions) for one in found[:SHOWN]]
-    yield table(("robot", "group", "processor", "firmware", "runs"), rows, "Robots of the executions that count", numbers=(4,))
-    yield sql(ROBOTS, state.id)
+def _cluster(state: BatchState, place: Place) -> Iterator[Markup]:
+    found = state.store.select(_Attempts, ATTEMPTS, b=state.id)
+    if found:
+        yield element(place.inner, "Cluster")
+        rows = [(one.scheduler or "", one.nodes, one.attempts, one.state, one.cut, one.error) for one in found[:SHOWN]]
+        headers = ("scheduler", "nodes", "array tasks", "ended", "runs cut off", "error")
+        yield filled_table(headers, rows, "Attempts at array tasks, also those whose runs do not count", (1, 2, 4))
+        yield sql(ATTEMPTS, state.id)
 
 
 def _image(state: BatchState, place: Place) -> Iterator[Markup]:
@@ -129,7 +132,7 @@ def _image(state: BatchState, place: Place) -> Iterator[Markup]:
     yield element(place.inner, "Container")
     row = image.row
     isolations = [
-        f"{one.row.engine} {one.row.version or ''}, network {one.row.network}" for one in state.shown.isolations if one.row
+        f"{one.row.version or one.row.engine}, network {one.row.network}" for one in state.shown.isolations if one.row
     ]
     packages = ", ".join(f"{len(lines)} of {manager}" for manager, lines in image.packages.items())
     yield facts(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from sierra.deliverables.html.elements import Markup, Node, element, joined
 from sierra.deliverables.report.batch_state import BatchState
-from sierra.deliverables.report.parts import Place, Section, auto, note, sql
+from sierra.deliverables.report.parts import Place, Section, auto, note, sql, table
 from sierra.execution.show_record import FAILURES
 from sierra.execution.shown_records import Failed
 from sierra.util.hashing import short
@@ -16,8 +16,19 @@ from sierra.util.text import counted
 LAST = """
 SELECT status, host, log_tail FROM executions WHERE run = $r AND purpose = 'run' ORDER BY lamport DESC LIMIT 1
 """
+EARLIER = """
+SELECT e.status, coalesce(e.reason, '') AS reason, count(*) AS executions
+FROM (SELECT DISTINCT run FROM effective WHERE batch = $b) JOIN executions e USING (run)
+WHERE e.purpose = 'run' AND e.status <> 'ok' GROUP BY ALL ORDER BY executions DESC, e.status, reason
+"""
 REASONS, LINES, WIDTH = 20, 15, 400
 """The largest number of reasons, of lines of a log, and of characters of a line."""
+
+
+class _Earlier(NamedTuple):
+    status: str
+    reason: str
+    executions: int
 
 
 class _Last(NamedTuple):
@@ -42,9 +53,19 @@ def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
         yield note(f"{len(failures) - REASONS} more reasons, of {counted(runs, 'run')}: see sierra show {state.short}.")
     if failures:
         yield sql(FAILURES, state.id)
+    yield from _earlier(state)
     if unlike := state.shown.nondeterminism:
         text = "gave other output when executed again; the table nondeterminism has them"
         yield note(f"{counted(len(unlike), 'run')} {text}.")
+
+
+def _earlier(state: BatchState) -> Iterator[Markup]:
+    """Yield a table of executions that did not succeed, of runs that another execution has completed."""
+    found = state.store.select(_Earlier, EARLIER, b=state.id)
+    if found:
+        caption = "Executions that did not succeed, and whose runs succeeded when they were executed again"
+        yield table(("ended", "reason", "executions"), found[:REASONS], caption, (2,))
+        yield sql(EARLIER, state.id)
 
 
 def _failure(state: BatchState, one: Failed, place: Place) -> Markup:

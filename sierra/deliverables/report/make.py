@@ -20,6 +20,7 @@ from sierra.deliverables.report import (
     question,
     reproduce,
     results,
+    trials,
 )
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.claims import Claims
@@ -185,6 +186,7 @@ def _parts(
         *filter(None, (tables, results.other_section(state, films))),
         *filter(None, between),
         failures.section(state, place),
+        *filter(None, [trials.section(state)]),
         environment.section(state, place),
         reproduce.section(state, source.received, place),
     ]

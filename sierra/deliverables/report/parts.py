@@ -68,6 +68,15 @@ def table(
     return element("div", inner, class_="scroll", tabindex=0, role="region", aria_label=caption or ", ".join(headers))
 
 
+def filled_table(
+    headers: Sequence[str], rows: Sequence[Sequence[Node | int]], caption: str = "", numbers: Sequence[int] = ()
+) -> Markup:
+    """Return a table like `table`, without the columns that are empty in all rows."""
+    kept = [place for place in range(len(headers)) if any(row[place] not in (None, "") for row in rows)]
+    inner = [["" if row[place] is None else row[place] for place in kept] for row in rows]
+    return table([headers[place] for place in kept], inner, caption, [kept.index(place) for place in numbers if place in kept])
+
+
 def _cell(place: int, cell: Node | int, number: bool) -> Markup:
     shown = str(cell) if isinstance(cell, int) else cell
     kind = "number" if number else None

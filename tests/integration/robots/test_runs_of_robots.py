@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,6 +52,14 @@ def test_the_gap_between_simulator_and_robots_is_that_of_their_means(made: tuple
     assert [(pair["difference"], pair["n_first"], pair["n_second"]) for pair in pairs] == [(0, 6, 6), (0, 6, 6)]
 
 
+def test_a_report_has_each_robot_with_its_clock(made: tuple[Path, str, str]) -> None:
+    root, _, fleet = made
+    assert projects.quick(root, "report", fleet, "--to", "../report.html").returncode == 0
+    page = " ".join(re.sub("<[^>]*>", " ", (root.parent / "report.html").read_text()).split())
+    headers = "robot group runs clock moved by at most [ms] lowest battery [%]"
+    assert f"Robots of the executions that count {headers} tb3-01 robot 12 0.01 88.5 tb3-02 robot 6 0.02 88.5" in page
+
+
 def test_a_replay_says_what_cannot_be_replayed(made: tuple[Path, str, str]) -> None:
     root, _, fleet = made
     refused = projects.quick(root, "replay", fleet, "--runs", "1")
@@ -68,7 +77,7 @@ def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, s
     run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' ORDER BY ordinal LIMIT 1")[0]["run"]
     project.mark_trial(run, note="fine", operator="Grace Hopper")
     for name, more in (("plain", {}), ("anonymous", {"anonymous": True})):
-        project.package(fleet, path=tmp_path / f"{name}.zip", **more)
+        project.package(fleet, report=False, path=tmp_path / f"{name}.zip", **more)
         other = robots.project(tmp_path / name)
         sierra.open(other).import_package(tmp_path / f"{name}.zip")
         assert projects.quick(other, "fsck").returncode == 0

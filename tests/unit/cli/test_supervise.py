@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from pathlib import Path
 
@@ -64,6 +65,12 @@ def test_a_person_starts_judges_and_repeats_trials(root: Path) -> None:
         ("Ann", False, "a robot fell", "on its back", False, "invalid"),
         ("Ann", True, None, None, False, "ok"),
     ]
+    assert projects.quick(root, "report", "--to", "../report.html").returncode == 0
+    page = " ".join(re.sub("<[^>]*>", " ", (root.parent / "report.html").read_text()).split())
+    assert "2 trials, of which 1 is not valid. The operator stopped 0." in page
+    assert " 0 invalid " in page
+    assert " Ann no a robot fell on its back " in page
+    assert "Executions that did not succeed, and whose runs succeeded when they were executed again" in page
 
 
 @pytest.mark.integration
