@@ -576,7 +576,7 @@ def packages(folder: Path) -> None:
 
     def write() -> None:
         packed.unlink(missing_ok=True)
-        quietly(SIERRA, "package", json.loads(listed)[-1]["batch"], "-o", str(packed), "--yes", cwd=here)
+        quietly(SIERRA, "package", json.loads(listed)[-1]["batch"], "-o", str(packed), "--no-report", "--yes", cwd=here)
 
     write_zip = partial(quietly, sys.executable, "-m", "zipfile", "-c", str(zipped), store)
     say("sierra package, 1,000 runs / python -m zipfile of its store", *in_turn(3, write, write_zip), "under 5 s")
@@ -606,6 +606,12 @@ def videos(folder: Path) -> None:
     """Measure videos of 1,000 and of 3,000 frames."""
     del folder
     subprocess.run([sys.executable, str(HERE / "bench_videos.py")], check=True)
+
+
+def reports(folder: Path) -> None:
+    """Measure reports of the example and of 10,000 batches."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_reports.py")], check=True)
 
 
 def large_drawing(folder: Path) -> None:
@@ -669,6 +675,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "figures": figures,
     "drawing": drawing,
     "videos": videos,
+    "reports": reports,
     "large_drawing": large_drawing,
     "containers": containers,
     "clusters": clusters,
