@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""
@@ -350,6 +350,14 @@ class RunSpec:
             **around,
             **robots,
         }
+
+
+class Pose(NamedTuple):
+    """A place of a robot: x and y in m, and the heading in degrees, counterclockwise from the direction of x."""
+
+    x: float
+    y: float
+    heading: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

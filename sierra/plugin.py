@@ -79,6 +79,7 @@ from sierra.model import (
     Member,
     OutputFile,
     Point,
+    Pose,
     Remove,
     Rename,
     Requirement,
@@ -88,7 +89,7 @@ from sierra.model import (
     Times,
     Value,
 )
-from sierra.platforms.base import Following, Platform, Rendering, Renders
+from sierra.platforms.base import Following, Placing, Platform, Rendering, Renders
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
@@ -166,9 +167,11 @@ __all__ = [
     "Overdue",
     "Pair",
     "Parameter",
+    "Placing",
     "Platform",
     "PluginError",
     "Point",
+    "Pose",
     "Process",
     "ProcessStream",
     "Project",

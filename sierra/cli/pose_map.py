@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sierra.execution.supervised.poses import Pose
+    from sierra.model import Pose
 
 COLUMNS, ROWS = 48, 16
 """The largest size of the map in characters, without its frame."""

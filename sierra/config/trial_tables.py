@@ -53,7 +53,9 @@ class Trials(Table):
     )
     arena: Line | None = Field(None, description="name or version of the arena; recorded")
     poses: tuple[ListedPose, ...] = Field((), description="start poses, one per robot: x, y in m, and a heading in degrees")
-    draw_poses: DrawnPoses | None = Field(None, description="start poses that are drawn from each run's seed")
+    draw_poses: DrawnPoses | None = Field(
+        None, description="start poses that are drawn from each run's seed; with platform `ros`, declare start poses there"
+    )
     files: tuple[InProject, ...] = Field(
         (), description="files whose SHA-256 is recorded before each trial, for example a calibration"
     )

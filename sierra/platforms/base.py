@@ -14,7 +14,7 @@ from sierra.config.capture_table import Capture
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project
-from sierra.model import Axis, Change, Criterion, Point
+from sierra.model import Axis, Change, Criterion, Point, Pose
 
 
 class Reader(Protocol):
@@ -112,6 +112,20 @@ class Renders(Protocol):
         """Return how a run with this recorded command is executed with rendering, as `[capture]` says.
 
         Raises ConfigError for a camera, a size or an interval that is not possible.
+        """
+
+
+@runtime_checkable
+class Placing(Protocol):
+    """A platform whose inputs tell robots where they start, so that a person places them there.
+
+    It refuses start poses in `[trials]` that would say another place: a run has one declaration of them.
+    """
+
+    def start_poses(self, document: bytes) -> tuple[Pose, ...]:
+        """Return the start poses in the first input file of a run, in the order of its robots; none if none are declared.
+
+        In a run on robots, each robot has its own input file, with its own pose.
         """
 
 

@@ -7,6 +7,7 @@ are in no id.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,8 +30,9 @@ from sierra.plugin import (
     TemplateView,
     values,
 )
+from sierra.plugin import Pose as StartPose
 from sierra.simulators.driver_path import driver_path
-from sierra.simulators.ros_launch import KEEPER, ROOT, Launch1, Launch2, Pose, RandomPoses, Robots
+from sierra.simulators.ros_launch import KEEPER, POSE, ROOT, Launch1, Launch2, Pose, RandomPoses, Robots
 
 TABLE = "[platforms.ros]"
 DRIVER, KEEPER_FILE = "ros_driver.py", "ros_timekeeper.py"
@@ -125,6 +127,8 @@ class Ros:
         self._options = options
         self._kind = _kind(options)
         self._on_robots = project.robots is not None
+        trials = project.trials
+        self._placed_by_hand = trials.supervised and bool(trials.poses or trials.draw_poses)
         self._is_xml = not project.template.endswith((".yaml", ".yml"))
         if not self._is_xml and options.ros == 1:
             raise ConfigError('platform "ros": launch files of ROS 1 are XML; a launch file in YAML needs ros = 2')
@@ -132,6 +136,12 @@ class Ros:
             raise ConfigError(f"{TABLE}: a launch file in YAML needs length")
         if options.poses and options.random_poses:
             raise ConfigError(f"{TABLE}: poses and random_poses exclude each other")
+        if (options.poses or options.random_poses) and not self._is_xml:
+            raise ConfigError(f"{TABLE}: poses and random_poses need a launch file in XML; write the poses into that in YAML")
+        if (options.poses or options.random_poses) and self._placed_by_hand:
+            raise ConfigError(
+                f"[trials] and {TABLE} both declare start poses; remove those in [trials], the map shows the others"
+            )
         self._shares_master = project.robots is not None and project.robots.base is not None and not project.robots.base.command
         if self._shares_master and options.ros == 2:
             raise ConfigError(f"{TABLE}: ROS 2 has no master that a base station could have; give robots.base a command")
@@ -206,8 +216,19 @@ class Ros:
         names = document.find(self._dialect.group)
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise TemplateError(f"two groups have the namespace {twice!r}, so that their nodes would replace each other")
+        self._check_poses(document)
         if machines := document.find("//machine/@name | //@machine"):
             raise TemplateError(f"the launch file names another machine ({machines[0]!r}); runs of SIERRA stay on one")
+
+    def _check_poses(self, document: TemplateView) -> None:
+        """Refuse poses in `[trials]` if the launch file tells robots its own."""
+        names = " or ".join(f"@name='{name}'" for name in POSE)
+        found = document.find(f"{ROOT}/group/{self._dialect.argument}[{names}]/@name") if self._placed_by_hand else ()
+        if found:
+            raise TemplateError(
+                f"[trials] declares start poses, but the launch file gives robots its own argument {found[0]}; declare the "
+                f"poses in {TABLE} instead: robots and the map get them from there"
+            )
 
     def _check_end(self, document: TemplateView) -> None:
         length = document.find(self._dialect.setting("length"))
@@ -239,6 +260,11 @@ class Ros:
         made = self._robots.made(document) if self._is_xml else document
         drivers = Path(__file__).parent / "drivers"
         return (self._input, made), *((name, (drivers / name).read_bytes()) for name in (DRIVER, KEEPER_FILE))
+
+    def start_poses(self, document: bytes) -> tuple[StartPose, ...]:
+        """Return what the launch file of a run tells its robots; see `sierra.plugin.Placing`."""
+        found = self._robots.read_poses(document) if self._robots.poses else ()
+        return tuple(StartPose(x, y, round(math.degrees(yaw) % 360, 1)) for x, y, yaw in found)
 
     def environment(self) -> Mapping[str, str]:
         return {}

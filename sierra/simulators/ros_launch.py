@@ -29,6 +29,8 @@ TRIES = 1000
 """Draws of a pose that keeps its distance, until an arena counts as full."""
 KEEPER = '<node pkg="sierra_ros" type="timekeeper" name="sierra_timekeeper" required="true" output="screen"/>'
 
+POSE = ("x", "y", "yaw")
+"""The arguments of a group with the pose of its robot."""
 Pose = tuple[float, float, float]
 """x and y in metres, and yaw in radians."""
 
@@ -170,6 +172,8 @@ class Robots:
         root = _parsed(document)
         count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
         found = [group for group in root.findall("group") if self._stands(group)]
+        if self.poses and (count is None or (place is None and len(found) != 1)):
+            raise TemplateError("poses need one group that is one robot, which gets them; set group in [platforms.ros]")
         if count is None:
             if self.share_master:
                 raise TemplateError("the robots share a master, but no group is one robot; set group in [platforms.ros]")
@@ -194,6 +198,14 @@ class Robots:
         self._check_names(root)
         made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
         return made + b"\n"
+
+    def read_poses(self, document: bytes) -> Iterator[Pose]:
+        """Yield the poses that the copies in a launch file have."""
+        for group in _parsed(document).findall("group"):
+            given = {one.get("name"): one.get("value", "") for one in group if one.tag == self.dialect.argument}
+            if {"robot", "index", *POSE} <= given.keys():
+                x, y, yaw = (float(given[name]) for name in POSE)
+                yield x, y, yaw
 
     def check(self, count: int) -> None:
         """Raise TemplateError if so many robots have no poses."""
@@ -241,7 +253,7 @@ class Robots:
         name = f"{self.prefix or re.sub('[0-9]+$', '', element.get(attribute, ''))}{number}"
         element.set(attribute, name)
         values = [("robot", name), ("index", str(number)), *self.arguments]
-        values += zip(("x", "y", "yaw"), map(repr, pose), strict=True) if pose else ()
+        values += zip(POSE, map(repr, pose), strict=True) if pose else ()
         for key, value in reversed(values):
             self._give(made, key, value)
         return made

@@ -144,7 +144,7 @@ class Conduct:
         """Return a trial as it is presented, and the row that is recorded with its execution."""
         run, trials, root = turn.run, self._trials, self._plan.project.root
         values = self._plan.batch.experiments[run.experiment].values
-        placed = poses.of_run(trials, run.seed, values)
+        placed = poses.of_run(self._plan, run)
         files, printed = facts.of_files(trials, root), facts.of_commands(trials, root)
         trial = Trial(
             run.id,

@@ -1,4 +1,8 @@
-"""Start poses of robots: listed in `sierra.toml`, or drawn from a run's seed."""
+"""Start poses of robots, for the person who places them: those in the inputs of a run, or those in `[trials]`.
+
+If a platform tells robots where they start (`sierra.platforms.base.Placing`), the person sees what is in the input of the run.
+For other platforms, `[trials]` lists poses, or draws them from the run's seed.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +10,38 @@ import json
 import math
 import random
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
+from sierra import platforms
 from sierra.config.trial_tables import DrawnPoses, Trials
+from sierra.design import robots
 from sierra.errors import ConfigError
-from sierra.model import Value
+from sierra.execution.plan import Plan
+from sierra.model import BASE, Pose, Run, Value
+from sierra.platforms.base import Placing
 
 TRIES = 10_000
 """Number of positions that are drawn for one robot until it is far enough from the others."""
 
 
-class Pose(NamedTuple):
-    """A place of a robot: x and y in m, and the heading in degrees, counterclockwise from the direction of x."""
-
-    x: float
-    y: float
-    heading: float | None = None
+def of_run(plan: Plan, run: Run) -> tuple[Pose, ...]:
+    """Return the start poses of a run, one per robot; none if none are declared. Raises ConfigError."""
+    values = plan.batch.experiments[run.experiment].values
+    return _of_inputs(plan, run) or declared(plan.project.config.trials, run.seed, values)
 
 
-def of_run(trials: Trials, seed: int, values: Mapping[str, Value]) -> tuple[Pose, ...]:
-    """Return the start poses of a run, one per robot; none if none are declared. Raises ConfigError.
+def _of_inputs(plan: Plan, run: Run) -> tuple[Pose, ...]:
+    """Return the start poses that the inputs of a run have."""
+    platform = platforms.find(plan.project.config.platform, plan.project.config)
+    if not isinstance(platform, Placing) or plan.batch.spec.platform != plan.project.config.platform:
+        return ()
+    files = next(files for one, files in plan.inputs.files(plan.batch, lambda one: one.id == run.id) if one.id == run.id)
+    on_robots = plan.batch.spec.robots is not None
+    each = [own for place, own in robots.read(files) if place.number != BASE] if on_robots else [files]
+    return tuple(pose for own in each for pose in platform.start_poses(dict(own)[run.names[0]]))
+
+
+def declared(trials: Trials, seed: int, values: Mapping[str, Value]) -> tuple[Pose, ...]:
+    """Return the start poses that `[trials]` declares for a run with this seed and these values. Raises ConfigError.
 
     The same seed gives the same poses on every machine: Python's generator is seeded with a text, and only `random` is called,
     whose results never change.

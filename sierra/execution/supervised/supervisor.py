@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from sierra.execution.supervised.poses import Pose
-from sierra.model import Status, Value
+from sierra.model import Pose, Status, Value
 from sierra.runners.base import Beat
 
 

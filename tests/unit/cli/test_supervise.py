@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sierra.cli import pose_map
-from sierra.execution.supervised.poses import Pose
+from sierra.model import Pose
 from tests import projects
 from tests.terminals import Terminal
 from tests.waiting import until

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import math
 import re
 import tempfile
 from pathlib import Path
@@ -17,6 +18,7 @@ import sierra.simulators
 from sierra.config import project_file
 from sierra.design import robots
 from sierra.errors import ConfigError, QueryError, SierraError, TemplateError
+from sierra.execution.supervised import poses
 from sierra.model import Set
 from sierra.platforms import base
 from sierra.query import grammar
@@ -111,6 +113,29 @@ def test_poses_come_from_the_seed_and_do_not_depend_on_the_number_of_robots(tmp_
         inputs(root, "population_size=40")
 
 
+def test_a_person_places_robots_where_the_launch_file_says(tmp_path: Path) -> None:
+    more = '[robots]\ncount = "population_size"\n[trials]\nsupervised = true\n'
+    root = make(tmp_path / "p", OPTIONS + "random_poses = { x = [-1, 1], y = [2, 3], distance = 0.4 }\n", more=more)
+    plan = sierra.open(root).plan("population_size=3", runs=2)
+    for run, files in plan.inputs.files(plan.batch, lambda run: True):
+        launches = [dict(own)["input.launch"].decode() for _, own in robots.read(files)]
+        found = [[float(re.findall(f'name="{name}" value="(.*?)"', one)[0]) for name in ("x", "y", "yaw")] for one in launches]
+        expected = tuple((x, y, round(math.degrees(yaw) % 360, 1)) for x, y, yaw in found)
+        assert poses.of_run(plan, run) == expected
+        assert len(set(expected)) == 3
+
+
+@pytest.mark.parametrize("declared", ["poses = [[1, 2]]", "draw_poses = { count = 1, x = [0, 1], y = [0, 1] }"])
+def test_start_poses_are_declared_once(tmp_path: Path, declared: str) -> None:
+    more, own = f"[trials]\nsupervised = true\n{declared}\n", '    <arg name="x" value="0"/>\n'
+    with pytest.raises(ConfigError, match="both declare start poses; remove those in"):
+        inputs(make(tmp_path / "a", OPTIONS + "poses = [[1, 2]]\n", more=more), "population_size=1")
+    with pytest.raises(TemplateError, match="the launch file gives robots its own argument x; declare the poses in"):
+        inputs(make(tmp_path / "b", more=more), "population_size=1")
+    assert inputs(make(tmp_path / "c", launch=LAUNCH.replace(own, ""), more=more), "population_size=1")
+    assert inputs(make(tmp_path / "d", OPTIONS + "poses = [[1, 2]]\n", more=f"[trials]\n{declared}\n"), "population_size=1")
+
+
 def test_options_are_arguments_of_the_program(tmp_path: Path) -> None:
     assert command(make(tmp_path / "a")) == ("/usr/bin/python3 {run}/ros_driver.py {input} {output} roslaunch --patience 60.0")
     options = (
@@ -183,6 +208,7 @@ def test_the_length_of_ros_2_is_that_of_the_driver(tmp_path: Path) -> None:
         ("length = 1\nros = 2\n", "", "", QueryError, "but there are: none"),
         ('length = 1\nrobot = "x"\n', "", "", ConfigError, "unknown robot 'x'; known are none"),
         ("length = 1\nposes = [[0, 0]]\n", "", "", QueryError, "there are 1 poses for 2 robots"),
+        ("length = 1\nposes = [[0, 0]]\n", ' ns="tb3_0"', ' if="1"', TemplateError, "poses need one group that is one robot"),
         ("length = 1\nrobots = { a = {}, b = {} }\n", "", "", ConfigError, "there are several kinds of robots (a, b)"),
         (
             "length = 1\nrandom_poses = { x = [1, 0], y = [0, 1] }\n",

@@ -11,25 +11,25 @@ import pytest
 from sierra.config.trial_tables import DrawnPoses, Trials
 from sierra.errors import ConfigError
 from sierra.execution.supervised import poses
-from sierra.execution.supervised.poses import Pose
+from sierra.model import Pose
 
 DRAWN = Trials(draw_poses=DrawnPoses(count="population_size", x=(0.0, 4.0), y=(-1.0, 2.0), apart=0.5))
 
 
 def test_listed_poses_are_those_of_every_run() -> None:
     listed = Trials(poses=((0.0, 1.0), (2.0, 3.0, 90.0)))
-    assert poses.of_run(listed, 1, {}) == poses.of_run(listed, 2, {}) == (Pose(0.0, 1.0), Pose(2.0, 3.0, 90.0))
-    assert json.loads(poses.as_json(poses.of_run(listed, 1, {})) or "") == {"1": [0.0, 1.0], "2": [2.0, 3.0, 90.0]}
-    assert poses.as_json(poses.of_run(Trials(), 1, {})) is None
+    assert poses.declared(listed, 1, {}) == poses.declared(listed, 2, {}) == (Pose(0.0, 1.0), Pose(2.0, 3.0, 90.0))
+    assert json.loads(poses.as_json(poses.declared(listed, 1, {})) or "") == {"1": [0.0, 1.0], "2": [2.0, 3.0, 90.0]}
+    assert poses.as_json(poses.declared(Trials(), 1, {})) is None
 
 
 def test_drawn_poses_follow_from_the_seed_and_keep_their_distance() -> None:
-    drawn = poses.of_run(DRAWN, 7, {"population_size": 8})
-    assert drawn == poses.of_run(DRAWN, 7, {"population_size": 8}) != poses.of_run(DRAWN, 8, {"population_size": 8})
+    drawn = poses.declared(DRAWN, 7, {"population_size": 8})
+    assert drawn == poses.declared(DRAWN, 7, {"population_size": 8}) != poses.declared(DRAWN, 8, {"population_size": 8})
     assert len(drawn) == 8
     assert all(0 <= one.x <= 4 and -1 <= one.y <= 2 for one in drawn)
     assert all(math.dist(one[:2], other[:2]) >= 0.5 for one, other in combinations(drawn, 2))
-    assert drawn[:3] == poses.of_run(DRAWN, 7, {"population_size": 3}), "more robots leave the others where they are"
+    assert drawn[:3] == poses.declared(DRAWN, 7, {"population_size": 3}), "more robots leave the others where they are"
 
 
 @pytest.mark.parametrize(
@@ -42,4 +42,4 @@ def test_drawn_poses_follow_from_the_seed_and_keep_their_distance() -> None:
 )
 def test_poses_that_cannot_be_drawn_are_an_error(values: dict[str, int | float], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        poses.of_run(DRAWN, 7, values)
+        poses.declared(DRAWN, 7, values)
