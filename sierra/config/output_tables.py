@@ -27,7 +27,7 @@ KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
     "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
     **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
-    **dict.fromkeys(("topics", "ros", "covariances"), ("bag",)),
+    **dict.fromkeys(("topics", "ros", "covariances", "min_rate"), ("bag",)),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
 SEVERAL_TABLES = ("bag",)
@@ -138,6 +138,11 @@ class Output(Table):
         "", description="version of ROS 2, such as `humble`, whose types count if a bag does not have their definitions"
     )
     covariances: bool = Field(False, description="whether covariances in a bag become columns")
+    min_rate: NotNegative = Field(
+        0.0,
+        description="fewest messages per second of each topic of a bag, at any time from its first message to the end of the "
+        "bag; a run with fewer fails",
+    )
     time: str = Field("", description="column that is the time axis; default: the row number")
     ticks_per_second: Positive | Annotated[str, Field(min_length=1)] | None = Field(
         None,

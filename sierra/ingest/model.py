@@ -57,6 +57,7 @@ class Form:
     topics: tuple[str, ...] = ()
     ros: str = ""
     covariances: bool = False
+    min_rate: float = 0.0
 
 
 PLAIN = Form()

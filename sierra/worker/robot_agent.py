@@ -1,7 +1,7 @@
 """The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
 
-It needs only the standard library (Python 3.8 or newer), and beside it `worker.py`, `machine.py` and `robot_software.py`. A
-driver starts it by SSH:
+It needs only the standard library (Python 3.8 or newer), and beside it the other files that `sierra.runners.robots.push` names.
+A driver starts it by SSH:
 
     robot_agent.py FOLDER LOCK
 
@@ -288,6 +288,7 @@ class Agent:
         self.firmware: Sequence[str] | None = None
         self.calibration: str | None = None
         self.checks: Sequence[Sequence[str]] = ()
+        self.topic_rates: Mapping[str, float] = {}
         self.environment: dict[str, str] = {}
         self.looker = load("robot_software").Looker()
         self.run: Run | None = None
@@ -386,6 +387,7 @@ class Agent:
         self.who = request["who"]
         self.stop_argv, self.stop_limit = request.get("stop", ()), request.get("stop_limit", STOP_S)
         self.battery, self.checks = request.get("battery"), request.get("checks", ())
+        self.topic_rates = request.get("topic_rates", {})
         self.firmware, self.calibration = request.get("firmware"), request.get("calibration")
         self.acquire(time.monotonic() + request.get("patience", 0.0))
         os.makedirs(self.folder, exist_ok=True)
@@ -484,7 +486,7 @@ class Agent:
             found.update(firmware=self.firmware_version(), calibration=self.calibration_hash())
             found.update(software=self.looker.news(self.environment), failed=self.failed_checks())
         for path, state in request.get("unchanged", {}).items():
-            if state_of(path) != state:
+            if load("on_host").state(path)[1:] != state:
                 found["failed"].append("%s has changed since it was verified" % path)
         return found
 
@@ -492,13 +494,22 @@ class Agent:
         """Execute all checks at once, because each may wait for something; return a line for each one that has failed."""
         from concurrent.futures import ThreadPoolExecutor
 
-        with ThreadPoolExecutor(max(1, len(self.checks))) as pool:
+        with ThreadPoolExecutor(max(1, len(self.checks) + len(self.topic_rates))) as pool:
+            rates = pool.map(self.slow_topic, self.topic_rates)
             ended = list(pool.map(self.output_of, self.checks))
         return [
-            "%s: %s" % (" ".join(argv), words or "status %s" % status)
-            for argv, (status, words) in zip(self.checks, ended)
-            if status != 0
+            *(
+                "%s: %s" % (" ".join(argv), words or "status %s" % status)
+                for argv, (status, words) in zip(self.checks, ended)
+                if status != 0
+            ),
+            *filter(None, rates),
         ]
+
+    def slow_topic(self, topic: str) -> str | None:
+        """Return why a topic has too few messages a second; None if it has enough."""
+        found: str | None = load("topic_rates").shortfall(topic, self.topic_rates[topic], self.environment)
+        return found
 
     def firmware_version(self) -> str | None:
         """Return what the command prints that knows the version; None without a command. Raises Refused."""
@@ -759,15 +770,6 @@ def end_orphans(spared: int) -> bool:
         with contextlib.suppress(ChildProcessError):
             os.waitpid(pid, os.WNOHANG)
     return living > 0
-
-
-def state_of(path: str) -> list[int]:
-    """Return the kernel's data about a file, as `sierra.containers.engines.on_host` does; empty if there is none."""
-    try:
-        status = os.stat(path)
-    except OSError:
-        return []
-    return [status.st_ino, status.st_size, status.st_mode, status.st_ctime_ns]
 
 
 def write_whole(path: str, record: Record) -> None:

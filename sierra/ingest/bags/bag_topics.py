@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from sierra.config.output_tables import PLACEHOLDER
-from sierra.ingest.bags import db3_bag, mcap_bag, ros1_bag
+from sierra.ingest.bags import db3_bag, mcap_bag, message_rates, ros1_bag
 from sierra.ingest.bags.containers import Bag, Channel, Message
 from sierra.ingest.bags.message_types import MessageType, MessageTypes
 from sierra.ingest.base import UnreadableError
@@ -64,7 +64,14 @@ class BagTopics(Rewriter):
             table = TopicTable(index, self.shape.form)
             self.shape = replace(self.shape, lengths=table.lengths)
             self._counted = sum(index[channel] for channel in table.channels)
-            return write(table, bag.scan(table.channels.__contains__), target)
+            return write(table, self._messages(bag, table), target)
+
+    def _messages(self, bag: Bag, table: TopicTable) -> Iterator[Message]:
+        """Yield the messages of the table. Raises UnreadableError if a topic has too few."""
+        least = self.shape.form.min_rate
+        if not least:
+            return bag.scan(table.channels.__contains__)
+        return message_rates.checked(bag.scan(lambda channel: True), table.channels, least)
 
     def count(self, source: Source, written: int) -> int:
         """Return the number of messages by the index, which `rewrite` has read."""

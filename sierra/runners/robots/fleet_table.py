@@ -13,6 +13,7 @@ from sierra.config.robots_table import BASE, ROBOT
 from sierra.errors import ConfigError
 
 Battery = Line | Annotated[tuple[str, ...], Field(min_length=1)]
+Topic = Annotated[str, StringConstraints(pattern=r"^/?[A-Za-z][A-Za-z0-9_/]*$")]
 RobotName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
@@ -108,6 +109,13 @@ class FleetTable(Table):
         (),
         description="commands that must succeed on each robot before a run, within 10 s; all are executed at once",
         examples=[[["timeout", "8", "rostopic", "echo", "-n1", "/scan"]]],
+    )
+
+    topic_rates: Mapping[Topic, Positive] = Field(
+        default_factory=dict,
+        description="fewest messages per second that topics of ROS 1 must have on each robot before a run, as `rostopic hz` "
+        "measures them in up to 8 s",
+        examples=[{"/scan": 4.0}],
     )
 
     @model_validator(mode="after")

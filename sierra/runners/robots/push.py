@@ -8,13 +8,14 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from sierra.containers.engines import on_host
 from sierra.errors import Missing
 from sierra.links.base import Link, Unreachable
 from sierra.provenance import machine
-from sierra.worker import robot_agent, robot_software, worker
+from sierra.worker import robot_agent, robot_software, topic_rates, worker
 
 PROGRAMS = (
-    *(Path(str(one.__file__)) for one in (robot_agent, robot_software, worker, machine)),
+    *(Path(str(one.__file__)) for one in (robot_agent, robot_software, topic_rates, worker, machine, on_host)),
     *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
 )
 LENGTH = 24

@@ -407,6 +407,7 @@ class Robot:
             "firmware": own.firmware,
             "calibration": own.calibration,
             "checks": table.checks,
+            "topic_rates": dict(table.topic_rates),
             "variables": dict(own.variables),
             "keep": [keep] if keep else [],
             "patience": table.lease + table.grace + 2 * table.stop_limit + SETTLE_S,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -106,5 +107,14 @@ def test_a_run_starts_only_if_topics_have_messages(require: Callable[..., str], 
         assert runs.begun() == []
         begin("rostopic pub -r 10 /odom std_msgs/String there", "/odom")
         assert [one.error for one in runs.run(job(2, robots=1))] == [None]
+        rates = partial(Runs, tmp_path, homes, lambda host, _: Fabric(host, options), stop=[])
+        slow = r"^rb1: not ready: /scan: (9\.\d+|1[01](\.\d)?) messages a second; at least 20 are required$"
+        with pytest.raises(Missing, match=slow):
+            rates(topic_rates={"/scan": 20.0, "/odom": 8.0}).run(job(3, robots=1))
+        with pytest.raises(Missing, match=r"/imu: WARNING: topic \[/imu\] does not appear to be published yet$"):
+            rates(topic_rates={"/scan": 8.0, "/imu": 8.0}).run(job(4, robots=1))
+        assert [one.error for one in rates(topic_rates={"/scan": 8.0, "/odom": 8.0}).run(job(5, robots=1))] == [None]
+        nodes = fleet.enter(name, "sh", "-c", "ROS_HOME=/run/ros rosnode list")
+        assert nodes.count("/rostopic_") == 2, "only those that publish"
     finally:
         fleet.power_cut(name)

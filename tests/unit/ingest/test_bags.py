@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
+import itertools
 import json
 import sqlite3
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sierra.config.output_tables import Output
+from sierra.ingest.bags import message_rates
+from sierra.ingest.bags.containers import Channel
 from sierra.ingest.bags.recovery import recover
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Form
@@ -355,3 +359,52 @@ def test_messages_before_the_cut_are_recovered_and_marked(tmp_path: Path, kind: 
     assert table == [row | {"partial": True} for row in expected[: len(table)]]
     assert found.reason
     assert list(recover(whole, whole.name, {"odom": output.model_copy(update={"file": whole.name})})) == []
+
+
+def times(*periods: float) -> Iterator[float]:
+    """Yield the times of messages that follow each other after these periods, in s."""
+    return itertools.accumulate(periods, initial=10.0)
+
+
+STEADY = [0.1] * 100
+"""Ten messages a second for ten seconds."""
+
+
+@pytest.mark.parametrize(
+    ("periods", "end", "rate"),
+    [
+        (STEADY, 20.0, None),
+        ([*STEADY[:50], 0.2, *STEADY[51:]], 20.1, None),
+        ([*STEADY[:50], 0.6, *STEADY[51:]], 20.5, (6.67, 14.1)),
+        ([*STEADY[:50], *[0.2] * 25], 20.0, (5, 15.0)),
+        (STEADY[:95], 20.0, None),
+        (STEADY[:70], 20.0, (3.1, 16.1)),
+        ([2.0] * 5, 20.0, (0.5, 10.0)),
+        ([], 12.0, None),
+    ],
+)
+def test_topic_that_is_too_slow_at_any_time_is_noticed(
+    periods: list[float], end: float, rate: tuple[float, float] | None
+) -> None:
+    scan, clock = (Channel(number, name, "", None, "msg", "", ros1=True) for number, name in enumerate(("/scan", "/clock")))
+    stamps = sorted([*((scan, time) for time in times(*periods)), (clock, 5.0), (clock, end)], key=lambda one: one[1])
+    messages = [(channel, round(time * NS), b"") for channel, time in stamps]
+    words = (
+        f"the topic '/scan' falls to {rate[0]:g} messages a second, {rate[1] - 5:.1f} s after the bag begins" if rate else ""
+    )
+    with pytest.raises(UnreadableError, match=words) if rate else contextlib.nullcontext():
+        assert len(list(message_rates.checked(iter(messages), [scan], 8.0))) == len(periods) + 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bag_whose_topic_falls_below_its_least_rate_is_refused(tmp_path: Path, kind: str) -> None:
+    moving = odometry(2, 40)
+    path = record(tmp_path, kind, moving, {"/tb2/odom": bags.ODOMETRY})
+    assert len(rows(tmp_path, path, ROBOTS)) == 80
+    assert fault(tmp_path, path.read_bytes(), min_rate=0.9) == "the topic '/tb2/odom' has no message; min_rate = 0.9"
+    ends = [one for one in moving if one.topic == "/tb0/odom" or one.received < 20 * NS]
+    content = record(tmp_path / "ends", kind, ends).read_bytes()
+    slow = "the topic '/tb1/odom' falls to 0.31 messages a second, 9.0 s after the bag begins; min_rate = 0.9"
+    assert fault(tmp_path, content, min_rate=0.9) == slow
+    whole = record(tmp_path / "whole", kind, moving)
+    assert len(rows(tmp_path, whole, ROBOTS, min_rate=0.9)) == 80
