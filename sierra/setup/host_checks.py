@@ -1,4 +1,7 @@
-"""Checks of hosts that are reached over SSH: connection, key, Python, disk, clock, battery, and what is installed there."""
+"""Checks of hosts that are reached over SSH: connection, key, Python, disk, clock, battery, and what is installed there.
+
+Of a robot of the fleet, the setup line, the firmware and the calibration are checked, too: no run starts if one of them fails.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import LINKS, RUNNERS
 from sierra.config.project_file import Project
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.links.base import Link, Unreachable, UntrustedHost
+from sierra.links.base import Ended, Link, Unreachable, UntrustedHost
 from sierra.links.clock import measured
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.setup.doctor import Check, State
@@ -35,22 +38,32 @@ while not os.path.isdir(folder):
 found["folder"], found["free"] = folder, shutil.disk_usage(folder).free
 found["writable"] = os.access(folder, os.W_OK)
 found["programs"] = [name for name in asked["programs"] if shutil.which(name)]
-battery, found["battery"], found["battery_error"] = asked["battery"], None, None
+battery, found["battery"] = asked["battery"], None
 supplies = "/sys/class/power_supply"
 supplied = sorted(os.listdir(supplies)) if os.path.isdir(supplies) else []
 guessed = [os.path.join(supplies, name, "capacity") for name in supplied if name.startswith("BAT")][:1]
-try:
-    if isinstance(battery, list):
-        text = subprocess.check_output(battery, stdin=subprocess.DEVNULL, stderr=subprocess.STDOUT, timeout=10).decode()
-    elif battery or guessed:
-        with open(os.path.expanduser(battery or guessed[0])) as file:
-            text = file.read()
-    else:
-        text = ""
-    if text or battery:
-        found["battery"] = float(text.split()[0].rstrip("%"))
-except (OSError, ValueError, IndexError, subprocess.SubprocessError) as error:
-    found["battery_error"] = " ".join(str(error).split()) or "it is empty"
+def text_of(source):
+    if isinstance(source, list):
+        return subprocess.check_output(source, stdin=subprocess.DEVNULL, stderr=subprocess.STDOUT, timeout=10).decode()
+    with open(os.path.expanduser(source), "rb") as file:
+        return file.read().decode("utf-8", "replace")
+errors = found["errors"] = {}
+sources = {"battery": battery or (guessed or [None])[0], "firmware": asked["firmware"], "calibration": asked["calibration"]}
+for name in sorted(name for name in sources if sources[name]):
+    try:
+        text = text_of(sources[name]).strip()
+        if name != "calibration" and not text:
+            errors[name] = "it is empty"
+        elif name == "battery":
+            found[name] = float(text.split()[0].rstrip("%"))
+    except OSError as error:
+        errors[name] = "%s: %s" % (error.filename, error.strerror)
+    except ValueError:
+        errors[name] = "%r is not a number" % text[:60]
+    except subprocess.TimeoutExpired:
+        errors[name] = "%s did not end within 10 s" % sources[name][0]
+    except subprocess.CalledProcessError as error:
+        errors[name] = " ".join(error.output.decode("utf-8", "replace").split()) or "status %d" % error.returncode
 print(json.dumps(found))
 """
 """The look at a host, as a program for its Python: older ones than 3.8 can execute it, too."""
@@ -69,6 +82,8 @@ class HostToCheck:
     setup: str | None = None
     folder: str = "~"
     battery: str | tuple[str, ...] | None = None
+    firmware: tuple[str, ...] | None = None
+    calibration: str | None = None
     battery_min: float = 0.0
     disk_min: int = 1
 
@@ -116,6 +131,8 @@ def _fleet(links: Mapping[str, RawTable], runners: Mapping[str, RawTable], link:
             setup=robot.setup,
             folder=table.folder,
             battery=robot.battery,
+            firmware=robot.firmware,
+            calibration=robot.calibration,
             battery_min=table.battery_min,
             disk_min=table.disk_min,
         )
@@ -140,14 +157,17 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
 
 
 def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
-    asked = {"folder": host.folder, "programs": PROGRAMS, "battery": host.battery}
-    argv = [host.python, "-c", LOOK, json.dumps(asked)]
+    asked = {name: getattr(host, name) for name in ("folder", "battery", "firmware", "calibration")}
+    argv = [host.python, "-c", LOOK, json.dumps({**asked, "programs": PROGRAMS})]
     if host.setup:
+        ended = link.run(["bash", "-c", host.setup])
+        if ended.status != 0:
+            yield Check(f"{host.name}: setup", "missing", _last_words(ended), "correct setup in sierra.toml")
+            return
         argv = ["bash", "-c", f'{host.setup} > /dev/null\nexec "$@"', "bash", *argv]
     ended = link.run(argv)
     if ended.status != 0:
-        said = ended.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {ended.status}"]
-        yield Check(f"{host.name}: python", "missing", said[0], INSTALL)
+        yield Check(f"{host.name}: python", "missing", _last_words(ended).removeprefix("timeout: "), INSTALL)
         return
     found = json.loads(ended.stdout.splitlines()[-1])
     version = ".".join(map(str, found["python"]))
@@ -155,8 +175,13 @@ def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
     yield _check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
     yield _disk(host, found)
     yield _clock(host, link)
-    yield from _battery(host, found)
+    yield from _facts(host, found)
     yield Check(f"{host.name}: installed", "ok", ", ".join(found["programs"]) or "none of the programs that runs may need")
+
+
+def _last_words(ended: Ended) -> str:
+    """Return the last line that a failed command wrote to standard error, or its status."""
+    return (ended.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {ended.status}"])[-1]
 
 
 def _disk(host: HostToCheck, found: Mapping[str, Any]) -> Check:
@@ -187,10 +212,10 @@ def _clock(host: HostToCheck, link: Link) -> Check:
     return _check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, found, remedy, "absent")
 
 
-def _battery(host: HostToCheck, found: Mapping[str, Any]) -> Iterator[Check]:
-    if found["battery_error"]:
-        yield _check(host, "battery", False, f"not readable: {found['battery_error']}", "correct battery in sierra.toml")
-    elif found["battery"] is not None:
+def _facts(host: HostToCheck, found: Mapping[str, Any]) -> Iterator[Check]:
+    for name, reason in found["errors"].items():
+        yield _check(host, name, False, f"not readable: {reason}", f"correct {name} in sierra.toml")
+    if found["battery"] is not None:
         fits = found["battery"] >= host.battery_min
         yield _check(host, "battery", fits, f"{found['battery']:g} %", f"charge it: {host.battery_min:g} % are needed")
 

@@ -48,18 +48,25 @@ def test_hosts_are_reported_with_what_they_have_and_lack(project: Path, fleet: F
 
 
 def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) -> None:
-    one, other, _ = fleet.names
+    one, other, third = fleet.names
     (fleet.robots[one].home / "charge").write_text("12\n")
     with (project / "sierra.toml").open("a") as file:
         file.write(
             f'[runners.robots]\nstop = []\nsetup = "export LANG=C"\nbattery = "~/charge"\ndisk_min = "1 GB"\n'
+            f'firmware = ["sh", "-c", "echo no board >&2; false"]\ncalibration = "~/charge"\n'
             f'[runners.robots.fleet]\nfirst = {{ host = "{one}" }}\n'
-            f'second = {{ host = "{other}", battery = ["echo", "85 %"] }}\n'
+            f'second = {{ host = "{other}", battery = ["echo", "85 %"], firmware = ["echo", "1.4"] }}\n'
+            f'third = {{ host = "{third}", setup = "source /opt/ros/none.bash" }}\n'
         )
     found = checks(project, code=3)
     assert (found["first: battery"]["state"], found["first: battery"]["found"]) == ("missing", "12 %")
     assert found["first: battery"]["remedy"] == "charge it: 20 % are needed"
     assert (found["second: battery"]["state"], found["second: battery"]["found"]) == ("ok", "85 %")
+    assert found["first: firmware"]["found"] == "not readable: no board"
+    assert "first: calibration" not in found
+    assert found["second: calibration"]["found"] == "not readable: /home/robot/charge: No such file or directory"
+    assert "second: firmware" not in found
+    assert "/opt/ros/none.bash: No such file" in found["third: setup"]["found"]
     assert found["second: disk"]["remedy"] == "free some space: 1000 MB are needed"
     assert {name.partition(":")[0] for name in checks(project, "second", code=3)} == {"second"}
 
