@@ -1,9 +1,8 @@
 """The least rate of topics in a bag: a topic that falls below it at any time makes a bag unreadable, so that its run fails.
 
-A rate is judged over a time that is long enough for `SPAN` messages, and at least a second. Whoever receives a message must
-receive as many more within that time, up to the end of the bag. The end is that of all topics, without the last second, because
-the nodes of a run do not end at the same time. Messages before the first one of a topic are not expected: nodes begin one after
-the other.
+A rate is judged over a time that is long enough for `SPAN` messages, and at least a second. After each message, as many more
+must come within that time, up to the end of the bag. The end is that of all topics, without the last second, because the nodes
+of a run do not end at the same time. Messages before the first one of a topic do not count: nodes begin one after the other.
 """
 
 from __future__ import annotations
