@@ -137,7 +137,9 @@ def test_programs_get_the_known_addresses_of_all_robots_of_their_run(fleet: Flee
     own = {"ada": RobotTable(host="ada", group="base", address="10.0.0.1"), "bob": RobotTable(host="bob", address="10.0.0.2")}
     fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, **own}})
     (fleet.code / "go.py").write_text(
-        "import os\nprint(*(f'{name}={value}' for name, value in sorted(os.environ.items()) if 'SIERRA_ADDRESS' in name))"
+        "import os, time\n"
+        "print(*(f'{name}={value}' for name, value in sorted(os.environ.items()) if 'SIERRA_ADDRESS' in name), flush=True)\n"
+        "time.sleep(1 if os.environ['SIERRA_ROBOT'] == '0' else 0)  # the end of the base station's program stops the others"
     )
     [result] = fleet.run(job(1, robots=2, base=True))
     both = "SIERRA_ADDRESS_0=10.0.0.1 SIERRA_ADDRESS_1=10.0.0.2\n"
