@@ -121,7 +121,8 @@ class Lines:
         return self._errors.decode(errors="replace")
 
     def close(self) -> None:
-        self._exchange.end_input()
+        if not self._exchange.ended:
+            self._exchange.end_input()
         self._exchange.close()
 
 
@@ -150,10 +151,10 @@ class Commands(ABC):
 
     def run(self, argv: Sequence[str], *, stdin: bytes = b"", timeout: float = 30.0) -> Ended:
         end = time.monotonic() + timeout
-        with self._exchange(argv, timeout, limit=timeout) as exchange:
+        with self._exchange(argv, timeout, limit=timeout, alone=not stdin) as exchange:
             if len(stdin) > AT_ONCE:
                 threading.Thread(target=_feed, args=(exchange, stdin, timeout), daemon=True).start()
-            else:
+            elif stdin:
                 _feed(exchange, stdin, timeout)
             kept = {1: bytearray(), 2: bytearray()}
             try:
@@ -183,14 +184,16 @@ class Commands(ABC):
             return copy_folder.pull(exchange, folder, target, timeout)
 
     @contextlib.contextmanager
-    def _exchange(self, argv: Sequence[str], wait: float, limit: float | None = None) -> Iterator[Exchange]:
-        exchange = self._exchanged(argv, wait, limit)
+    def _exchange(
+        self, argv: Sequence[str], wait: float, limit: float | None = None, *, alone: bool = False
+    ) -> Iterator[Exchange]:
+        exchange = self._exchanged(argv, wait, limit, alone=alone)
         try:
             yield exchange
         finally:
             exchange.close()
 
-    def _exchanged(self, argv: Sequence[str], wait: float, limit: float | None = None) -> Exchange:
+    def _exchanged(self, argv: Sequence[str], wait: float, limit: float | None = None, *, alone: bool = False) -> Exchange:
         if not self._places.acquire(timeout=wait):
             raise Overdue(
                 f"{self.name}: {self._options.sessions} commands are executing, and none ended within {wait:g} s; "
@@ -198,7 +201,9 @@ class Commands(ABC):
             )
         mark = framing.new_mark()
         try:
-            exchange = Exchange(self.name, self._start(framing.line(argv, mark, limit)), mark, self._forget_exchange)
+            exchange = Exchange(
+                self.name, self._start(framing.line(argv, mark, limit, alone=alone)), mark, self._forget_exchange
+            )
         except BaseException:
             self._places.release()
             raise
@@ -217,6 +222,5 @@ def too_many_sessions(name: str) -> str:
 def _feed(exchange: Exchange, data: bytes, timeout: float) -> None:
     """Send the input of a command, and end it. A command may end without reading it."""
     with contextlib.suppress(OSError, Unreachable):
-        if data:
-            exchange.send(data, timeout)
+        exchange.send(data, timeout)
         exchange.end_input()

@@ -171,7 +171,8 @@ class ChannelStream:
                 raise BrokenPipeError from error
 
     def end_input(self) -> None:
-        self._channel.shutdown_write()
+        with contextlib.suppress(EOFError):  # the connection is lost; `read` reports it
+            self._channel.shutdown_write()
 
     def read(self, timeout: float) -> tuple[int, bytes] | None:
         channel, end = self._channel, time.monotonic() + timeout
@@ -192,7 +193,8 @@ class ChannelStream:
     def close(self, *, ended: bool = False) -> None:
         if ended:
             self._channel.status_event.wait(LEAVE_S)  # then sshd has room for another session
-        self._channel.close()
+        with contextlib.suppress(EOFError):
+            self._channel.close()
 
     def problem(self) -> str:
         return ""

@@ -17,6 +17,8 @@ SCRIPT = (
     'printf %s: "$0"; printf %s: "$0" >&2; "$@"; set -- $?; printf "%s.%d\\n" "$0" $1; printf "%s.%d\\n" "$0" $1 >&2; exit $1'
 )
 """The script's name is the mark, and its arguments are the command."""
+ALONE = f"exec </dev/null; {SCRIPT}"
+"""The script for a command without input."""
 GRACE_S = 1
 
 
@@ -25,10 +27,14 @@ def new_mark() -> str:
     return f"sierra-{secrets.token_hex(16)}"
 
 
-def line(argv: Sequence[str], mark: str, timeout: float | None = None) -> str:
-    """Return the command line of a command. `timeout`: seconds after which the host itself ends it."""
+def line(argv: Sequence[str], mark: str, timeout: float | None = None, *, alone: bool = False) -> str:
+    """Return the command line of a command.
+
+    `timeout`: seconds after which the host itself ends it. `alone`: its input is empty, so that nobody has to end it. sshd ends
+    a connection in which the end of a command's input comes after the end of the command.
+    """
     limit = ["timeout", "-k", str(GRACE_S), str(math.ceil(timeout) + GRACE_S)] if timeout is not None else []
-    return shlex.join(["exec", "sh", "-c", SCRIPT, mark, *limit, *argv])
+    return shlex.join(["exec", "sh", "-c", ALONE if alone else SCRIPT, mark, *limit, *argv])
 
 
 class Unframed:

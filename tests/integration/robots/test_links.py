@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -157,3 +158,12 @@ def test_aliases_of_host_keys_and_proxy_commands_are_those_of_openssh(kind: str,
                 link.run(["hostname"])
             (tmp_path / "known").write_text(f"the-alias {key}")
         link.close()
+
+
+def test_commands_that_end_at_once_leave_the_connection(fleet: Fleet) -> None:
+    robot = fleet.robots[fleet.names[0]]
+    link, before = MAKERS["fabric"](robot.name, fleet), robot.log.count("Accepted publickey")
+    with ThreadPoolExecutor(8) as pool:
+        assert {one.status for one in pool.map(lambda _: link.run(["true"]), range(300))} == {0}
+    assert robot.log.count("Accepted publickey") == before + 1
+    link.close()

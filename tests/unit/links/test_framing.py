@@ -44,6 +44,12 @@ def test_a_shell_executes_the_command_as_it_is_within_its_time_limit(shell: str)
         assert [one.status for one in outputs] == [status, status]
 
 
+def test_a_command_without_input_does_not_wait_for_its_end() -> None:
+    command = line(["cat"], MARK.decode(), alone=True)
+    with subprocess.Popen(["sh", "-c", command], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as shell:
+        assert shell.wait(10) == 0
+
+
 def test_the_words_of_a_login_shell_are_known_if_no_command_began() -> None:
     unframed = Unframed(MARK.decode())
     assert unframed.feed(b"This account is\nnot available.\n") == b""
