@@ -64,7 +64,7 @@ from sierra.deliverables.figures.base import Request as FigureRequest
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
-from sierra.links.base import LIMIT, Channel, Ended, Folder, Link, LinkOptions, Overdue, Unreachable, UntrustedHost
+from sierra.links.base import LIMIT, Channel, Ended, Folder, Link, LinkOptions, NoSession, Overdue, Unreachable, UntrustedHost
 from sierra.links.commands import Commands, Stream
 from sierra.links.process_stream import ProcessStream
 from sierra.model import (
@@ -161,6 +161,7 @@ __all__ = [
     "Mount",
     "Needs",
     "NoOptions",
+    "NoSession",
     "Omnibus",
     "OutputFile",
     "OutputReader",

@@ -30,6 +30,10 @@ class Overdue(Missing):
     """A command that did not end in time."""
 
 
+class NoSession(Overdue):
+    """A command that was not executed, because the host, or the link, had no session for it in time."""
+
+
 class LinkOptions(Table):
     """The options of all links that SIERRA ships."""
 

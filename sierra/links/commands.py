@@ -12,7 +12,7 @@ from typing import Protocol
 
 from sierra.links import copy_folder, framing
 from sierra.links.address import parse
-from sierra.links.base import LIMIT, Ended, Folder, LinkOptions, Overdue, Unreachable
+from sierra.links.base import LIMIT, Ended, Folder, LinkOptions, NoSession, Overdue, Unreachable
 
 AT_ONCE = 1 << 14
 """The bytes of input that a command can be sent without waiting: less than the buffers of all links."""
@@ -195,7 +195,7 @@ class Commands(ABC):
 
     def _exchanged(self, argv: Sequence[str], wait: float, limit: float | None = None, *, alone: bool = False) -> Exchange:
         if not self._places.acquire(timeout=wait):
-            raise Overdue(
+            raise NoSession(
                 f"{self.name}: {self._options.sessions} commands are executing, and none ended within {wait:g} s; "
                 "increase sessions of the link if the host allows more"
             )
@@ -215,8 +215,8 @@ class Commands(ABC):
         self._places.release()
 
 
-def too_many_sessions(name: str) -> str:
-    return f"{name}: sshd refuses one more session; decrease sessions of the link below its MaxSessions"
+def no_session(name: str) -> NoSession:
+    return NoSession(f"{name}: sshd refuses one more session; increase its MaxSessions, or decrease sessions of the link")
 
 
 def _feed(exchange: Exchange, data: bytes, timeout: float) -> None:

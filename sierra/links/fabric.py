@@ -22,7 +22,7 @@ from sierra.config.field_types import Table
 from sierra.errors import NotInstalled, SierraError
 from sierra.links.address import Address
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
-from sierra.links.commands import LEAVE_S, PAUSE_S, Commands, Stream, too_many_sessions
+from sierra.links.commands import LEAVE_S, PAUSE_S, Commands, Stream, no_session
 
 if TYPE_CHECKING:
     import paramiko
@@ -79,7 +79,7 @@ class Fabric(Commands):
                 if not transport.is_active() or "Timeout" in str(error):
                     raise
                 if time.monotonic() > end:
-                    raise Unreachable(too_many_sessions(self.name)) from error
+                    raise no_session(self.name) from error
                 time.sleep(PAUSE_S)
 
     def _transport(self) -> paramiko.Transport:

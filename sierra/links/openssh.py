@@ -25,7 +25,7 @@ from pydantic import Field
 from sierra.config.field_types import Table
 from sierra.errors import Missing, SierraError
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
-from sierra.links.commands import PAUSE_S, Commands, Stream, too_many_sessions
+from sierra.links.commands import PAUSE_S, Commands, Stream, no_session
 from sierra.links.process_stream import ProcessStream
 
 PATIENCE = 3
@@ -78,7 +78,7 @@ class OpenSsh(Commands):
             if REFUSED not in said:
                 raise Unreachable(f"{self.name}: the connection is lost{f' ({said})' if said else ''}")
             if time.monotonic() > end:
-                raise Unreachable(too_many_sessions(self.name))
+                raise no_session(self.name)
             time.sleep(PAUSE_S)
 
     def _connect(self) -> None:

@@ -27,7 +27,7 @@ from sierra.config.robots_table import BASE
 from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
-from sierra.links.base import Link, Unreachable
+from sierra.links.base import Link, NoSession, Unreachable
 from sierra.model import Job, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
@@ -49,6 +49,8 @@ from sierra.worker.robot_software import Software
 log = Log(__name__)
 HELLO_S = 90.0
 """The seconds in which an agent must have executed its setup line and removed leftovers."""
+SESSION_S = 10.0
+"""The seconds in which a host must execute one more command while its agent serves."""
 REJOIN_S = 0.3
 OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 NO_FLEET = 'the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml'
@@ -363,6 +365,7 @@ class Robot:
                 self._supply(self.container, code)
             self.agent.start((self._table.python, "-I", "-S", "-B", f"{programs}/robot_agent.py", self._root, LOCK))
             self.hello = self.agent.ask("hello", HELLO_S, **self._greeting(keep))
+            self._check_sessions()
         except SierraError as error:
             self.agent.abandon("the connection was given up")
             raise type(error)(_named(self.name, error)) from error
@@ -376,6 +379,13 @@ class Robot:
                 ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
                 self._notes.put(f"{self.name}: removed what an earlier run had left{ended}")
         return self.hello
+
+    def _check_sessions(self) -> None:
+        """Check that files can be copied while the agent occupies a session of the link. Raises Missing, Unreachable."""
+        try:
+            self.agent.link.run(("true",), timeout=SESSION_S)
+        except NoSession as error:
+            raise NoSession(f"{error}; a run needs two sessions at once, one for the agent and one for files") from error
 
     @property
     def arch(self) -> str:

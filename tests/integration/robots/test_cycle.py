@@ -171,8 +171,10 @@ def test_a_connection_that_stalls_or_is_cut_stops_the_robots(fleet: Fleet, tmp_p
         (lambda fleet: fleet.forget_host_key("rb2"), "rb2: the host key of .* is not known"),
         (lambda fleet: fleet.new_host_key("rb2"), "rb2: its host key differs"),
         (lambda fleet: fleet.refuse_logins("rb2"), "rb2: it refuses the login"),
+        (lambda fleet: fleet.configure("rb2", "PasswordAuthentication yes", "PubkeyAuthentication no"), "rb2: .*ssh-copy-id "),
+        (lambda fleet: fleet.configure("rb2", "MaxSessions 1"), "rb2: .* a run needs two sessions at once"),
     ],
-    ids=["full disk", "read-only disk", "unknown key", "changed key", "refused login"],
+    ids=["full disk", "read-only disk", "unknown key", "changed key", "refused login", "passwords only", "one session"],
 )
 def test_a_robot_that_cannot_be_used_is_named_in_one_line(runs: Runs, fleet: Fleet, fault: Fault, said: str):
     fault(fleet)
