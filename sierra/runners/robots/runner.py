@@ -40,6 +40,7 @@ from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
 from sierra.runners.robots.push import content_name, push_content, push_programs
 from sierra.runners.robots.trial import SETTLE_S, Part, Trial, each
 from sierra.store.layout import SessionPaths
+from sierra.store.segments import disk_errors
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_logger import Log
 from sierra.util.processors import name_of
@@ -205,7 +206,8 @@ class Robots:
                 for part in parts:
                     self._robots[part.name].take_changes(part.before.get("software"))
             if executed:
-                self._keep(trial, job)
+                with disk_errors(self._session.root):
+                    self._keep(trial, job)
         finally:
             self._trial = None
 

@@ -1,0 +1,122 @@
+"""A project whose runs move three robots of a fleet, and drivers of it: `sierra run --on robots` as processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+from sierra import Project
+from tests.support.robot_fleet import REPOSITORY, Fleet
+from tests.waiting import until
+
+LEASE_S = 3.0
+SWARM = """
+import os, sys, time
+place = int(os.environ["SIERRA_ROBOT"])
+with open("swarm.csv", "w") as file:
+    file.write("t,x\\n")
+    for t in range(TICKS):
+        file.write(f"{t},{t * place}\\n")
+        file.flush()
+        time.sleep(0.1)
+"""
+TABLES = f"""
+template = "experiment.xml"
+command = ["python3", "{{project}}/swarm.py", "{{seed}}"]
+[variables.speed]
+set = "//speed/@value"
+[outputs.swarm]
+file = "swarm.csv"
+time = "t"
+[robots]
+count = 3
+[runners.robots]
+stop = ["sh", "-c", "date >> /home/robot/stops"]
+disk_min = 1000000
+lease = {LEASE_S}
+grace = 1.0
+[links.fabric]
+"""
+RUN = ("run", "speed=1", "--on", "robots", "--no-figures")
+QUERY = (*RUN, "--runs", "2")
+
+
+def make(fleet: Fleet, folder: Path, ticks: int = 30, hosts: Mapping[str, str] | None = None) -> Path:
+    """Write a project whose robots move for `ticks` tenths of a second; return its folder.
+
+    `hosts` are other names of robots in the configuration of OpenSSH.
+    """
+    folder.mkdir(exist_ok=True)
+    move(folder, ticks)
+    (folder / "experiment.xml").write_text('<e><speed value="1"/></e>')
+    known = hosts or {}
+    robots = "".join(f'[runners.robots.fleet.{name}]\nhost = "{known.get(name, name)}"\n' for name in fleet.names)
+    (folder / "sierra.toml").write_text(f'{TABLES}ssh_config = "{fleet.ssh_config}"\n{robots}')
+    return folder
+
+
+def move(project: Path, ticks: int) -> None:
+    """Let the robots of a project move for `ticks` tenths of a second."""
+    (project / "swarm.py").write_text(SWARM.replace("TICKS", str(ticks)))
+
+
+def drive(project: Path, words: tuple[str, ...] = QUERY, step: tuple[str, str] | None = None) -> subprocess.Popen[str]:
+    """Start a driver; `step` are a signal that it sends itself, and when (see `tests.support.killed_driver`)."""
+    argv = [str(Path(sys.executable).with_name("sierra"))]
+    if step is not None:
+        argv = [sys.executable, "-m", "tests.support.killed_driver", *step]
+    return subprocess.Popen(
+        [*argv, *words],
+        cwd=project,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+
+
+def is_idle(fleet: Fleet, name: str) -> bool:
+    return not [line for line in fleet.commands(name) if "swarm.py" in line]
+
+
+def all_idle(fleet: Fleet, seconds: float = 10) -> None:
+    """Wait until no robot that is switched on executes a program of the project."""
+    on = [name for name, robot in fleet.robots.items() if robot.process is not None]
+    until(lambda: all(is_idle(fleet, name) for name in on), "all robots have stopped", seconds)
+
+
+def all_busy(fleet: Fleet, process: subprocess.Popen[str]) -> None:
+    """Wait until a driver's run executes on all robots."""
+
+    def busy() -> bool:
+        assert process.poll() is None, process.communicate()
+        return all(list(robot.home.rglob("swarm.csv")) for robot in fleet.robots.values())
+
+    until(busy, "all robots have begun", 60)
+
+
+def answered(project: Path, ticks: int = 30) -> None:
+    """Ask again, and check that each run has one successful execution, with all ticks of all robots in its table."""
+    process = drive(project)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    is_recorded(project, ticks)
+
+
+def is_recorded(project: Path, ticks: int) -> None:
+    """Check that both runs of QUERY have one successful execution, with all ticks of all robots in its table."""
+    rows = partial(rows_of, project)
+    assert rows("SELECT count(*), count(DISTINCT run) FROM executions WHERE status = 'ok'") == [(2, 2)]
+    swarm = "swarm JOIN executions USING (execution)"
+    counts = rows(f"SELECT robot, count(*) FROM {swarm} WHERE status = 'ok' GROUP BY robot ORDER BY robot")
+    assert counts == [(robot, 2 * ticks) for robot in (1, 2, 3)]
+    assert set(rows("SELECT count(DISTINCT place) FROM robots GROUP BY execution")) == {(3,)}
+
+
+def rows_of(project: Path, statement: str) -> list[tuple[object, ...]]:
+    return [tuple(row.values()) for row in Project(project).sql(statement).to_pylist()]
