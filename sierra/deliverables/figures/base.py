@@ -82,7 +82,7 @@ class Explorable(Protocol):
     """A kind whose data can be explored in a page of HTML. Of other kinds, the page shows the figure as it is printed."""
 
     def charts(self, drawing: Drawing) -> Sequence[Chart]:
-        """Return the same data as charts, one for each panel. `draw` has accepted the drawing."""
+        """Return the same data as charts, one for each panel. Raises UsageError if `draw` would."""
 
 
 class PlainKind:

@@ -176,6 +176,22 @@ def explorable(drawing: Drawing) -> tuple[Drawing, bytes]:
         return charted(shown), svg(painted(shown), shown)
 
 
+def explored(drawing: Drawing) -> tuple[Drawing, bytes]:
+    """Return a drawing with its complete small print and its charts; and its SVG file, but only if its kind has no charts.
+
+    Raises the errors of `draw`.
+    """
+    from sierra.deliverables.figures import style
+
+    check(drawing)
+    with style.applied(drawing.figure):
+        shown = charted(noted(drawing))
+        if shown.charts:
+            return shown, b""
+        with _freed():
+            return shown, svg(painted(shown), shown)
+
+
 def svg(figure: matplotlib.figure.Figure, drawing: Drawing) -> bytes:
     """Return the SVG file of a figure that is drawn already, with the metadata of `drawing`."""
     [(_, data)] = _files(figure, replace(drawing, formats=("svg",)), drawing.data)

@@ -94,15 +94,30 @@ def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int]
 
 def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:
     """Return a figure with a titled panel for each of these combinations of values; `facet` is the variable of its columns."""
-    check(len(shown))
-    columns = next((axis for axis in axes if axis.name == drawing.figure.facet), None)
-    if columns is None or len(shown) == 1:
+    columns = check_multiples(drawing, axes, shown)
+    if columns is None:
         figure, plots = style.panels(len(shown))
     else:
         figure, plots = _in_columns(axes, columns, shown)
     for plot, values in zip(plots, shown, strict=True):
         style.title(plot, style.point(axes, dict(zip((axis.name for axis in axes), values, strict=True))))
     return figure, plots
+
+
+def check_multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> Axis | None:
+    """Return the variable of the columns of panels, None if there is none. Raises UsageError for too many panels."""
+    check(len(shown))
+    columns = next((axis for axis in axes if axis.name == drawing.figure.facet), None)
+    if columns is None or len(shown) == 1:
+        return None
+    if (count := len(_used(axes, columns, shown))) > WIDE:
+        raise UsageError(f"facet: {columns.name} has {count} values, but at most {WIDE} columns of panels are possible")
+    return columns
+
+
+def _used(axes: Sequence[Axis], columns: Axis, shown: Sequence[tuple[Value, ...]]) -> list[Value]:
+    at = axes.index(columns)
+    return [value for value in columns.values if any(values[at] == value for values in shown)]
 
 
 def experiments(drawing: Drawing, ordinals: Iterable[int]) -> tuple[Figure, dict[int, Axes]]:
@@ -129,10 +144,7 @@ def check(count: int) -> None:
 
 def _in_columns(axes: Sequence[Axis], columns: Axis, shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:
     """Return panels in a grid: a column for each value of one variable, and a row for each combination of the others."""
-    at = axes.index(columns)
-    used = [value for value in columns.values if any(values[at] == value for values in shown)]
-    if len(used) > WIDE:
-        raise UsageError(f"facet: {columns.name} has {len(used)} values, but at most {WIDE} columns of panels are possible")
+    at, used = axes.index(columns), _used(axes, columns, shown)
     rows = list(dict.fromkeys((*values[:at], *values[at + 1 :]) for values in shown))
     places = [rows.index((*values[:at], *values[at + 1 :])) * len(used) + used.index(values[at]) for values in shown]
     return style.grid(places, len(used))

@@ -76,6 +76,8 @@ def content(drawing: Drawing, svg: bytes, origin: str) -> Content:
 def over_time(drawing: Drawing) -> list[Chart]:
     """Return a chart for each combination of the other variables, with a line for each value of the first."""
     (table,) = drawing.tables.values()
+    facets.check_multiples(drawing, drawing.axes[1:], timeseries.others(drawing))
+    _check_y(drawing)
     first, slices = timeseries.first_axis(drawing), timeseries.by_experiment(table)
     entries = dict(zip(first.values, zip(style.names(first.values, NAME), style.looks(first), strict=True), strict=True))
     ordered = sorted(slices, key=lambda ordinal: first.values.index(timeseries.value_of(drawing, ordinal)))
@@ -94,6 +96,8 @@ def over_variable(drawing: Drawing) -> list[Chart]:
     """Return a chart for each value of `facet`, with points for each combination of the other variables."""
     (table,) = drawing.tables.values()
     within = facets.panels(drawing)
+    style.check_x(within.first, log=drawing.figure.log_x)
+    _check_y(drawing)
     entries, first = list(zip(style.names(within.groups.values, NAME), style.looks(within.groups), strict=True)), within.first
     ordinals = table.column("experiment").to_pylist()
     facet = [axis for axis in drawing.axes if axis.name == drawing.figure.facet]
@@ -108,6 +112,11 @@ def over_variable(drawing: Drawing) -> list[Chart]:
             panels.append(_Panel(style.point(facet, drawing.cells[ordinals[own[0]]]) if facet else "", lines))
     x = _variable(drawing, first, [axis.name for axis in drawing.axes].index(first.name) if drawing.axes else -1)
     return _charts(drawing, panels, x, style.axis_label(within.groups), form="points", joined=first.numeric)
+
+
+def _check_y(drawing: Drawing) -> None:
+    (table,) = drawing.tables.values()
+    style.check_y(drawing, style.span(style.column(table, bands.columns(drawing.figure)[0]))[1])
 
 
 def _variable(drawing: Drawing, axis: Axis, column: int) -> ChartAxis:

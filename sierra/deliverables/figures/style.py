@@ -514,9 +514,8 @@ def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> 
     if not axis.numeric:
         side_by_side(plot, axis)
         return
+    check_x(axis, log=log)
     values = numbers(axis)
-    if log and min(values) <= 0:
-        raise UsageError(f"log_x needs values above 0, but {axis.name} has {number(min(values))}")
     if log or geometric(axis.values):
         plot.set_xscale("log", base=2)
     low, high = min(values), max(values)
@@ -531,6 +530,12 @@ def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> 
         plot.xaxis.set_major_locator(FixedLocator(ticks))
         plot.xaxis.set_major_formatter(_table(dict(zip(ticks, names(ticks), strict=True))))
         plot.xaxis.set_minor_locator(NullLocator())
+
+
+def check_x(axis: Axis, *, log: bool) -> None:
+    """Raise UsageError if a logarithmic x axis cannot show the values of an independent variable."""
+    if log and axis.numeric and (lowest := min(numbers(axis))) <= 0:
+        raise UsageError(f"log_x needs values above 0, but {axis.name} has {number(lowest)}")
 
 
 def side_by_side(plot: Axes, axis: Axis, *, most: int = 20) -> None:
@@ -556,12 +561,16 @@ def side_by_side(plot: Axes, axis: Axis, *, most: int = 20) -> None:
 
 def scale_y(plot: Axes, drawing: Drawing, lowest: float, highest: float) -> None:
     """Make the y axis logarithmic if the figure declares it. Raises UsageError if no value is above 0."""
-    if not drawing.figure.log_y:
-        return
-    if not highest > 0:
+    check_y(drawing, highest)
+    if drawing.figure.log_y:
+        plot.set_yscale("log", nonpositive="clip")
+        log_ticks(plot.yaxis, lowest, highest)
+
+
+def check_y(drawing: Drawing, highest: float) -> None:
+    """Raise UsageError if a logarithmic y axis cannot show any value."""
+    if drawing.figure.log_y and not highest > 0:
         raise UsageError("log_y needs values above 0, but there are none")
-    plot.set_yscale("log", nonpositive="clip")
-    log_ticks(plot.yaxis, lowest, highest)
 
 
 def log_ticks(of: XAxis | YAxis, lowest: float, highest: float) -> None:
