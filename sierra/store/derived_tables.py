@@ -95,6 +95,8 @@ class DerivedTables:
         self._views = views
         self._rules = rules
         self._outputs = {name.lower(): name for name in outputs}
+        self.settings: tuple[str, ...] = ()
+        """Statements that set up the connection again after a table was made under limits of its own."""
         self._known: dict[str, Definition] | None = None
         self._made: dict[str, Made | SierraError] = {}
         self._making: list[Definition] = []
@@ -168,8 +170,12 @@ class DerivedTables:
         text = definition.text
         rows = text if ordered else f"SELECT * FROM (\n{text}\n) ORDER BY ALL"
         table = identifier(definition.name)
-        with limited(self._connection(), self._rules().limits, definition.origin) as connection:
-            connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
+        try:
+            with limited(self._connection(), self._rules().limits, definition.origin) as connection:
+                connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
+        finally:
+            for setting in self.settings:
+                self._connection().execute(setting)
         described = self._connection().execute(f"DESCRIBE {table}").fetchall()
         count = self._connection().execute(f"SELECT count(*) FROM {table}").fetchall()[0][0]
         return Made({row[0]: row[1] for row in described}, count, ordered)

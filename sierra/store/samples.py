@@ -123,6 +123,10 @@ class Frame:
     def __exit__(self, *_: object) -> None:
         self._closing.close()
 
+    def unlock(self) -> None:
+        """Free the lock that protects the segments from removal. Whoever uses the frame afterwards must hold it."""
+        self._snapshot.unlock()
+
     def interrupt(self) -> None:
         """End the statement that another thread executes for this frame; it raises an error there."""
         self._snapshot.interrupt()

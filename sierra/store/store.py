@@ -177,8 +177,7 @@ class Store:
                 rules=self.rules,
                 replays=self._replays,
             )
-            for setting in self.settings:
-                made.run(setting)
+            made.set_up(self.settings)
             return made
         except BaseException:
             shared.close()
@@ -306,6 +305,7 @@ class Snapshot:
         self._shared = shared
         self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
         self._reading: Rows | None = None
+        self._settled = False
         self.segments = segments
         self.views = Views(lambda: self.connection, segments, within, replays)
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, outputs(segments))
@@ -323,10 +323,27 @@ class Snapshot:
         return self
 
     def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
-        if kind is None:
+        if kind is None and not self._settled:
             self._opened.keep(self.views.made)
         else:
             self._opened.close()
+        self.unlock()
+
+    def set_up(self, settings: Sequence[str]) -> None:
+        """Execute statements that set up the connection, for all statements to come."""
+        self.derived.settings = tuple(settings)
+        for setting in settings:
+            self.run(setting)
+
+    def settle(self) -> None:
+        """Compute once what each statement on an output needs: worth it for a snapshot that answers many statements."""
+        if not self._settled:
+            self._settled = True
+            with self._errors():
+                self.views.settle()
+
+    def unlock(self) -> None:
+        """Free the lock that protects the segments from removal. Whoever uses the snapshot afterwards must hold it."""
         if self._shared is not None:
             self._shared.close()
 

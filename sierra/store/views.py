@@ -60,6 +60,8 @@ ONCE = {
 }
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 
+SETTLED = "settled"
+"""The schema of tables that replace views: see `Views.settle`."""
 FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
 
 
@@ -121,6 +123,14 @@ class Views:
         self._made.add(name)
         self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
         self.made.append(identifier(name))
+
+    def settle(self) -> None:
+        """Compute now which executions are effective, and the variables of runs, which each statement on an output needs."""
+        self._execute(f"CREATE SCHEMA {SETTLED}")
+        for name in ("effective", "points"):
+            self._make(name)
+            self._execute(f"CREATE TABLE {SETTLED}.{name} AS FROM {name}")
+            self._execute(f"CREATE OR REPLACE VIEW {name} AS FROM {SETTLED}.{name}")
 
     def axes(self) -> list[str]:
         """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
