@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from sierra.packages.parts.metadata import Metadata
     from sierra.packages.reading.differences import PackageDifferences
     from sierra.packages.reading.imports import Imported
+    from sierra.packages.reading.received import Received
     from sierra.packages.reproduction.outcome import Reproduction, Statement
     from sierra.packages.subject import ImageForm
     from sierra.provenance.commits_between import Known as CommitInRepository
@@ -1021,11 +1022,11 @@ class Project:
         """
         return self._deliver(self.batch(prefix), name, formats=formats)
 
-    def explorer(self, *, port: int = 0, write: bool = False) -> Server:
+    def explorer(self, *, port: int = 0, write: bool = False, package: Received | None = None) -> Server:
         """Return a server on 127.0.0.1 for a page that explores batches; `url` is its address, `serve` answers until `close`.
 
-        `port`: 0 takes a free one. With `write`, the page may add figures to `sierra.toml`. Raises Missing for a port that is
-        taken.
+        `port`: 0 takes a free one. With `write`, the page may add figures to `sierra.toml`. `package`: the package that this
+        project belongs to; nothing of it is executed. Raises Missing for a port that is taken.
 
         >>> server = project.explorer()
         >>> server.url.startswith("http://127.0.0.1:")
@@ -1034,8 +1035,16 @@ class Project:
         """
         from sierra.deliverables.explorer.answers import Answers
         from sierra.deliverables.explorer.server import Server
+        from sierra.deliverables.report import make
 
-        return Server(Answers(self._read, self.store, writes=write), self.root.name, port)
+        def source() -> make.Source:
+            if package is None:
+                return make.Source(self._read(), self.store, self.compare_declared)
+            from sierra.packages.reading import report
+
+            return make.received(report.source(package))
+
+        return Server(Answers(source, self.store, writes=write), self.root.name, port)
 
     def videos(
         self,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli.output import note
+from sierra.cli.output import note, print_json
 from sierra.errors import UsageError
 
 
@@ -18,6 +18,9 @@ def explore(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, if this is a terminal.")
     ] = True,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object instead of text; the browser is not opened.")
+    ] = False,
 ) -> None:
     """Explore batches in the browser: charts, and SQL over the store.
 
@@ -29,16 +32,22 @@ def explore(
       sierra explore
       sierra explore --port 8080 --no-browser
       sierra explore --write
+      sierra explore --json
     """
     from sierra.cli.open_project import project
+    from sierra.deliverables.explorer.server import ADDRESS
 
     if write and context.obj is not None:
         raise UsageError("a package is never changed; leave out --write")
-    server = project().explorer(port=port, write=write)
-    print(server.url, flush=True)
-    note("Ctrl-C ends the server")
-    if browser and sys.stdout.isatty():
-        _open(server.url)
+    server = project().explorer(port=port, write=write, package=context.obj)
+    if as_json:
+        print_json({"address": server.url, "host": ADDRESS, "port": server.port, "token": server.token, "writes": write})
+        sys.stdout.flush()
+    else:
+        print(server.url, flush=True)
+        note("Ctrl-C ends the server")
+        if browser and sys.stdout.isatty():
+            _open(server.url)
     try:
         server.serve()
     except KeyboardInterrupt:

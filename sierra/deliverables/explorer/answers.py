@@ -1,4 +1,4 @@
-"""Answers to the questions of the explorer's page: lists, rows of SQL, charts, and the lines of `sierra.toml` that draw them.
+"""Answers to the questions of the explorer's page: lists, rows of SQL, charts, reports, and lines of `sierra.toml`.
 
 Each answer comes from the newest state of the store, and from `sierra.toml` as it is then. Questions are answered one after the
 other, each within a time limit.
@@ -8,34 +8,33 @@ from __future__ import annotations
 
 import copy
 import threading
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from datetime import UTC
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
-from sierra.config import project_file
-from sierra.config.deliverable_tables import Figure
-from sierra.config.find_project import ProjectFolder
+from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.plugin_registry import FIGURES
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
+from sierra.deliverables.explorer import batch_list, declarations, recorded_files
+from sierra.deliverables.explorer.batch_list import BatchList
+from sierra.deliverables.explorer.kept import Interruptible, Kept
+from sierra.deliverables.explorer.limit import Limit
+from sierra.deliverables.explorer.tickets import Made, Tickets
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
 from sierra.deliverables.record import origin_of
-from sierra.errors import SierraError, UsageError
-from sierra.execution import list_batches
-from sierra.store.layout import PYPROJECT
+from sierra.errors import NotFound, UsageError
+from sierra.store.read_lock import Shared
 from sierra.store.samples import Frame
 from sierra.store.schema import TABLE_NAMES
 from sierra.store.store import Snapshot, Store
-from sierra.util.fs import write_whole
-from sierra.util.hashing import digest, sha256
+from sierra.util.hashing import digest, short
 from sierra.util.json_types import JsonView
 
 if TYPE_CHECKING:
-    from sierra.execution.list_batches import ListedBatch
+    from sierra.deliverables.figures.drawing import Drawing
+    from sierra.deliverables.report.make import Source
     from sierra.store.sql_result import Answer, SqlValue
 
 ROWS = 1000
@@ -43,38 +42,52 @@ ROWS = 1000
 LETTERS = 10_000
 """The largest number of letters of a value."""
 WALL_S = 30.0
-AGAIN_S = 0.1
-MEMORY = "SET memory_limit = '2GB'"
+REPORT_WALL_S = 600.0
+SETTINGS = ("SET memory_limit = '2GB'", "SET max_temp_directory_size = '0B'")
+"""Limits on all statements: a statement from the page must not fill the memory or the disk."""
 COLUMNS = "SELECT table_name, column_name, data_type FROM information_schema.columns ORDER BY table_name, ordinal_position"
 STOPPED = "stopped"
 
 
 class Answers:
-    """The answers about one project."""
+    """The answers about one project or package."""
 
-    def __init__(self, load: Callable[[], LoadedProject], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
-        """`load` reads the project again. With `writes`, charts may be written to `sierra.toml`. `wall`: time limit, in s."""
-        self._load = load
+    def __init__(self, source: Callable[[], Source], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
+        """`source` reads the project again. With `writes`, charts may be written to `sierra.toml`. `wall`: time limit, in s."""
+        self._source = source
         self._store = copy.copy(store)
-        self._store.settings = (*store.settings, MEMORY)
+        self._store.settings = (*store.settings, *SETTINGS)
         self._writes = writes
         self._wall = wall
         self._one = threading.Lock()
         """Held while a question is answered."""
-        self._limit: _Limit | None = None
+        self._limit: Limit | None = None
+        self._snapshots, self._frames = Kept[Snapshot](), Kept[Frame]()
+        self._batches: BatchList | None = None
+        self._reports: tuple[object, str] = (None, "")
+        self.tickets = Tickets()
 
     def overview(self) -> JsonView:
-        """Return the batches, the newest first, and the choices of forms."""
-        state = self.state()
-        listed = list_batches.batches(self._store)
-        project = self._load()
+        """Return the facts about the project, and the choices of forms."""
+        project = self._project()
         return {
             "project": project.root.name,
             "writes": self._writes,
+            "package": self._source().received is not None,
             "kinds": list(FIGURES.names()),
-            "batches": [_batch(one) for one in reversed(listed)],
-            "state": state,
+            "state": self.state(),
         }
+
+    def batches(self, words: str = "", first: int = 0, *, again: bool = False) -> JsonView:
+        """Return a part of the list of batches: those that contain all words, from the one at the place `first` on.
+
+        `again`: also read what is not recorded yet, such as the state of clusters.
+        """
+        with self._one:
+            state = self.state()
+            if again or self._batches is None or self._batches.state != state:
+                self._batches = batch_list.read(self._store, state)
+            return self._batches.part(words, max(0, first))
 
     def state(self) -> str:
         """Return a hash that changes whenever something is recorded or removed."""
@@ -92,47 +105,109 @@ class Answers:
         return {"of_runs": of_runs, "of_store": of_store}
 
     def batch(self, batch: str) -> JsonView:
-        """Return the variables of a batch and its figures: those that are declared, or else the default ones."""
+        """Return a batch with its variables, its videos, and its figures: those that are declared, or else the default ones."""
+        project = self._project()
         with self._frame(batch) as frame:
-            gallery = Gallery(self._load(), self._store, frame)
+            gallery = Gallery(project, self._store, frame)
             figures, notes = gallery.wanted(None)
-            keys = {name: _keys(figure) for name, figure in figures.items()}
-            return {"variables": [axis.name for axis in frame.axes()], "figures": keys, "notes": [*notes, *gallery.notes]}
+            return {
+                **self._facts(frame.batch),
+                "variables": [axis.name for axis in frame.axes()],
+                "figures": {name: _keys(figure) for name, figure in figures.items()},
+                "notes": [*notes, *gallery.notes],
+                "videos": recorded_files.videos(self._store, project.root, frame.batch, self.tickets),
+            }
+
+    def _facts(self, batch: str) -> dict[str, JsonView]:
+        """Return what the list says about one batch, and how many of its runs are being executed."""
+        from sierra.deliverables.report.batch_state import executing
+
+        state = self.state()
+        if self._batches is None or self._batches.state != state:
+            self._batches = batch_list.read(self._store, state)
+        one = next((one for one in self._batches.batches if one.batch == batch), None)
+        if one is None:
+            raise NotFound(f"batch {short(batch)} has been removed")
+        return {"facts": batch_list.as_data(one), "executing": executing(self._store, batch) if one.missing else 0}
 
     def query(self, statement: str, batch: str | None = None) -> JsonView:
         """Return the first rows of a statement, which can only read the store."""
         with self._snapshot(batch) as snapshot:
+            snapshot.settle()
             return snapshot.ask(statement, {}, _rows, theirs=True)
 
-    def chart(self, batch: str, name: str, keys: Mapping[str, JsonView]) -> JsonView:
-        """Return a figure as a section of a page, with the lines of `sierra.toml` that declare it."""
+    def chart(self, batch: str, name: str, keys: Mapping[str, JsonView], others: Sequence[str] = ()) -> JsonView:
+        """Return a figure as a section of a page, with the lines of `sierra.toml` that declare it.
+
+        With `others`, the figure shows these batches too.
+        """
         from sierra.deliverables.figures import interactive
-        from sierra.deliverables.figures.drawing import explorable
+        from sierra.deliverables.figures.drawing import explored
         from sierra.deliverables.html import section
 
-        project, figure = self._load(), options(Figure, dict(keys), "chart")
-        with self._frame(batch) as frame:
-            only = {figure.table} if figure.table or figure.sql else None
-            drawing, svg = explorable(Gallery(project, self._store, frame, only=only).drawing(name, figure))
-        origin = origin_of(drawing.batch, drawing.data)
-        content = interactive.content(drawing, b"" if drawing.charts else svg, origin)
-        return {"section": section(content), "toml": lines(project.file, name, keys), "file": _hash(project.file)}
+        project, figure = self._project(), options(Figure, dict(keys), "chart")
+        with self._drawing(project, batch, name, figure, others) as (made, command):
+            drawing, svg = explored(made)
+        origin = origin_of(drawing.batch, drawing.data, *[one for one in drawing.together.values() if one != drawing.batch])
+        content = interactive.content(drawing, svg, origin)
+        return {"section": section(content), "command": command, **self._declared(project, "figures", name, keys)}
 
-    def write(self, name: str, keys: Mapping[str, JsonView], file: str) -> JsonView:
-        """Append a figure to `sierra.toml`, which must still have the hash `file`. Return the figures that it declares then."""
+    @contextmanager
+    def _drawing(
+        self, project: LoadedProject, batch: str, name: str, figure: Figure, others: Sequence[str]
+    ) -> Iterator[tuple[Drawing, str]]:
+        """Yield the drawing of one batch or of several, and the command that draws it once it is declared."""
+        from sierra.deliverables.explorer import together
+
+        if not others:
+            with self._frame(batch, figure.sql) as frame:
+                only = {figure.table} if figure.table or figure.sql else None
+                drawing = Gallery(project, self._store, frame, only=only).drawing(name, figure)
+                yield drawing, f"sierra figures {short(frame.batch)} {name}"
+            return
+        with ExitStack() as opened:
+            opened.enter_context(self._one)
+            batches = [self._store.batch_id(one) for one in (batch, *others)]
+            groups = together.labelled(project, self._store, batches)
+            frames = {label: opened.enter_context(Frame(self._store, one)) for label, one in groups.items()}
+            opened.enter_context(self._limited(*[frame.interrupt for frame in frames.values()]))
+            drawing = together.drawing(project, self._store, name, figure, frames)
+            yield drawing, together.command("figures", groups, name)
+
+    def compare(self, batches: Sequence[str], name: str, keys: Mapping[str, JsonView]) -> JsonView:
+        """Return the comparison of batches as a section of a page, with the lines of `sierra.toml` that declare it."""
+        from sierra.deliverables.explorer import together
+
+        project = self._project()
+        options(Comparison, dict(keys), "comparison")
+        with self._one:
+            groups = together.labelled(project, self._store, [self._store.batch_id(one) for one in batches])
+            section = together.compared(project, self._store, name, groups, keys)
+        declared = together.declared(groups, keys)
+        command = f"sierra compare {name}"
+        return {"section": section, "command": command, **self._declared(project, "comparisons", name, declared)}
+
+    def report(self, batch: str) -> JsonView:
+        """Return the address of the report of a batch, the page that `sierra report` writes, and notes on what it lacks."""
+        from sierra.deliverables.report import make, recorded
+
+        source = self._source()
+        key = (batch, self.state(), declarations.hash_of(source.project.file))
+        with self._one:
+            before, address = self._reports
+            if before == key and self.tickets.find(address):
+                return {"address": address, "notes": []}
+            with self._limited(wall=REPORT_WALL_S) as limit:
+                made = make.of_batches(source, [self._store.batch_id(batch)], lambda _: limit.check())
+            self._reports = key, self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
+            return {"address": self._reports[1], "notes": list(made.notes)}
+
+    def write(self, name: str, keys: Mapping[str, JsonView], file: str, kind: declarations.Kind = "figures") -> JsonView:
+        """Append a figure or a comparison to `sierra.toml`, which must still have the hash `file`. Return the figures there."""
         if not self._writes:
             raise UsageError("this explorer changes no files; start it with: sierra explore --write")
-        project = self._load()
-        project.check_written()
         with self._one:
-            if _hash(project.file) != file:
-                raise UsageError(f"{project.file.name} has changed since the chart was drawn; draw the chart again")
-            if name in project.config.figures:
-                raise UsageError(f"{project.file.name} has a figure {name!r} already; choose another name")
-            before = project.file.read_bytes()
-            after = before.rstrip() + b"\n\n" + lines(project.file, name, keys).encode()
-            found = _declared(project, after)
-            write_whole(project.file, after)
+            found = declarations.append(self._project(), kind, name, keys, file)
         return {"figures": list(found.config.figures)}
 
     def stop(self) -> JsonView:
@@ -141,103 +216,75 @@ class Answers:
             limit.stop(STOPPED)
         return None
 
+    def close(self) -> None:
+        """End the answer that is computed now, and close what is open."""
+        self.stop()
+        with self._one:
+            self._snapshots.close()
+            self._frames.close()
+
+    def _project(self) -> LoadedProject:
+        return self._source().project
+
+    def _declared(
+        self, project: LoadedProject, kind: declarations.Kind, name: str, keys: Mapping[str, JsonView]
+    ) -> dict[str, JsonView]:
+        """Return the lines that declare this, and what `write` needs to append them."""
+        return {
+            "toml": declarations.lines(project.file, kind, name, keys),
+            "file": declarations.hash_of(project.file),
+            "kind": kind,
+            "name": name,
+            "keys": dict(keys),
+        }
+
     @contextmanager
     def _snapshot(self, batch: str | None) -> Iterator[Snapshot]:
-        within = self._store.batch_id(batch) if batch else None
-        with self._one, self._store.snapshot(within) as snapshot, self._limited(snapshot.interrupt):
-            yield snapshot
+        with self._reading() as key:
+            within = self._id(batch, key[0]) if batch else None
+            with self._snapshots.opened((*key, within), lambda: self._store.snapshot(within), self._interrupted) as snapshot:
+                yield snapshot
 
     @contextmanager
-    def _frame(self, batch: str) -> Iterator[Frame]:
-        with self._one, Frame(self._store, self._store.batch_id(batch)) as frame, self._limited(frame.interrupt):
-            yield frame
+    def _frame(self, batch: str, sql: str = "") -> Iterator[Frame]:
+        """Yield the data of a batch. `sql`: the statement of a figure, which is added to the frame as a table."""
+        with self._reading() as key:
+            whole = self._id(batch, key[0])
+            with self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole), self._interrupted) as frame:
+                yield frame
 
     @contextmanager
-    def _limited(self, interrupt: Callable[[], None]) -> Iterator[None]:
-        """Call `interrupt` after the time limit, or at `stop`. Raises SierraError if this ended what is within."""
-        self._limit = limit = _Limit(interrupt, self._wall)
+    def _reading(self) -> Iterator[tuple[object, ...]]:
+        """Protect the segments of the store while a question is answered. Yield what all answers depend on."""
+        with self._one:
+            shared = Shared(self._store.paths.reading)
+            try:
+                yield self.state(), self._store.rules()
+            finally:
+                shared.close()
+
+    def _id(self, batch: str, state: object) -> str:
+        """Return the id of a batch from a prefix; quickly, if the list of batches in this state of the store has it."""
+        listed = self._batches.batches if self._batches and self._batches.state == state else ()
+        return batch if any(one.batch == batch for one in listed) else self._store.batch_id(batch)
+
+    def _interrupted(self, opened: Interruptible) -> AbstractContextManager[Limit]:
+        return self._limited(opened.interrupt)
+
+    @contextmanager
+    def _limited(self, *interrupts: Callable[[], None], wall: float | None = None) -> Iterator[Limit]:
+        """Call `interrupts` after the time limit, or at `stop`. Raises SierraError if this ended what is within."""
+        self._limit = limit = Limit(interrupts, wall or self._wall)
         try:
             with limit:
-                yield
+                yield limit
         finally:
             self._limit = None
-
-
-class _Limit:
-    """A context manager that interrupts what is within, again and again, once its time is over or `stop` was called."""
-
-    def __init__(self, interrupt: Callable[[], None], wall: float) -> None:
-        self._interrupt = interrupt
-        self._wall = wall
-        self._due, self._ended = threading.Event(), threading.Event()
-        self._reason = ""
-        self._watch = threading.Thread(target=self._wait, daemon=True)
-
-    def __enter__(self) -> None:
-        self._watch.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
-        self._ended.set()
-        self._due.set()
-        self._watch.join()
-        if self._reason and isinstance(error, SierraError):
-            raise SierraError(self._reason) from error
-
-    def stop(self, reason: str) -> None:
-        self._reason = self._reason or reason
-        self._due.set()
-
-    def _wait(self) -> None:
-        if not self._due.wait(self._wall):
-            self.stop(f"no answer within {self._wall:g} s; ask for less, or use sierra sql, which has no time limit")
-        while not self._ended.is_set():
-            self._interrupt()
-            self._ended.wait(AGAIN_S)
-
-
-def lines(file: Path, name: str, keys: Mapping[str, JsonView]) -> str:
-    """Return the lines that declare a figure in a project's file."""
-    import tomlkit
-
-    figure = tomlkit.table()
-    for key, value in keys.items():
-        figure.add(key, list(value) if isinstance(value, tuple) else value)
-    inner = {"figures": {name: figure}}
-    return tomlkit.dumps({"tool": {"sierra": inner}} if file.name == PYPROJECT else inner)
-
-
-def _declared(project: LoadedProject, data: bytes) -> LoadedProject:
-    """Return the project whose file has other content. Raises ConfigError if that is invalid."""
-    try:
-        table = tomllib.loads(data.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"nothing can be appended to {project.file.name}: {error}") from error
-    own = table["tool"]["sierra"] if project.file.name == PYPROJECT else table
-    return project_file.of_table(ProjectFolder(project.root, project.file), own)
-
-
-def _hash(file: Path) -> str:
-    return sha256(file.read_bytes()) if file.is_file() else ""
 
 
 def _keys(figure: Figure) -> JsonView:
     keys: JsonView = figure.model_dump(mode="json", exclude_unset=True, by_alias=True)
     return keys
-
-
-def _batch(one: ListedBatch) -> JsonView:
-    return {
-        "batch": one.batch,
-        "query": one.query,
-        "requested": f"{(one.submitted or one.created).astimezone(UTC):%Y-%m-%d %H:%M} UTC",
-        "targets": list(one.targets),
-        "experiments": one.experiments,
-        "runs": one.runs,
-        "failed": one.failed,
-        "missing": one.missing,
-        "running": len(one.clusters),
-        "package": one.package,
-    }
 
 
 def _rows(answer: Answer) -> JsonView:

@@ -15,12 +15,16 @@ import traceback
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import SEEK_END, BytesIO
 from typing import cast
 
 from sierra.config.field_types import RawTable, Table
 from sierra.config.validate import options
 from sierra.deliverables.explorer.answers import Answers
+from sierra.deliverables.explorer.declarations import Kind
 from sierra.deliverables.explorer.page import page
+from sierra.deliverables.explorer.ranges import BadRange, Range
+from sierra.deliverables.explorer.tickets import Made
 from sierra.errors import Missing, SierraError
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_logger import Log
@@ -34,7 +38,7 @@ SILENCE_S = 30
 """The seconds in which a client must have sent a question that it began."""
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Content-Security-Policy": "frame-ancestors 'self'",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -55,6 +59,18 @@ class _Batch(Table):
     batch: str
 
 
+class _Batches(Table):
+    words: str = ""
+    first: int = 0
+    again: bool = False
+
+
+class _Compare(Table):
+    batches: tuple[str, ...]
+    name: str
+    keys: RawTable
+
+
 class _Query(Table):
     statement: str
     batch: str | None = None
@@ -64,21 +80,26 @@ class _Chart(Table):
     batch: str
     name: str
     keys: RawTable
+    others: tuple[str, ...] = ()
 
 
 class _Write(Table):
     name: str
     keys: RawTable
     file: str
+    kind: Kind = "figures"
 
 
 QUESTIONS: Mapping[str, type[Table]] = {
     "overview": _Nothing,
+    "batches": _Batches,
     "state": _Nothing,
     "tables": _Tables,
     "batch": _Batch,
     "query": _Query,
     "chart": _Chart,
+    "compare": _Compare,
+    "report": _Batch,
     "write": _Write,
     "stop": _Nothing,
 }
@@ -103,6 +124,11 @@ class Server:
         self._serving = False
 
     @property
+    def token(self) -> str:
+        """Return the secret that each question must have in the header `X-Sierra-Token`."""
+        return self._http.token
+
+    @property
     def url(self) -> str:
         """Return the address of the page, with the token."""
         return f"http://{ADDRESS}:{self.port}/#{self._http.token}"
@@ -118,6 +144,7 @@ class Server:
         if self._serving:
             self._http.shutdown()
         self._http.server_close()
+        self._http.answers.close()
 
 
 class _Http(ThreadingHTTPServer):
@@ -146,14 +173,14 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.FORBIDDEN, "this address is not that of the explorer")
         elif self.path == "/":
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page)
+        elif made := self.server.answers.tickets.find(self.path):
+            self._send_made(made)
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is only one page")
 
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
-        if not self._is_ours() or not hmac.compare_digest(
-            self.headers.get(KEY_HEADER, "").encode(), self.server.token.encode()
-        ):
+        if not self._is_ours() or not self._has_token():
             self._refuse(HTTPStatus.FORBIDDEN, "open the address that sierra explore has printed")
         elif not length.isascii() or not length.isdigit() or int(length) > LONGEST:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a question has at most {LONGEST:,} bytes")
@@ -161,6 +188,20 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "unknown question")
         else:
             self._answer(name, self.rfile.read(int(length)))
+
+    def _send_made(self, made: Made) -> None:
+        """Send a page or a file, or the part of it that the browser wants."""
+        try:
+            with BytesIO(made.content) if isinstance(made.content, bytes) else made.content.open("rb") as file:
+                wanted = Range.of(self.headers.get("Range"), file.seek(0, SEEK_END))
+                file.seek(wanted.start)
+                self._begin(wanted.status, made.kind, wanted.length, wanted.headers)
+                for length in wanted.pieces():
+                    self.wfile.write(file.read(length))
+        except BadRange as error:
+            self._refuse(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, str(error))
+        except FileNotFoundError:
+            self._refuse(HTTPStatus.NOT_FOUND, "the file has been removed")
 
     def _answer(self, name: str, body: bytes) -> None:
         try:
@@ -194,16 +235,26 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(status, "application/json", json.dumps(content, allow_nan=False).encode())
 
     def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+        self._begin(status, kind, len(body))
+        self.wfile.write(body)
+
+    def _begin(self, status: HTTPStatus, kind: str, length: int, more: Mapping[str, str] | None = None) -> None:
+        """Send the headers of an answer of this length, in bytes."""
         self.send_response(status)
-        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(len(body))}.items():
+        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(length), **(more or {})}.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
 
     def log_message(self, format: str, *args: object) -> None:
         log.debug(format, *args)
 
 
 def _prepare() -> None:
-    """Load the library that draws figures, so that the first chart does not wait for it."""
-    import matplotlib.figure  # noqa: F401
+    """Load what the first chart needs, so that it does not wait for it."""
+    import pyarrow.compute  # noqa: F401, ICN001
+
+    from sierra.deliverables.figures import interactive, style, summary, timeseries  # noqa: F401
+    from sierra.stats import aggregate  # noqa: F401
+
+    with style.settings():  # also reads the font
+        pass

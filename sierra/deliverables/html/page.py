@@ -11,7 +11,7 @@ from pathlib import Path
 from sierra.deliverables.html.escaping import text
 
 ASSETS = Path(__file__).with_name("assets")
-ASKS = "; connect-src 'self'"
+ASKS = "; frame-src 'self'; media-src 'self'; connect-src 'self'"
 PLAYS = "; media-src data:"
 UPLOT = "uplot"
 """The folder of uPlot 1.6.32, which draws the charts, as its package on npm has it: see THIRD-PARTY.md."""
@@ -29,12 +29,13 @@ def page(
     """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name.
 
     `extra` is the name of a further script and a further style in `assets`. With `asks`, scripts may ask the server that sent
-    the page. With `plays`, the page may have videos, which are in the page itself.
+    the page, and show its pages and videos. With `plays` instead, the page may have videos, which are in the page itself.
     """
     script, style = _script(extra), _style(extra)
+    images = "data: 'self'" if asks else "data:"
     policy = (
-        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
-        f"base-uri 'none'; form-action 'none'{ASKS if asks else ''}{PLAYS if plays else ''}"
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src {images}; "
+        f"base-uri 'none'; form-action 'none'{ASKS if asks else PLAYS if plays else ''}"
     )
     facts = [f'<meta name="{text(name)}" content="{text(content)}">' for name, content in (metadata or {}).items()]
     lines = (
@@ -44,6 +45,7 @@ def page(
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<meta name="color-scheme" content="light dark">',
         *facts,
+        *(['<link rel="icon" href="data:,">'] if asks else []),
         f"<title>{text(title)}</title>",
         f"<style>{style}</style></head><body>",
         *sections,

@@ -92,10 +92,10 @@ def read(project: LoadedProject, store: Store, batch: str) -> BatchState:
         states.setdefault(row.ordinal, {})[row.state] = row.runs
     own = targets.of_batch(project, store, batch)
     missing = any(state in LEFT_OUT for some in states.values() for state in some)
-    return BatchState(own, store, shown, states, _executing(store, batch) if missing else 0)
+    return BatchState(own, store, shown, states, executing(store, batch) if missing else 0)
 
 
-def _executing(store: Store, batch: str) -> int:
+def executing(store: Store, batch: str) -> int:
     """Return how many runs of a batch living sessions have claimed; 0 in a store that cannot be written."""
     claimed: set[str] = set()
     with contextlib.suppress(SierraError), sessions.exclusively(store.paths) as locks:

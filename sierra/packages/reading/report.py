@@ -21,13 +21,21 @@ def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Wr
     """
     file = package.path.with_name(f"{package.path.stem}-report.html") if to is None else to
     files.check(file)
-    described, config = package.manifest, package.project.config.package
-    about = config.model_copy(update={"date": config.date or described.date, "title": config.title or described.title})
-    received = About(about, package.path.name, package.id, (*described.notes, *package.notes))
-    source = make.Source(package.project, package.store, received=received, read=_from_archive(package))
-    made = make.of_batches(source, batches(package.store), tell, about.title or package.path.name)
+    about = _about(package)
+    made = make.of_batches(source(package), batches(package.store), tell, about.package.title or package.path.name)
     files.write(file, recorded.named(made))
     return Written(file, tuple(made.batches), tuple(made.notes))
+
+
+def source(package: Received) -> make.Source:
+    """Return what a report of a package is made from."""
+    return make.Source(package.project, package.store, received=_about(package), read=_from_archive(package))
+
+
+def _about(package: Received) -> About:
+    described, config = package.manifest, package.project.config.package
+    stated = config.model_copy(update={"date": config.date or described.date, "title": config.title or described.title})
+    return About(stated, package.path.name, package.id, (*described.notes, *package.notes))
 
 
 def _from_archive(package: Received) -> Read:

@@ -6,9 +6,9 @@
   const token = location.hash.slice(1);
   const of = (id) => document.getElementById(id);
   const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
-  const MOST = 200;
   const EVERY = 5000;
-  const page = { batches: [], batch: null, tables: {}, outputs: [], variables: [], state: "", asking: 0, drawn: null };
+  const PAUSE = 150;
+  const page = { batches: [], first: 0, found: 0, batch: null, together: new Map(), tables: {}, outputs: [], variables: [], state: "", asking: 0, drawn: null };
 
   async function ask(name, content = {}) {
     page.asking += name === "state" ? 0 : 1;
@@ -45,35 +45,50 @@
 
   // Batches
 
-  function stateOf(one) {
-    const parts = [];
-    if (one.running) parts.push("running now");
-    if (one.failed) parts.push(`${one.failed} failed`);
-    if (one.missing) parts.push(`${one.missing} missing`);
-    return parts.join(", ") || "complete";
-  }
-
-  function listBatches() {
-    const words = of("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
-    const text = (one) => `${one.batch} ${one.query} ${one.targets.join(" ")} ${stateOf(one)}`.toLowerCase();
-    const found = page.batches.filter((one) => words.every((word) => text(one).includes(word)));
+  // Show a part of the list, which the server filters: there may be ten thousand batches.
+  async function listBatches({ first = 0, again = false } = {}) {
+    const words = of("filter").value;
+    const found = await guarded(of("batch-error"), () => ask("batches", { words, first, again }));
+    if (!found || words !== of("filter").value) return false;
+    Object.assign(page, { batches: found.batches, first, found: found.found });
     const list = of("batches");
     list.replaceChildren();
-    for (const one of found.slice(0, MOST)) {
+    found.batches.forEach((one, place) => {
       const entry = make("div", list, { role: "option", id: `batch-${one.batch}`, "data-batch": one.batch, dir: "auto" }, one.query);
-      const target = one.targets.length ? `, ${one.targets.join(", ")}` : "";
-      make("small", entry, {}, `${one.batch.slice(0, 10)}${target}, ${one.requested}, ${one.runs} runs, ${stateOf(one)}`);
+      make("small", entry, {}, [one.batch.slice(0, 10), ...one.groups, one.requested, `${one.runs} runs`, one.state].join(", "));
       entry.setAttribute("aria-selected", String(one.batch === page.batch));
+      entry.setAttribute("aria-posinset", String(first + place + 1));
+      entry.setAttribute("aria-setsize", String(found.found));
       entry.addEventListener("click", () => choose(one.batch));
-    }
-    const more = found.length - MOST;
-    of("left-out").textContent = more > 0 ? `${more.toLocaleString()} more; use the filter.` : "";
+    });
+    const shown = found.batches.length;
+    const part = shown < found.found ? `${(first + 1).toLocaleString()} to ${(first + shown).toLocaleString()} of ${found.found.toLocaleString()}` : `${shown}`;
+    of("left-out").textContent = `${part} batches${found.found < found.all ? ` of ${found.all.toLocaleString()} in all` : ""}, the newest first`;
+    of("newer").disabled = first === 0;
+    of("older").disabled = first + shown >= found.found;
+    return true;
   }
 
-  function stepBatch(by) {
-    const shown = [...of("batches").children].map((one) => one.dataset.batch);
-    const at = Math.min(Math.max(shown.indexOf(page.batch) + by, 0), shown.length - 1);
-    if (shown[at]) choose(shown[at]);
+  async function turn(by) {
+    const first = Math.max(0, page.first + by * Math.max(page.batches.length, 100));
+    if (await listBatches({ first })) of("batches").scrollTop = 0;
+  }
+
+  async function stepBatch(by) {
+    let shown = page.batches.map((one) => one.batch);
+    const at = shown.indexOf(page.batch);
+    if (at >= 0 && by === 1 && at === shown.length - 1 && !of("older").disabled) {
+      await turn(1);
+      shown = page.batches.map((one) => one.batch);
+      return choose(shown[0]);
+    }
+    if (at === 0 && by === -1 && !of("newer").disabled) {
+      await turn(-1);
+      shown = page.batches.map((one) => one.batch);
+      return choose(shown.at(-1));
+    }
+    const next = Math.min(Math.max(at + by, 0), shown.length - 1);
+    if (shown[next]) choose(shown[next]);
   }
 
   async function choose(batch) {
@@ -84,27 +99,111 @@
       entry.scrollIntoView({ block: "nearest" });
       of("batches").setAttribute("aria-activedescendant", entry.id);
     }
-    const one = page.batches.find((other) => other.batch === batch);
     of("batch").hidden = false;
-    of("batch-title").textContent = one.query;
-    of("facts").textContent = `batch ${batch.slice(0, 10)}: ${one.experiments} experiments, ${one.runs} runs, ${stateOf(one)}; sierra replay ${batch.slice(0, 10)}`;
+    const listed = page.batches.find((other) => other.batch === batch);
+    if (listed) describe(listed, 0);
+    closeReport();
     of("figures").replaceChildren(document.createTextNode("Looking for figures …"));
     of("batch-notes").replaceChildren();
-    const [tables, found] = await Promise.all([
+    of("videos").replaceChildren();
+    const [found, tables] = await Promise.all([
+      guarded(of("batch-error"), () => ask("batch", { batch })),
       guarded(of("sql-error"), () => ask("tables", { batch })),
-      guarded(of("chart-error"), () => ask("batch", { batch })),
     ]);
     if (page.batch !== batch) return;
     if (tables) listTables(tables);
+    of("figures").replaceChildren();
     if (!found) return;
+    describe(found.facts, found.executing);
+    found.videos.forEach(showVideo);
     page.variables = found.variables;
     fillChoices();
-    of("figures").replaceChildren();
     for (const [name, keys] of Object.entries(found.figures))
       make("button", of("figures"), { type: "button" }, name).addEventListener("click", () => draw(name, keys));
     for (const note of found.notes) make("p", of("batch-notes"), { class: "note", dir: "auto" }, note);
     const [first] = Object.entries(found.figures);
     if (first) draw(...first);
+  }
+
+  function describe(one, executing) {
+    const id = one.batch.slice(0, 10);
+    page.query = one.query;
+    of("batch-title").textContent = one.query;
+    const running = executing ? `${executing} being executed now, ` : "";
+    of("facts").textContent = `batch ${id}: ${one.experiments} experiments, ${one.runs} runs, ${running}${one.state}; sierra replay ${id}`;
+    of("add").disabled = page.together.has(one.batch);
+  }
+
+  function showVideo({ name, file, address, picture, problem }) {
+    const figure = make("figure", of("videos"));
+    if (problem) return void make("p", figure, { class: "note", dir: "auto" }, `Video ${name}: ${problem}.`);
+    if (picture) make("img", figure, { src: address, alt: `Video ${name}` });
+    else make("video", figure, { src: address, controls: "", preload: "metadata", "aria-label": `Video ${name}` });
+    make("figcaption", figure, { dir: "auto" }, `${name} (${file})`);
+  }
+
+  // The report: the page that `sierra report` writes, in a frame of its own
+
+  function closeReport() {
+    of("told").hidden = true;
+    of("frame").removeAttribute("src");
+  }
+
+  async function report() {
+    const button = of("report");
+    button.disabled = true;
+    say("Making the report …");
+    const found = await guarded(of("batch-error"), () => ask("report", { batch: page.batch }));
+    button.disabled = false;
+    say(found ? "The report is below." : "");
+    if (!found) return;
+    of("told").hidden = false;
+    of("alone").href = found.address;
+    of("frame").src = found.address;
+    of("report-notes").textContent = found.notes.join("; ");
+    of("told").scrollIntoView();
+  }
+
+  // The frame is as high as its content, so that there is one scroll bar only.
+  function fit() {
+    const inner = of("frame").contentDocument?.body;
+    if (inner) new ResizeObserver(() => { of("frame").height = inner.offsetHeight; }).observe(inner);
+  }
+
+  // Several batches
+
+  function add() {
+    page.together.set(page.batch, page.query);
+    of("add").disabled = true;
+    listTogether();
+  }
+
+  function listTogether() {
+    of("together").hidden = page.together.size === 0;
+    of("chosen").replaceChildren();
+    for (const [batch, query] of page.together) {
+      const item = make("li", of("chosen"), { dir: "auto" }, `${query} (${batch.slice(0, 10)}) `);
+      const button = make("button", item, { type: "button", "aria-label": `Remove ${query} (${batch.slice(0, 10)})` }, "Remove");
+      button.addEventListener("click", () => {
+        page.together.delete(batch);
+        of("add").disabled = page.together.has(page.batch);
+        listTogether();
+        (of("chosen").querySelector("button") ?? of("add")).focus();
+      });
+    }
+    for (const id of ["draw-together", "test"]) of(id).disabled = page.together.size < 2;
+  }
+
+  async function test() {
+    const field = form();
+    const keys = field.table.value ? { table: field.table.value } : {};
+    const [column] = keysOfForm().column === undefined ? [] : [].concat(keysOfForm().column);
+    if (column) keys.column = column;
+    const name = field.name.value || "my_comparison";
+    const found = await drawn(of("together-error"), () => ask("compare", { batches: [...page.together.keys()], name, keys }));
+    if (!found) return;
+    for (const button of of("drawn").querySelectorAll(".copy"))
+      button.addEventListener("click", () => copy(button.closest(".code").querySelector("pre").textContent, button));
   }
 
   // Tables
@@ -190,27 +289,39 @@
     listColumns();
   }
 
-  async function draw(name, keys) {
+  async function draw(name, keys, batches = [page.batch]) {
     toForm(name, keys);
+    const [batch, ...others] = batches;
+    const place = of(others.length ? "together-error" : "chart-error");
+    const found = await drawn(place, () => ask("chart", { batch, name, keys, others }));
+    if (found) of("chart-of").textContent = others.length ? `This chart shows ${batches.length} batches.` : "";
+  }
+
+  // Show what the server has drawn, and the lines that declare it.
+  async function drawn(place, work) {
     of("drawn").toggleAttribute("data-stale", true);
+    of("chart-of").textContent = "";
     const before = performance.now();
-    const found = await guarded(of("chart-error"), () => ask("chart", { batch: page.batch, name, keys }));
+    const found = await guarded(place, work);
     of("drawn").toggleAttribute("data-stale", false);
-    if (!found) return;
-    page.drawn = { name, keys, file: found.file };
+    if (!found) return null;
+    const { name, keys, file, kind } = found;
+    page.drawn = { name, keys, file, kind };
     of("drawn").innerHTML = found.section;
-    show(of("drawn").firstElementChild, "chart");
+    for (const section of of("drawn").children) show(section, "chart");
     of("toml").textContent = found.toml;
+    of("command").textContent = found.command;
     of("declaration").hidden = false;
     of("written").textContent = "";
     say(`Drawn in ${((performance.now() - before) / 1000).toFixed(2)} s.`);
+    return found;
   }
 
   async function write() {
     const place = of("written");
     const found = await guarded(place, () => ask("write", page.drawn));
     if (!found) return;
-    const only = found.figures.length === 1 ? " From now on, sierra draws this figure instead of the default ones." : "";
+    const only = page.drawn.kind === "figures" && found.figures.length === 1 ? " From now on, sierra draws this figure instead of the default ones." : "";
     place.textContent = `Written.${only}`;
   }
 
@@ -312,13 +423,12 @@
   async function refresh() {
     const found = await guarded(of("chart-error"), () => ask("overview"));
     if (!found) return;
-    page.batches = found.batches;
     page.state = found.state;
     of("write").hidden = !found.writes;
     choices(form().kind, found.kinds, form().kind.value);
-    listBatches();
-    say(`${found.batches.length.toLocaleString()} batches.`);
-    const chosen = page.batches.some((one) => one.batch === page.batch) ? page.batch : page.batches[0]?.batch;
+    if (!(await listBatches({ first: page.first, again: true }))) return;
+    say(`${page.found.toLocaleString()} batches.`);
+    const chosen = page.batch ?? page.batches[0]?.batch;
     if (chosen) await choose(chosen);
     else listTables(await ask("tables"));
   }
@@ -329,15 +439,23 @@
     if (state === null) say("The server has ended. Start it again with: sierra explore");
     else if (state !== page.state) {
       page.state = state;
-      const found = await ask("overview").catch(() => null);
-      if (!found) return;
-      page.batches = found.batches;
-      listBatches();
-      say("There are new records. Refresh shows them.");
+      if (await listBatches({ first: page.first })) say("There are new records. Refresh shows them.");
     }
   }
 
-  of("filter").addEventListener("input", listBatches);
+  let typing = 0;
+  of("filter").addEventListener("input", () => {
+    clearTimeout(typing);
+    typing = setTimeout(listBatches, PAUSE);
+  });
+  of("newer").addEventListener("click", () => turn(-1));
+  of("older").addEventListener("click", () => turn(1));
+  of("report").addEventListener("click", report);
+  of("close-report").addEventListener("click", () => { closeReport(); of("report").focus(); });
+  of("frame").addEventListener("load", fit);
+  of("add").addEventListener("click", add);
+  of("draw-together").addEventListener("click", () => draw(form().name.value || "my_figure", keysOfForm(), [...page.together.keys()]));
+  of("test").addEventListener("click", test);
   of("batches").addEventListener("keydown", (event) => {
     const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
     if (by) { event.preventDefault(); stepBatch(by); }

@@ -2,81 +2,25 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import socket
 import threading
 import tomllib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import sierra
 from sierra.deliverables.explorer.answers import ROWS, Answers
 from sierra.deliverables.explorer.server import LONGEST, Server
+from sierra.deliverables.report.make import Source
 from sierra.errors import Missing
 from tests import projects, stores
+from tests.support.explorer_page import Page, served
 
 FOR_EVER = "SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b WHERE (a.range + b.range) % 7 = 1"
 SWARM = {"table": "swarm", "column": "coverage", "kind": "timeseries"}
-
-
-class Page:
-    """The explorer's page, as far as the server can tell."""
-
-    def __init__(self, server: Server) -> None:
-        self.server = server
-        self.headers = {
-            "X-Sierra-Token": server.url.partition("#")[2],
-            "Host": f"127.0.0.1:{server.port}",
-            "Origin": f"http://127.0.0.1:{server.port}",
-        }
-
-    def send(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, bytes, Mapping[str, str]]:
-        """Send a request; a header that is "" is left out."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=60)
-        given = {
-            "Content-Length": str(len(body)),
-            **self.headers,
-            **{name.replace("_", "-"): one for name, one in headers.items()},
-        }
-        connection.putrequest(method, path, skip_host=True)
-        for name, value in given.items():
-            if value:
-                connection.putheader(name, value)
-        connection.endheaders(body)
-        answer = connection.getresponse()
-        found = answer.status, answer.read(), dict(answer.getheaders())
-        connection.close()
-        return found
-
-    def ask(self, question: str, /, **content: Any) -> Any:
-        """Return an answer; AssertionError with the error if there is none."""
-        status, body, _ = self.send("POST", f"/ask/{question}", json.dumps(content).encode())
-        found = json.loads(body)
-        assert status == 200, found["error"]
-        return found
-
-    def error(self, question: str, /, **content: Any) -> str:
-        status, body, _ = self.send("POST", f"/ask/{question}", json.dumps(content).encode())
-        assert status == 400
-        text: str = json.loads(body)["error"]
-        assert "\n" not in text
-        return text
-
-
-@contextmanager
-def served(server: Server) -> Iterator[Page]:
-    thread = threading.Thread(target=server.serve)
-    thread.start()
-    try:
-        yield Page(server)
-    finally:
-        server.close()
-        thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -97,14 +41,18 @@ def test_the_page_has_no_data_and_loads_nothing_from_elsewhere(page: Page) -> No
     assert b"default-src 'none'; script-src 'sha256-" in body
     assert b"; connect-src 'self'\"" in body
     assert b"population_size" not in body
-    assert page.server.url.partition("#")[2].encode() not in body
+    assert page.token.encode() not in body
 
 
 def test_batches_and_tables_are_listed(page: Page, recorded: Path, batch: str) -> None:
-    found = page.ask("overview")
+    assert page.ask("overview")["state"] == page.ask("state")
+    found = page.ask("batches")
     assert [one["batch"] for one in found["batches"]] == [one.batch for one in reversed(sierra.open(recorded).batches)]
+    assert (found["all"], found["found"]) == (3, 3)
     assert found["batches"][-1]["query"] == "population_size=1,2"
-    assert found["state"] == page.ask("state")
+    assert [one["query"] for one in page.ask("batches", words="SIZE=1,2 complete")["batches"]] == ["population_size=1,2"]
+    assert page.ask("batches", words="no such batch") == {"all": 3, "found": 0, "batches": []}
+    assert [one["query"] for one in page.ask("batches", first=2)["batches"]] == ["population_size=1,2"]
     tables = page.ask("tables", batch=batch)
     assert set(tables["of_runs"]) == {"swarm", "notes"}
     assert ["coverage", "DOUBLE"] in tables["of_runs"]["swarm"]
@@ -215,7 +163,7 @@ def test_an_unknown_batch_or_key_is_named(page: Page, batch: str) -> None:
 
 def test_an_answer_that_takes_too_long_is_ended_and_the_next_one_comes(recorded: Path) -> None:
     project = sierra.open(recorded)
-    answers = Answers(lambda: project._loaded, project.store, wall=0.2)
+    answers = Answers(lambda: Source(project._loaded, project.store), project.store, wall=0.2)
     with served(Server(answers, "project")) as page:
         assert page.error("query", statement=FOR_EVER).startswith("no answer within 0.2 s")
         assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
@@ -248,7 +196,7 @@ def test_a_chart_is_written_to_the_project_and_drawn_from_there(own: Path, batch
         assert page.ask("overview")["writes"] is True
         file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
         assert page.ask("write", name="mine", keys=SWARM, file=file) == {"figures": ["mine"]}
-        assert "has changed since the chart was drawn" in page.error("write", name="other", keys=SWARM, file=file)
+        assert "has changed since this was drawn" in page.error("write", name="other", keys=SWARM, file=file)
         file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
         assert "has a figure 'mine' already" in page.error("write", name="mine", keys=SWARM, file=file)
         assert "kind" in page.error("write", name="third", keys={"kind": "unknown"}, file=file)
@@ -269,10 +217,10 @@ def test_new_records_are_seen(tmp_path: Path) -> None:
     stores.ask(root, "population_size=1", runs=1)
     with served(sierra.open(root).explorer()) as page:
         before = page.ask("state")
-        assert len(page.ask("overview")["batches"]) == 1
+        assert page.ask("batches")["all"] == 1
         stores.ask(root, "population_size=2", runs=1)
         assert page.ask("state") != before
-        assert len(page.ask("overview")["batches"]) == 2
+        assert page.ask("batches")["all"] == 2
 
 
 def test_a_port_that_is_taken_is_an_error_in_one_line(recorded: Path) -> None:
@@ -284,6 +232,6 @@ def test_a_port_that_is_taken_is_an_error_in_one_line(recorded: Path) -> None:
 
 
 def test_a_client_that_says_nothing_delays_no_other(page: Page) -> None:
-    with socket.create_connection(("127.0.0.1", page.server.port)) as silent:
+    with socket.create_connection(("127.0.0.1", int(page.host.partition(":")[2]))) as silent:
         silent.sendall(b"POST /ask/overview HTTP/1.1\r\n")
         assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]

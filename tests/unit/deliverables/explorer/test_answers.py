@@ -1,0 +1,236 @@
+"""Answers about charts, several batches, reports and videos are what the commands of the same name make."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.deliverables.explorer.ranges import BadRange, Range
+from sierra.deliverables.explorer.tickets import MOST, Made, Tickets
+from sierra.deliverables.figures.drawing import Drawing, explorable, explored, rendered
+from sierra.deliverables.record import Content, Recorder
+from sierra.errors import UsageError
+from sierra.model import Axis
+from sierra.store import read_lock
+from tests import projects, stores
+from tests.support import many_batches
+from tests.support.explorer_page import Page, served
+from tests.unit.deliverables.test_figures import NAMES, SIZES, drawing, table
+
+SWARM = {"table": "swarm", "column": "coverage", "kind": "timeseries"}
+DATA = re.compile(r"data ([0-9a-f]{64})")
+NEGATIVE = {"energy": table(4, 20, **{name: [-1.0] * 80 for name in ("mean", "mean_low", "mean_high")})}
+
+
+@pytest.fixture(scope="module")
+def page(recorded: Path) -> Iterator[Page]:
+    with served(sierra.open(recorded).explorer()) as page:
+        yield page
+
+
+@pytest.fixture
+def own(recorded: Path, tmp_path: Path) -> Path:
+    return stores.copy(recorded, tmp_path / "project")
+
+
+def ids(root: Path) -> list[str]:
+    return [one.batch for one in sierra.open(root).batches]
+
+
+@pytest.mark.parametrize("shown", [drawing(), drawing("summary", (SIZES, NAMES)), drawing(log_y=True)], ids=str)
+def test_a_chart_has_the_numbers_of_the_figure_that_is_printed(shown: Drawing) -> None:
+    printed, _ = explorable(shown)
+    alone, svg = explored(shown)
+    assert (alone.charts, alone.note, alone.data, svg) == (printed.charts, printed.note, printed.data, b"")
+
+
+def test_a_kind_without_charts_is_shown_as_it_is_printed() -> None:
+    shown = drawing("stacked")
+    assert explored(shown) == explorable(shown)
+    assert explored(shown)[1].startswith(b"<?xml")
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        drawing(tables=NEGATIVE, log_y=True),
+        drawing("summary", (Axis("x", (0, 1)),), log_x=True),
+        drawing("timeseries", (SIZES, Axis("room", tuple("abcdefghi"))), facet="room"),
+        drawing("timeseries", (SIZES, Axis("room", tuple(map(str, range(37)))))),
+        drawing("summary", (SIZES, Axis("room", tuple(map(str, range(37))))), facet="room"),
+    ],
+    ids=["log y", "log x", "columns", "panels", "facets"],
+)
+def test_a_chart_is_refused_like_the_figure(shown: Drawing) -> None:
+    with pytest.raises(UsageError) as printed:
+        rendered(replace(shown, formats=("svg",)))
+    with pytest.raises(UsageError, match=re.escape(str(printed.value))):
+        explored(shown)
+
+
+def test_several_batches_are_drawn_together_as_by_the_command(own: Path) -> None:
+    first = ids(own)[0]
+    second = sierra.open(own).run("population_size=1,2", sets=[("noise", "0.5")], figures=False).batch
+    with served(sierra.open(own).explorer(write=True)) as page:
+        found = page.ask("chart", batch=first, name="both", keys=SWARM, others=[second])
+        assert found["command"] == f"sierra figures {first[:10]} {second[:10]} both"
+        page.ask("write", name="both", keys=SWARM, file=found["file"])
+    [html], _ = sierra.open(own).draw_batches(first, second, name="both", formats=["html"])
+    [data] = set(DATA.findall(found["section"]))
+    assert data in html.read_text()
+
+
+def test_batches_are_compared_as_by_the_command(own: Path) -> None:
+    first, second, _ = ids(own)
+    with served(sierra.open(own).explorer(write=True)) as page:
+        found = page.ask("compare", batches=[first, second], name="mine", keys={"table": "swarm", "column": "coverage"})
+        assert tomllib.loads(found["toml"])["comparisons"]["mine"]["groups"] == [first[:10], second[:10]]
+        page.ask("write", **{key: found[key] for key in ("name", "keys", "file", "kind")})
+    compared = sierra.open(own).compare_declared("mine")
+    assert compared.batches == {first[:10]: first, second[:10]: second}
+    assert compared.text in found["section"]
+
+
+@pytest.mark.parametrize(
+    ("question", "why"),
+    [
+        ({"keys": SWARM | {"kind": "heatmap"}}, "shows one batch"),
+        ({"keys": SWARM | {"facet": "population_size"}}, "series and facet"),
+        ({"keys": SWARM, "others": ["FIRST"]}, "each of them once"),
+        ({"keys": SWARM, "others": ["0123456789"]}, "0123456789"),
+    ],
+)
+def test_batches_that_do_not_go_together_are_refused(page: Page, recorded: Path, question: Any, why: str) -> None:
+    first, second, _ = ids(recorded)
+    others = [one.replace("FIRST", first) for one in question.get("others", [second])]
+    assert why in page.error("chart", batch=first, name="x", keys=question["keys"], others=others)
+
+
+def test_the_report_is_the_page_that_the_command_writes(page: Page, recorded: Path, tmp_path: Path) -> None:
+    batch = ids(recorded)[0]
+    address = page.ask("report", batch=batch)["address"]
+    status, body, headers = page.send("GET", address, X_Sierra_Token="", Origin="")
+    assert status == 200
+    assert body == sierra.open(recorded).report(batch, to=tmp_path / "report.html").file.read_bytes()
+    assert headers["Content-Security-Policy"] == "frame-ancestors 'self'"
+    assert page.ask("report", batch=batch)["address"] == address
+    assert page.send("GET", address, Host="evil.example", X_Sierra_Token="")[0] == 403
+    assert page.send("GET", f"{address}x", X_Sierra_Token="")[0] == 404
+
+
+def test_videos_are_played_in_parts_and_only_as_they_were_recorded(own: Path) -> None:
+    batch, project = ids(own)[0], sierra.open(own)
+    film = own / "films" / "one.webm"
+    film.parent.mkdir()
+    film.write_bytes(bytes(range(256)) * 4)
+    recorder = Recorder(project.store, own, batch)
+    recorder.add(Content("video", "one", (batch,), {}, "", "0" * 64, ()), (film,))
+    recorder.close()
+    with served(project.explorer()) as page:
+        [video] = page.ask("batch", batch=batch)["videos"]
+        assert (video["name"], video["file"]) == ("one", "films/one.webm")
+        status, body, headers = page.send("GET", video["address"], X_Sierra_Token="", Range="bytes=254-257")
+        assert (status, body, headers["Content-Range"]) == (206, b"\xfe\xff\x00\x01", "bytes 254-257/1024")
+        assert headers["Content-Type"] == "video/webm"
+        assert page.send("GET", video["address"], Range="bytes=1024-")[0] == 416
+        film.write_bytes(b"another film")
+        assert "not the recorded one" in page.ask("batch", batch=batch)["videos"][0]["problem"]
+        film.unlink()
+        film.symlink_to("/etc/passwd")
+        assert "address" not in page.ask("batch", batch=batch)["videos"][0]
+        film.unlink()
+        assert page.send("GET", video["address"])[0] == 404
+
+
+@pytest.mark.parametrize(
+    ("header", "start", "stop"),
+    [
+        (None, 0, 10),
+        ("bytes=0-", 0, 10),
+        ("bytes=2-4", 2, 5),
+        ("bytes=8-99", 8, 10),
+        ("bytes=-3", 7, 10),
+        ("bytes=1-2,4-5", 0, 10),
+    ],
+)
+def test_ranges(header: str | None, start: int, stop: int) -> None:
+    found = Range.of(header, 10)
+    assert (found.start, found.stop, sum(found.pieces())) == (start, stop, stop - start)
+
+
+@pytest.mark.parametrize("header", ["bytes=10-", "bytes=5-4", "bytes=-0"])
+def test_a_range_behind_the_end_is_refused(header: str) -> None:
+    with pytest.raises(BadRange):
+        Range.of(header, 10)
+
+
+def test_old_addresses_end() -> None:
+    tickets = Tickets()
+    first = tickets.issue(Made("text/html", b""))
+    for _ in range(MOST):
+        last = tickets.issue(Made("text/html", b""))
+    assert tickets.find(first) is None
+    assert tickets.find(last) == Made("text/html", b"")
+
+
+def test_an_explorer_hinders_nobody_between_questions(page: Page, recorded: Path) -> None:
+    batch = ids(recorded)[0]
+    page.ask("query", statement="SELECT avg(coverage) FROM swarm", batch=batch)
+    page.ask("chart", batch=batch, name="mine", keys=SWARM)
+    with read_lock.alone(sierra.open(recorded).store.paths.reading, patience=0) as alone:
+        assert alone
+
+
+def test_two_explorers_answer_at_once(page: Page, recorded: Path) -> None:
+    with served(sierra.open(recorded).explorer()) as other:
+        assert page.ask("batches") == other.ask("batches")
+        assert other.send("POST", "/ask/state", b"{}", X_Sierra_Token=page.token)[0] == 403
+
+
+def test_a_damaged_store_is_reported_and_answers_again_when_it_is_repaired(own: Path) -> None:
+    with served(sierra.open(own).explorer()) as page:
+        batch = ids(own)[0]
+        assert page.ask("query", statement="SELECT count(*) FROM swarm", batch=batch)["rows"]
+        whole = own / ".sierra" / "segments"
+        shutil.copytree(whole, own / "kept")
+        for file in whole.glob("*/output.swarm.parquet"):
+            file.write_bytes(file.read_bytes()[:100])
+        fresh = "SELECT count(*), sum(coverage) FROM swarm"
+        assert "cannot be read" in page.error("query", statement=fresh, batch=batch)
+        assert page.error("chart", batch=batch, name="mine", keys=SWARM)
+        shutil.rmtree(whole)
+        shutil.copytree(own / "kept", whole)
+        assert page.ask("query", statement=fresh, batch=batch)["rows"]
+        shutil.rmtree(whole)
+        assert page.ask("batches")["all"] == 0
+        assert "removed" in page.error("batch", batch=batch) or page.error("batch", batch=batch)
+
+
+def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + '\n[tables.few]\nsql = "SELECT run, tick FROM swarm"\n')
+    batch = stores.ask(root, "population_size=1", runs=1)
+    limits = "SELECT current_setting('memory_limit'), current_setting('max_temp_directory_size')"
+    with served(sierra.open(root).explorer()) as page:
+        before = page.ask("query", statement=limits, batch=batch)["rows"]
+        page.ask("query", statement="SELECT count(*) FROM few", batch=batch)
+        assert page.ask("query", statement=limits, batch=batch)["rows"] == before == [["1.8 GiB", "0 bytes"]]
+
+
+def test_ten_thousand_batches_are_listed_in_parts(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    many_batches.make(root, 3000)
+    with served(sierra.open(root).explorer()) as page:
+        found = page.ask("batches")
+        assert (found["all"], found["found"], len(found["batches"])) == (3000, 3000, 100)
+        assert [one["query"] for one in page.ask("batches", first=2999)["batches"]] == ["population_size=0"]
+        assert page.ask("batches", words="size=77 missing")["found"] == 11
+        assert len(json.dumps(found)) < 50_000
