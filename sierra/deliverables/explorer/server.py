@@ -251,7 +251,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _prepare() -> None:
     """Load what the first chart needs, so that it does not wait for it."""
-    import pyarrow.compute  # noqa: F401, ICN001
+    import pyarrow.compute  # noqa: F401
 
     from sierra.deliverables.figures import interactive, style, summary, timeseries  # noqa: F401
     from sierra.stats import aggregate  # noqa: F401
