@@ -14,6 +14,8 @@ import pytest
 import sierra
 from tests import projects, stores
 from tests.browser import Browser
+from tests.integration.test_report_in_browser import CONTRAST
+from tests.support import many_batches
 
 pytestmark = pytest.mark.real
 PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
@@ -60,6 +62,15 @@ def answered(browser: Browser, statement: str) -> str:
     return text
 
 
+def unnamed(browser: Browser) -> list[str]:
+    """Return the roles of the controls that screen readers cannot name."""
+    roles = {"button", "textbox", "searchbox", "combobox", "checkbox", "link", "listbox", "option", "Iframe"}
+    nodes = browser.call("Accessibility.getFullAXTree")["nodes"]
+    shown = [one for one in nodes if not one["ignored"] and one["role"]["value"] in roles]
+    assert len(shown) > 20
+    return [one["role"]["value"] for one in shown if not one["name"]["value"] and "option" not in one["role"]["value"]]
+
+
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
 def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, width: int, dark: bool) -> None:
     with explored(recorded) as url:
@@ -72,6 +83,16 @@ def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, widt
         assert "no statement" not in answered(browser, "SELECT '<img src=x onerror=alert(1)>' AS harmless")
         assert browser.run("document.querySelector('#result img')") is None
         assert "DROP" in answered(browser, "DROP TABLE runs")
+        answered(browser, "SELECT range AS n, repeat('long ', 9) AS text, * FROM range(5000)")
+        assert browser.run("document.querySelectorAll('#result tbody tr').length") == 1000
+        assert browser.run("document.querySelector('#result .scroll').clientHeight") < 500
+        assert browser.run("document.documentElement.scrollWidth") == width
+        browser.run("document.getElementById('add').click()")
+        browser.run("document.querySelectorAll('details').forEach(one => one.open = true)")
+        browser.settle()
+        ratio, text = browser.run(CONTRAST)
+        assert ratio >= 4.5, text
+        assert unnamed(browser) == []
         assert browser.console == [] or all("400" in line for line in browser.console)
         assert all(request.startswith(url.partition("#")[0]) for request in browser.requests)
 
@@ -142,3 +163,49 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
         assert "population_size=1,2" in browser.run(TEXT.format("batch-title"))
         assert "4" in answered(browser, "SELECT count(*) FROM runs")
     assert (tmp_path / "one.zip").read_bytes() == before
+
+
+def test_batches_are_drawn_together_and_reported(browser: Browser, recorded: Path) -> None:
+    ready = "document.getElementById('stop').disabled && document.querySelectorAll('#figures button').length > 0"
+    with explored(recorded) as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        for place in (1, 2):
+            browser.run(f"document.querySelectorAll('#batches [role=option]')[{place}].click()")
+            until(browser, ready)
+            until(browser, "document.querySelector('#drawn .series') !== null && document.getElementById('stop').disabled")
+            browser.run("document.getElementById('add').click()")
+        browser.run("document.getElementById('draw-together').click()")
+        until(browser, TEXT.format("together-error"))
+        assert "different values" in browser.run(TEXT.format("together-error"))
+        browser.run("document.getElementById('test').click()")
+        until(browser, "document.querySelector('#drawn .comparison') !== null")
+        assert "[comparisons." in browser.run("document.getElementById('toml').textContent")
+        assert "were compared" in browser.run(TEXT.format("drawn")) or "was compared" in browser.run(TEXT.format("drawn"))
+        browser.run("document.getElementById('report').click()")
+        inner = "document.getElementById('frame').contentDocument"
+        until(browser, f"{inner}?.getElementById('reproduce') && document.getElementById('frame').height > 1000")
+        assert browser.run(f"{inner}.body.innerText.includes('sierra replay')")
+        browser.run("document.getElementById('close-report').click()")
+        assert browser.run("document.activeElement.id") == "report"
+        assert [line for line in browser.console if "400" not in line] == []
+
+
+def test_ten_thousand_batches_are_turned_and_filtered(browser: Browser, tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    many_batches.make(root, 10_000)
+    listed = "document.getElementById('left-out').textContent"
+    with explored(root) as url:
+        browser.open(url)
+        until(browser, f"{listed}.startsWith('1 to 100 of 10,000')")
+        until(browser, "document.getElementById('stop').disabled")
+        browser.run(
+            "document.querySelectorAll('#batches [role=option]')[99].click(); document.getElementById('batches').focus()"
+        )
+        browser.press("ArrowDown")
+        until(browser, "document.getElementById('batch-title').textContent == 'population_size=9899'")
+        assert browser.run(listed).startswith("101 to 200 of 10,000")
+        assert browser.run("document.querySelectorAll('#batches [role=option]').length") == 100
+        browser.run("(field => { field.value = 'size=77'; field.dispatchEvent(new Event('input')) })"
+                    "(document.getElementById('filter'))")  # fmt: skip
+        until(browser, f"{listed}.startsWith('1 to 100 of 111 batches of 10,000 in all')")

@@ -56,17 +56,27 @@
     found.batches.forEach((one, place) => {
       const entry = make("div", list, { role: "option", id: `batch-${one.batch}`, "data-batch": one.batch, dir: "auto" }, one.query);
       make("small", entry, {}, [one.batch.slice(0, 10), ...one.groups, one.requested, `${one.runs} runs`, one.state].join(", "));
-      entry.setAttribute("aria-selected", String(one.batch === page.batch));
       entry.setAttribute("aria-posinset", String(first + place + 1));
       entry.setAttribute("aria-setsize", String(found.found));
       entry.addEventListener("click", () => choose(one.batch));
     });
+    markChosen();
     const shown = found.batches.length;
     const part = shown < found.found ? `${(first + 1).toLocaleString()} to ${(first + shown).toLocaleString()} of ${found.found.toLocaleString()}` : `${shown}`;
     of("left-out").textContent = `${part} batches${found.found < found.all ? ` of ${found.all.toLocaleString()} in all` : ""}, the newest first`;
     of("newer").disabled = first === 0;
     of("older").disabled = first + shown >= found.found;
     return true;
+  }
+
+  // Mark the chosen batch, which may be in another part of the list.
+  function markChosen() {
+    const list = of("batches");
+    for (const one of list.children) one.setAttribute("aria-selected", String(one.dataset.batch === page.batch));
+    const entry = of(`batch-${page.batch}`);
+    if (entry) list.setAttribute("aria-activedescendant", entry.id);
+    else list.removeAttribute("aria-activedescendant");
+    entry?.scrollIntoView({ block: "nearest" });
   }
 
   async function turn(by) {
@@ -93,12 +103,7 @@
 
   async function choose(batch) {
     page.batch = batch;
-    for (const one of of("batches").children) one.setAttribute("aria-selected", String(one.dataset.batch === batch));
-    const entry = of(`batch-${batch}`);
-    if (entry) {
-      entry.scrollIntoView({ block: "nearest" });
-      of("batches").setAttribute("aria-activedescendant", entry.id);
-    }
+    markChosen();
     of("batch").hidden = false;
     const listed = page.batches.find((other) => other.batch === batch);
     if (listed) describe(listed, 0);
@@ -443,6 +448,8 @@
     }
   }
 
+  // A link would replace the token in the address.
+  of("skip").addEventListener("click", (event) => { event.preventDefault(); of("main").focus(); });
   let typing = 0;
   of("filter").addEventListener("input", () => {
     clearTimeout(typing);
