@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config import figure_options
@@ -376,7 +377,8 @@ class Gallery:
             column = next((c for c in output.columns if c != time), output.columns[0])
             if note := self.frame.robots_note(output.name, time):
                 self.robot_notes[output.name] = note
-            seen = stats.coverage(Column(self.frame, output.name, column, time), several=True)
+            read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
+            seen = self.frame.once(("coverage", output.name, column, time), read)
             doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled
             self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)
         if not several and (topics := self._topics(output)) > 1:

@@ -7,12 +7,13 @@ missing. The rows of a derived table belong to the runs that its column `run` na
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from math import isfinite
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
@@ -36,6 +37,7 @@ from sierra.util.text import like
 if TYPE_CHECKING:
     import pyarrow as pa
 
+T = TypeVar("T")
 MEMBERS = "SELECT judgement FROM membership"
 ON_ROBOTS = "SELECT 1 FROM batches JOIN specs USING (spec) WHERE batch = $b AND robots IS NOT NULL LIMIT 1"
 MIXED = "has numbers in some runs and other values in others"
@@ -105,6 +107,8 @@ class Frame:
         """The columns with the places of robots, by table; "" if there is none."""
         self._aligned: dict[tuple[str, str, str], bool | None] = {}
         """By table, time and condition: true if robots of each run have the same times; None if some have two rows at one."""
+        self._computed: dict[Hashable, object] = {}
+        """The results of `once`."""
         self.problems: dict[str, SierraError] = {}
         """Why derived tables cannot be used for statistics, by name; known after `outputs`."""
         self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches", "specs"))
@@ -307,26 +311,36 @@ class Frame:
         for name, files in sorted(self._files.items()):
             if only is not None and name not in only:
                 continue
-            if not files:
+            if files:
+                found.append(self.once(("output", name), partial(self._output, name, files)))
+            else:
                 found += self._derived_output(name)
-                continue
-            source = self._relation(name, files)
-            robot = self.column_of_robots(name)
-            hidden = ("run", "execution", "file", robot)
-            columns = [(name, kind) for name, kind in source.types.items() if name not in hidden]
-            many = "count(DISTINCT file)" if "file" in source.types else "1"
-            each = f"execution, {robot}" if robot else "execution"
-            sizes = f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY {each}"
-            [(rows, most, fewest)] = self._snapshot.run(
-                f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
-            )
-            mixed = _mixed(source)
-            numeric, flags = (
-                tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, FLAG)
-            )
-            others = {c: kind for c, kind in columns if c not in (*numeric, *source.texts, *source.texts.values())}
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, flags, fewest, others))
         return tuple(found)
+
+    def once(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Return what `compute` returns for this key. It is called once, because the data of a frame do not change."""
+        if key not in self._computed:
+            self._computed[key] = compute()
+        return cast("T", self._computed[key])
+
+    def _output(self, name: str, files: list[str]) -> OutputTable:
+        """Return a table that runs wrote to these files."""
+        source = self._relation(name, files)
+        robot = self.column_of_robots(name)
+        hidden = ("run", "execution", "file", robot)
+        columns = [(name, kind) for name, kind in source.types.items() if name not in hidden]
+        many = "count(DISTINCT file)" if "file" in source.types else "1"
+        each = f"execution, {robot}" if robot else "execution"
+        sizes = f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY {each}"
+        [(rows, most, fewest)] = self._snapshot.run(
+            f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
+        )
+        mixed = _mixed(source)
+        numeric, flags = (
+            tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, FLAG)
+        )
+        others = {c: kind for c, kind in columns if c not in (*numeric, *source.texts, *source.texts.values())}
+        return OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, flags, fewest, others)
 
     def _derived_output(self, name: str) -> Iterator[OutputTable]:
         """Yield a derived table, if it can be used for statistics; else remember why not."""

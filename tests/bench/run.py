@@ -614,6 +614,12 @@ def reports(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_reports.py")], check=True)
 
 
+def explorer(folder: Path) -> None:
+    """Measure the explorer over 1 million rows and over 10,000 batches, in a separate process."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_explorer.py")], check=True)
+
+
 def large_drawing(folder: Path) -> None:
     """Measure figures of 10,000 runs with 10 million rows."""
     del folder
@@ -674,6 +680,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "packages": packages,
     "figures": figures,
     "drawing": drawing,
+    "explorer": explorer,
     "videos": videos,
     "reports": reports,
     "large_drawing": large_drawing,
