@@ -337,10 +337,8 @@ class Snapshot:
 
     def settle(self) -> None:
         """Compute once what each statement on an output needs: worth it for a snapshot that answers many statements."""
-        if not self._settled:
-            self._settled = True
-            with self._errors():
-                self.views.settle()
+        self._settled = True
+        self.views.settle()
 
     def unlock(self) -> None:
         """Free the lock that protects the segments from removal. Whoever uses the snapshot afterwards must hold it."""

@@ -98,6 +98,7 @@ class Views:
         """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
         self.notes: list[str] = []
         """Notes for the user on columns with several types."""
+        self._settled = False
         self._made: set[str] = set()
         self.made: list[str] = []
         """The existing views as SQL identifiers."""
@@ -125,12 +126,17 @@ class Views:
         self.made.append(identifier(name))
 
     def settle(self) -> None:
-        """Compute now which executions are effective, and the variables of runs, which each statement on an output needs."""
+        """Compute now which executions are effective, and the variables of runs, which each statement on an output needs.
+
+        To be called before the view of any output exists.
+        """
         self._execute(f"CREATE SCHEMA {SETTLED}")
         for name in ("effective", "points"):
             self._make(name)
             self._execute(f"CREATE TABLE {SETTLED}.{name} AS FROM {name}")
             self._execute(f"CREATE OR REPLACE VIEW {name} AS FROM {SETTLED}.{name}")
+        self._execute(f"CREATE TABLE {SETTLED}.counted AS {self._counted_points}")
+        self._settled = True
 
     def axes(self) -> list[str]:
         """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
@@ -325,6 +331,11 @@ class Views:
             "WHERE NOT alike GROUP BY ALL"
         )
 
+    @property
+    def _counted_points(self) -> str:
+        """The query for each run's effective execution with the run's number and variables."""
+        return f"SELECT p.*, c.execution, c.judgement FROM ({self._counted}) c JOIN points p ON c.run = p.run"
+
     def _output(self, name: str) -> str:
         for needed in ("effective", "origins", "points"):
             self._make(needed)
@@ -338,11 +349,12 @@ class Views:
         row = row_name((*axes, *free))
         self.sql_names[name.lower()] = dict(zip(theirs, free, strict=True))
         self._note(name, found, self.sql_names[name.lower()])
-        ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
+        ours = "".join(f"c.{identifier(axis)}, " for axis in axes)
+        counted = f"{SETTLED}.counted" if self._settled else f"({self._counted_points})"
         return (
-            f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, "
+            f"SELECT {ours}c.number, o.file_row_number AS {identifier(row)}, "
             f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.run AS run, c.execution AS execution){rename} "
-            f"FROM {found.sql} o JOIN ({self._counted}) c ON o.execution = c.judgement JOIN points p ON c.run = p.run"
+            f"FROM {found.sql} o JOIN {counted} c ON o.execution = c.judgement"
         )
 
     def _holding(self, files: list[str]) -> list[str]:

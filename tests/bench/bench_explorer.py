@@ -120,7 +120,7 @@ def queries(here: Path) -> None:
     bare = duckdb.connect()
     bare.execute(f"CREATE VIEW out AS FROM read_parquet({files!r})")
     with explorer(here) as page:
-        batch = page.ask("batches")["batches"][0]["batch"]
+        batch = first_chart(page)["batch"]
         for what, statement in STATEMENTS.items():
             ask = partial(page.ask, "query", statement=statement, batch=batch)
             ask()

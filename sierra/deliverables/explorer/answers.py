@@ -45,7 +45,10 @@ WALL_S = 30.0
 REPORT_WALL_S = 600.0
 SETTINGS = ("SET memory_limit = '2GB'", "SET max_temp_directory_size = '0B'")
 """Limits on all statements: a statement from the page must not fill the memory or the disk."""
-COLUMNS = "SELECT table_name, column_name, data_type FROM information_schema.columns ORDER BY table_name, ordinal_position"
+COLUMNS = """
+SELECT table_name, column_name, data_type FROM information_schema.columns WHERE table_schema = 'main'
+ORDER BY table_name, ordinal_position
+"""
 STOPPED = "stopped"
 
 
@@ -133,7 +136,6 @@ class Answers:
     def query(self, statement: str, batch: str | None = None) -> JsonView:
         """Return the first rows of a statement, which can only read the store."""
         with self._snapshot(batch) as snapshot:
-            snapshot.settle()
             return snapshot.ask(statement, {}, _rows, theirs=True)
 
     def chart(self, batch: str, name: str, keys: Mapping[str, JsonView], others: Sequence[str] = ()) -> JsonView:
@@ -242,8 +244,14 @@ class Answers:
     def _snapshot(self, batch: str | None) -> Iterator[Snapshot]:
         with self._reading() as key:
             within = self._id(batch, key[0]) if batch else None
-            with self._snapshots.opened((*key, within), lambda: self._store.snapshot(within), self._interrupted) as snapshot:
+            with self._snapshots.opened((*key, within), lambda: self._open(within), self._interrupted) as snapshot:
                 yield snapshot
+
+    def _open(self, within: str | None) -> Snapshot:
+        """Return a snapshot that many statements will use."""
+        snapshot = self._store.snapshot(within)
+        snapshot.settle()
+        return snapshot
 
     @contextmanager
     def _frame(self, batch: str, sql: str = "") -> Iterator[Frame]:

@@ -72,6 +72,17 @@ def test_a_statement_has_the_answer_of_sierra_sql(page: Page, recorded: Path, ba
     assert found["more"] is False
 
 
+@pytest.mark.parametrize("chosen", [True, False])
+def test_all_rows_of_outputs_are_those_of_sierra_sql(page: Page, recorded: Path, batch: str, chosen: bool) -> None:
+    within = {"batch": batch} if chosen else {}
+    for name in ("swarm", "notes", "runs"):
+        statement = f"SELECT * FROM {name} ORDER BY ALL"
+        found = page.ask("query", statement=statement, **within)
+        table = sierra.open(recorded).sql(statement, within=batch if chosen else None)
+        assert found["columns"] == table.column_names
+        assert found["rows"] == [[*row.values()] for row in table.to_pylist()]
+
+
 def test_a_billion_rows_are_cut_and_long_texts_too(page: Page) -> None:
     found = page.ask("query", statement="SELECT range, repeat('x', 20000) AS long FROM range(1000000000)")
     assert len(found["rows"]) == ROWS
