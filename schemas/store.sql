@@ -486,8 +486,8 @@ CREATE TABLE unused_changes (
 
 -- Container images in which runs were, or would have been, executed, each recorded once.
 CREATE TABLE images (
-    "image" VARCHAR,  -- content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system
-    "kind" VARCHAR,  -- oci or squashfs
+    "image" VARCHAR,  -- content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system; variants: and the hash of the images in the column variants
+    "kind" VARCHAR,  -- oci or squashfs; variants for images for several processors
     "architecture" VARCHAR,  -- the OCI name: amd64, arm64, …; NULL if the image does not state it
     "layers" VARCHAR[],  -- digests of the layers' files (OCI's diff_ids), lowest layer first; empty for a squashfs
     "name" VARCHAR,  -- the name that the project uses
@@ -500,8 +500,9 @@ CREATE TABLE images (
     "variables" VARCHAR,  -- environment variables that it sets for its programs, as JSON
     "packages" VARCHAR,  -- installed packages, as JSON: for each of dpkg, apk and python a list of name==version
     "recipe" VARCHAR,  -- how it was made, if known: a definition file, or a history
-    "files" VARCHAR,  -- SHA-256 of the list of its files, which is in objects: one JSON object per line with path, type, size, sha256
-    "size" BIGINT  -- total size of its files [bytes]
+    "files" VARCHAR,  -- SHA-256 of the list of its files, which is in objects: one JSON object per line with path, type, size, sha256; NULL for variants
+    "size" BIGINT,  -- total size of its files; 0 for variants, whose images have rows of their own [bytes]
+    "variants" VARCHAR[]  -- the images for several processors that one name with {arch} stands for, each as PROCESSOR=IMAGE; NULL for one image
 );
 
 -- Deliverables: figures, tables, videos and reports made from the store, with a row each time that one has changed.

@@ -18,6 +18,8 @@ from sierra.config import find_project
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
+from sierra.util import processors
+from sierra.util.processors import ARCH
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -851,11 +853,22 @@ class Project:
     def pin(self, name: str | None = None) -> Contents:
         """Pin the image that a name (default: `[container] image`) refers to now in `sierra.lock`; return its content.
 
-        Raises Missing if there is no image of that name, Damaged if its content does not match its hash; it pins nothing then.
+        Of a name with `{arch}`, this pins the image for this machine's processor: see `pin_all`. Raises Missing if there is no
+        image of that name, Damaged if its content does not match its hash; it pins nothing then.
         """
         from sierra.containers import images
 
         return images.pin(self.root, Store.create(self.paths.store).paths, self._image(name))
+
+    def pin_all(self, name: str | None = None) -> list[Contents]:
+        """Pin the images for all processors that a name with `{arch}` refers to; of another name, its only image.
+
+        Raises as `pin`, and Missing if there is an image for no processor.
+        """
+        from sierra.containers import images
+
+        store = Store.create(self.paths.store).paths
+        return [images.pin(self.root, store, one) for one in images.existing(self.root, self.image_name(name))]
 
     def build_image(self, name: str | None = None, *, network: bool = False) -> Image:
         """Build an image from a Containerfile folder of the project, and return it. This does not pin it."""
@@ -890,10 +903,14 @@ class Project:
         """Return the images that the project knows, and where they are: see `sierra.containers.images.listing.Known`."""
         from sierra.containers.images import listing
 
-        named = [self.config.container.image] if self.config.container else []
+        named = [self._image(None)] if self.config.container else []
         return listing.listing(self.root, StorePaths(self.paths.store), named)
 
     def _image(self, name: str | None) -> str:
+        """Return the name of an image as `image_name`, with this machine's processor in the place of `{arch}`."""
+        return self.image_name(name).replace(ARCH, processors.here())
+
+    def image_name(self, name: str | None) -> str:
         """Return the given name of an image in the project's spelling; without one, the name of the project's image.
 
         Raises UsageError if there is neither.

@@ -93,7 +93,7 @@ from sierra.platforms.base import Following, Placing, Platform, Rendering, Rende
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
-from sierra.runners.base import Beat, Look, Runner, RunsMembers, Work
+from sierra.runners.base import Beat, ContainsMembers, Look, Runner, RunsMembers, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
@@ -131,6 +131,7 @@ __all__ = [
     "Computed",
     "ConfigError",
     "ContainerSpec",
+    "ContainsMembers",
     "Criterion",
     "Document",
     "Drawing",

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from sierra.containers.images.image import architecture
 from tests import images, projects
 
 BUSYBOX = Path("/bin/busybox")
@@ -25,11 +26,19 @@ for tick in 0 1 2; do echo $tick,$((count * tick + seed % 100)) >> swarm.csv; do
 """
 
 
-def busybox(folder: Path) -> Path:
-    """Make an archive of an image with a shell and the usual tools; 2 MB."""
+def busybox(folder: Path, processor: str = "", **variables: str) -> Path:
+    """Make an archive of an image with a shell and the usual tools; 2 MB. It says that it is for the processor.
+
+    `variables` are those that the image sets.
+    """
     applets = subprocess.run([BUSYBOX, "--list"], capture_output=True, text=True, check=True).stdout.split()
     links = [(f"bin/{name} -> busybox", "") for name in applets if name != "busybox"]
-    return _archive(folder / "busybox.tar", ("bin/busybox", BUSYBOX.read_bytes()), *links)
+    layer = images.layer(*((name, "") for name in FOLDERS), ("bin/busybox", BUSYBOX.read_bytes()), *links)
+    if not processor:
+        return images.docker_archive(folder / "busybox.tar", [layer])
+    sets = {"Env": [f"{name}={value}" for name, value in variables.items()]}
+    configuration = images.config([layer], architecture=architecture(processor), config=sets)
+    return images.docker_archive(folder / f"busybox-{processor}.tar", [layer], configuration)
 
 
 def python(folder: Path) -> Path:

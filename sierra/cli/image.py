@@ -10,6 +10,7 @@ import typer
 
 from sierra.cli import lazy_parameters
 from sierra.cli.output import cell, fields, note, print_json, readable, table
+from sierra.util.processors import ARCH
 from sierra.util.text import size
 
 if TYPE_CHECKING:
@@ -122,24 +123,32 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
     """Pin the image that a name refers to now.
 
     Runs execute in the pinned image. The pin is written to sierra.lock; commit this file with the project. The whole image is
-    read, checked and described.
+    read, checked and described. A name with {arch} pins the images for all processors that exist; --json is then a list.
 
     \b
     Examples:
       sierra image pin
       sierra image pin localhost/sim:1
+      sierra image pin 'swarm-{arch}.sif'
     """
     from sierra.cli.open_project import project
 
-    found = project().pin(name)
+    opened = project()
+    pinned = opened.pin_all(name)
+    for found in pinned:
+        _note_on(found)
+        if not as_json:
+            print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
+    if as_json:
+        print_json([_contents(found) for found in pinned] if ARCH in opened.image_name(name) else _contents(pinned[0]))
+
+
+def _note_on(found: Contents) -> None:
+    """Print notes on an image that was pinned."""
     if Path(found.image.name).is_absolute():
         note(f"{found.image.name} exists only on this machine; for other machines, use a tag or a file in the project")
     if found.user:
         note(f"the image's USER {found.user!r} is ignored: processes run as the user who executes them")
-    if as_json:
-        print_json(_contents(found))
-    else:
-        print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
 
 
 @app.command(cls=lazy_parameters.Command)

@@ -48,12 +48,18 @@ def print_image(image: ShownImage, reach: Sequence[str]) -> None:
 
 
 def _image(image: ShownImage, reach: Sequence[str]) -> Iterator[tuple[str, object]]:
+    from sierra.containers import images
+
     row = image.row
     yield "name", row.name if row else "not recorded"
     yield "id", image.image
     yield "host access", ", ".join(reach) or "none"
     if row:
         counts = [f"{len(lines)} of {manager}" for manager, lines in image.packages.items()]
+        if row.variants:
+            ids = (one.partition("=") for one in row.variants)
+            yield "images", ", ".join(f"{processor} {images.short(identity)}" for processor, _, identity in ids)
+            return
         yield "kind", row.kind
         yield "architecture", row.architecture
         yield "packages", ", ".join(counts) or "none found by a package manager"

@@ -67,6 +67,7 @@ CHANGES = {
     Aspect.VARIABLE: "the variable {name} was {was} and is {now}",
     Aspect.PLATFORM: "the platform was {was} and is {now}",
     Aspect.IMAGE: "the image was {was} and is {now}",
+    Aspect.VARIANTS: "the images by processor differ: {details}",
     Aspect.PACKAGES: "the images differ in packages: {details}",
     Aspect.FILES: "the images differ in files: {details}",
     Aspect.SAME_CONTENT: "both images have the same packages and files",

@@ -79,7 +79,9 @@ class Container(Table):
     """The image in which runs execute, and their access to the host; by default they can use neither network nor devices."""
 
     image: str = Field(
-        min_length=1, description="a tag, an archive, a SIF or squashfs file, or the folder of a recipe; see `sierra image pin`"
+        min_length=1,
+        description="a tag, an archive, a SIF or squashfs file, or the folder of a recipe; see `sierra image pin`. {arch} in "
+        "it is the processor of the host that executes a run: a name for several images",
     )
     engine: str = Field("podman", description="container engine: `podman`, `apptainer`, `none`, or an installed plug-in")
     isolation: Literal["run", "worker"] = Field(

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,72 +15,106 @@ from sierra.config.execution_tables import Container
 from sierra.containers.container_setup import Isolation, examined, ignored, mounts, settings
 from sierra.containers.engines.base import PROJECT, Capabilities, ContainerSpec, Engine, Mount, OnOtherHosts, run_process
 from sierra.containers.engines.hosts import Notice, OtherHost
-from sierra.containers.images.image import ARCHITECTURES, Image
+from sierra.containers.images.image import AnyImage, Image, architecture, every
 from sierra.errors import ConfigError, Missing
 from sierra.model import Client, Limits, RunSpec
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import StorePaths
+from sierra.util.processors import name_of
 
 
 @dataclass(frozen=True, slots=True)
-class HostContainers:
-    """The containers of one session on other hosts."""
+class Prepared:
+    """An image that is ready to be copied to hosts."""
 
-    engine: OnOtherHosts
-    box: ContainerSpec
-    """The settings that all hosts share. The sources of its mounts are on this machine, and each host gets a copy."""
+    image: Image
     file: Path
     """The image in the form in which hosts get it, and the SHA-256 of this file when the image was verified."""
     sha256: str
-    notes: tuple[str, ...] = ()
+    user: str
+    """The user that the image sets for its programs, who is ignored; empty for root."""
 
-    def image_for(self, host: OtherHost) -> tuple[Image, Path, str]:
-        """Return the image for a host's processor, its file and the file's SHA-256. Raises Missing if there is none."""
-        image, machine = self.box.image, ARCHITECTURES.get(host.facts.machine, host.facts.machine)
-        if image.architecture and image.architecture != machine:
-            raise Missing(f"{host.name}: the image {image.name} is for {image.architecture}, but its processor is {machine}")
-        return image, self.file, self.sha256
+
+class HostContainers:
+    """The containers of one session on other hosts."""
+
+    def __init__(
+        self,
+        engine: OnOtherHosts,
+        box: ContainerSpec,
+        image: AnyImage,
+        prepare: Callable[[Image], Prepared],
+        notes: Iterable[str] = (),
+    ) -> None:
+        """`box`: the settings that all hosts share, with any of the images. `prepare` is called once for each image in use."""
+        self.engine = engine
+        self.box = box
+        """The sources of its mounts are on this machine, and each host gets a copy."""
+        self.notes = tuple(notes)
+        self._image, self._prepare = image, prepare
+        self._prepared: dict[str, Prepared] = {}
+        self._lock = threading.Lock()
+
+    def image_for(self, host: OtherHost) -> Prepared:
+        """Return the image for a host's processor. Raises Missing if there is none, or if it is unavailable."""
+        processor = name_of(host.facts.machine)
+        machine = architecture(processor)
+        try:
+            image = self._image.on(processor)
+            if image.architecture and image.architecture != machine:
+                raise Missing(f"the image {image.name} is for {image.architecture}, but its processor is {machine}")
+            return self.ready(image)
+        except Missing as error:
+            raise Missing(f"{host.name}: {error}") from error
+
+    def ready(self, image: Image) -> Prepared:
+        """Return an image that is ready to be copied, which takes time once. Several threads may call this."""
+        with self._lock:
+            if image.id not in self._prepared:
+                self._prepared[image.id] = self._prepare(image)
+            return self._prepared[image.id]
 
     def on(self, host: OtherHost) -> HostContainer:
         """Return what the containers on a host need, if they can be started there. Raises Missing and Unreachable."""
-        self.image_for(host)
+        prepared = self.image_for(host)
         engine = self.engine.on(host)
         able = engine.probe()
         if able.trouble:
             raise Missing(f"{host.name}: {able.trouble}")
         if lacking := host.call("missing", self.box.devices):
             raise Missing(f"{host.name}: [container] devices: {lacking[0]} does not exist there")
-        return HostContainer(self, host, engine, able)
+        return HostContainer(replace(self.box, image=prepared.image), prepared, host, engine, able)
 
 
 class HostContainer:
     """The containers on one host."""
 
-    def __init__(self, of: HostContainers, host: OtherHost, engine: Engine, able: Capabilities) -> None:
+    def __init__(self, box: ContainerSpec, prepared: Prepared, host: OtherHost, engine: Engine, able: Capabilities) -> None:
         self.engine, self.abilities = engine, able
         self.files: Mapping[str, tuple[int, ...]] = {}
         """The files there that must not change, with the kernel's data about them when they were verified."""
-        self._of, self._host = of, host
-        self.box = of.box
+        self._prepared, self._host = prepared, host
+        self._given = box
+        self.box = box
 
     def supply(self, code: str, copies: Mapping[str, str], notice: Notice) -> None:
         """Copy the image to the host unless it is there, and verify it. Raises Missing and Unreachable.
 
         `code` is the folder of the code there, and `copies` are the copies there of the mounts' sources here.
         """
-        image, file, sha256 = self._of.image_for(self._host)
         assert isinstance(self.engine, OnOtherHosts)  # noqa: S101 - it was made by such an engine
-        supplied = self.engine.supply(image, file, sha256, notice)
+        image = self._prepared
+        supplied = self.engine.supply(image.image, image.file, image.sha256, notice)
         self.files = supplied.files
-        copied = (replace(mount, source=copies[mount.source]) for mount in self._of.box.mounts)
+        copied = (replace(mount, source=copies[mount.source]) for mount in self._given.mounts)
         self.box = replace(
-            self._of.box, reference=supplied.reference, mounts=(*([Mount(code, PROJECT)] if code else []), *copied)
+            self._given, reference=supplied.reference, mounts=(*([Mount(code, PROJECT)] if code else []), *copied)
         )
 
     @property
     def sources(self) -> tuple[str, ...]:
         """Return the files and folders of this machine that are mounted."""
-        return tuple(mount.source for mount in self._of.box.mounts)
+        return tuple(mount.source for mount in self._given.mounts)
 
     def placed(self, path: str) -> str:
         """Return the absolute path of a file that is below the folder for runs there."""
@@ -92,17 +127,18 @@ class HostContainer:
 
     @property
     def notes(self) -> Iterator[str]:
-        """Yield what the engine there cannot do."""
-        return (f"{self._host.name}: {note}" for note in ignored(self.engine, self.abilities, self.box))
+        """Yield what the engine there cannot do, and what of the image has no effect."""
+        notes = (*_about(self._prepared.user), *ignored(self.engine, self.abilities, self.box))
+        return (f"{self._host.name}: {note}" for note in notes)
 
     def client(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client:
-        """Return the client that starts the container of a run there."""
-        return self.engine.client(self.box, run_process(argv, variables))
+        """Return the client that starts the container of a run there. `variables` replace those that the image sets."""
+        return self.engine.client(self.box, run_process(argv, {**self.box.image.defaults, **variables}))
 
 
 def contain(
     engine: Engine,
-    image: Image,
+    image: AnyImage,
     spec: RunSpec,
     container: Container,
     bounds: Limits,
@@ -117,15 +153,26 @@ def contain(
     """
     if not isinstance(engine, OnOtherHosts):
         raise ConfigError(f"the engine {engine.name!r} cannot start containers on robots; use apptainer or podman")
-    inside = examined(spec, image, root, store)
-    box = replace(settings(spec, image, container, bounds, session), mounts=tuple(mounts(spec, container, root)))
-    file = engine.portable(image, root, store)
-    pinned = image.sha256 if image.file and root / image.file == file else ""
-    return HostContainers(engine, box, file, pinned or cached_sha256(file), tuple(_notes(container, inside.user)))
+
+    def prepare(image: Image) -> Prepared:
+        inside = examined(spec, image, root, store)
+        file = engine.portable(image, root, store)
+        pinned = image.sha256 if image.file and root / image.file == file else ""
+        return Prepared(image, file, pinned or cached_sha256(file), inside.user)
+
+    of_any = image if isinstance(image, Image) else next(iter(every(image)))
+    box = replace(settings(spec, of_any, container, bounds, session), mounts=tuple(mounts(spec, container, root)))
+    containers = HostContainers(engine, box, image, prepare, _without_effect(container))
+    if isinstance(image, Image):
+        containers.ready(image)
+    return containers
 
 
-def _notes(container: Container, user: str) -> Iterator[str]:
+def _without_effect(container: Container) -> Iterator[str]:
     if container.isolation == "worker":
         yield 'isolation = "worker" has no effect on robots: each run gets its own container'
+
+
+def _about(user: str) -> Iterator[str]:
     if user:
         yield f"the image's USER {user!r} is ignored: outside the container, processes belong to the user of the link"

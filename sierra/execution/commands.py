@@ -87,8 +87,6 @@ PORT_MARK = "\2{}\2"
 """The text that stands for a service's port until the conductor fills it in."""
 READY_S = 30.0
 """The seconds in which a service must be ready, if nothing else is declared."""
-SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-"""PATH of an image that sets none."""
 
 
 def command(
@@ -234,7 +232,7 @@ def declared(
 
 def within(image: Image | None, variables: Mapping[str, str]) -> dict[str, str]:
     """Return the variables of runs together with those of their image. An image without a PATH gets the engines' default."""
-    return {"PATH": SEARCHED, **image.variables, **variables} if image else dict(variables)
+    return {**image.defaults, **variables} if image else dict(variables)
 
 
 def on_host(spec: RunSpec, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:

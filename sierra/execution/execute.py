@@ -65,6 +65,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         session.take_number()
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
         session_records.keep(plan, store, session)
+        session_records.keep_variants(plan, store, session)
         found = session_records.keep_check(plan, store, session)
         if found.stale and not all(state.succeeded for state in states(plan, store, found).values()):
             options.observer.notice(stale_sessions.reason(found.stale))

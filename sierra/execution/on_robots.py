@@ -102,7 +102,8 @@ def check_paths(words: Iterable[str]) -> None:
 
 def check_fleet(runner: Runner, name: str, plan: Plan) -> None:
     """Raise UsageError if a runner cannot execute the runs of a plan, ConfigError if its fleet is too small for them."""
-    check_members(runner, name, on_robots=plan.batch.spec.robots is not None)
+    on_robots, contained = plan.batch.spec.robots is not None, plan.engine.name != "none"
+    check_members(runner, name, on_robots=on_robots, contained=contained)
     if isinstance(runner, RunsMembers):
         first = {experiment.runs[0].id for experiment in plan.batch.experiments}
         each = [robots.read(files) for _, files in plan.inputs.files(plan.batch, lambda run: run.id in first)]

@@ -10,7 +10,7 @@ from sierra.config.output_tables import Output, Success
 from sierra.config.project_file import LoadedProject
 from sierra.containers import container_setup
 from sierra.containers.engines.base import Engine
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage
 from sierra.execution import commands
 from sierra.execution.build.state import BuildState
 from sierra.execution.checkout import Checkout
@@ -53,7 +53,7 @@ class Plan:
     programs: Programs
     environment: EnvironmentRow
     engine: Engine
-    image: Image | None
+    image: AnyImage | None
     """Image that runs execute in."""
     limits: Limits
     template_sha256: str

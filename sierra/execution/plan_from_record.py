@@ -6,6 +6,7 @@ project's files are now.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,7 +18,8 @@ from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import LoadedProject
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
-from sierra.containers.images.image import Image
+from sierra.containers.images import record
+from sierra.containers.images.image import AnyImage, Image, ImageVariants
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.execution import around, commands, row_queries, targets
@@ -202,20 +204,46 @@ def engine(store: Store, batch: str, spec: RunSpec, name: str | None, tables: Ta
     return engines.find(name, tables)
 
 
-def image(project: LoadedProject, store: Store, spec: RunSpec) -> Image | None:
-    """Return the image of a spec: the pinned one with this id, under any name, or the recorded one. Raises Missing."""
+def image(project: LoadedProject, store: Store, spec: RunSpec) -> AnyImage | None:
+    """Return the image of a spec: the pinned one with this id, under any name, or the recorded one. Raises Missing.
+
+    Images for several processors may lack some that are neither pinned nor recorded.
+    """
     if spec.image is None:
         return None
-    found = next((one for one in images.all_pinned(project.root).values() if one.id == spec.image), None)
-    return found or image_contents(store, spec.image).image
+    pinned = {one.id: one for one in images.all_pinned(project.root).values()}
+    if spec.image in pinned:
+        return pinned[spec.image]
+    row = _image_row(store, spec.image)
+    if ids := record.variants(row):
+        known = {processor: _variant(store, one, pinned) for processor, one in ids.items()}
+        return ImageVariants(row.name or row.image, ids, {name: one for name, one in known.items() if one})
+    return _contents(store, row).image
+
+
+def _variant(store: Store, identity: str, pinned: Mapping[str, Image]) -> Image | None:
+    """Return the image with this id; None if it is neither pinned nor recorded."""
+    with contextlib.suppress(Missing):
+        return pinned.get(identity) or image_contents(store, identity).image
+    return None
 
 
 def image_contents(store: Store, identity: str) -> Contents:
-    """Return the record of an image. Raises Missing."""
+    """Return the record of an image for one processor. Raises Missing."""
+    return _contents(store, _image_row(store, identity))
+
+
+def _contents(store: Store, row: ImageRow) -> Contents:
+    if row.files is None:
+        raise Missing(f"{row.image} is not one image, but images for several processors")
+    return Contents.of_row(row, store.object(row.files))
+
+
+def _image_row(store: Store, identity: str) -> ImageRow:
     rows = store.select(ImageRow, "SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
     if not rows:
         raise Missing(f"the image {identity} is neither pinned nor recorded; import it with sierra image import, then pin it")
-    return Contents.of_row(rows[0], store.object(rows[0].files or ""))
+    return rows[0]
 
 
 def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[ChosenExecution, Files]]:

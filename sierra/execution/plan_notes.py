@@ -11,7 +11,7 @@ from pathlib import Path
 from sierra import templates
 from sierra.config.project_file import Project
 from sierra.containers import images
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage
 from sierra.design.factorial_design import mentions
 from sierra.execution import commands, input_texts
 from sierra.execution.build.state import BuildState
@@ -24,7 +24,7 @@ from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util.text import few
 
 
-def unobserved(config: Project, image: Image | None) -> Iterator[str]:
+def unobserved(config: Project, image: AnyImage | None) -> Iterator[str]:
     """Yield a note if the project requests an observation that is not possible.
 
     A tracer outside a container sees the engine, and paths of the container's own root folder. For an ordinary user, engines
@@ -43,10 +43,11 @@ def unbuilt(built: BuildState, used: Programs, held: Container[bytes]) -> Iterat
         yield f"runs use {few(names, 3)}, which no pattern of [build] produces matches: add it if the build makes it"
 
 
-def outdated(root: Path, image: Image | None) -> Iterator[str]:
-    """Yield a note if what the image was built from has changed since."""
-    if image and images.outdated(root, StorePaths(ProjectPaths(root).store), image):
-        yield f"{image.name} has changed since its image was built: run sierra image build {image.name}, then pin it"
+def outdated(root: Path, image: AnyImage | None) -> Iterator[str]:
+    """Yield a note if what an image was built from has changed since."""
+    for one in images.every(image):
+        if images.outdated(root, StorePaths(ProjectPaths(root).store), one):
+            yield f"{one.name} has changed since its image was built: run sierra image build {one.name}, then pin it"
 
 
 def doubts(designed: Design, command: Sequence[str], config: Project) -> Iterator[str]:

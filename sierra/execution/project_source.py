@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
+from sierra.containers.images.containerfile_folder import is_recipe
 from sierra.provenance import source
 from sierra.store.layout import BASELINES, CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.util.processors import ARCH, NAMES
 
 
 def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
@@ -36,7 +39,20 @@ def own_paths(project: LoadedProject) -> tuple[str, ...]:
         *(path for template in project.config.template_paths for path in _inside(template)),
         *(table.file for table in project.config.tables.values() if table.file is not None),
         *(model.file for model in project.config.models.values() if model.file is not None),
+        *_images(project),
     )
+
+
+def _images(project: LoadedProject) -> Iterator[str]:
+    """Yield the files of images for several processors, of which each host has those that it needs.
+
+    The source leaves them out, because it would differ between hosts. The ids of the images are part of the identity anyway.
+    """
+    name = project.config.container.image if project.config.container else ""
+    if ARCH in name:
+        for one in (name.replace(ARCH, processor) for processor in NAMES):
+            if not is_recipe(project.root / one):
+                yield from _inside(one)
 
 
 def not_in_checkouts(project: LoadedProject) -> tuple[str, ...]:

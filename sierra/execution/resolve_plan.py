@@ -11,7 +11,7 @@ from sierra.config import plugin_registry
 from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage, Image
 from sierra.design import platform_options, robots, run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress
@@ -203,8 +203,10 @@ def this_environment(config: Project) -> EnvironmentRow:
     return of_fields(EnvironmentRow, environment.capture(__version__, config.environment.record))
 
 
-def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image | None]:
+def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, AnyImage | None]:
     """Return the engine and the image of the runs, and verify that the image is still the pinned one.
+
+    Images for several processors on robots are only verified when it is known which of them are needed.
 
     Raises ConfigError, Missing.
     """
@@ -214,8 +216,11 @@ def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image 
         return engine, None
     if container is None:
         raise ConfigError(f'{engine.name} needs an image: set [container] image = "…" in {project.file}')
-    image = images.pinned(project.root, container.image)
-    images.verify(project.root, image)
+    image = images.pinned_for_hosts(project.root, container.image)
+    if project.config.robots is None:
+        images.verify(project.root, image.on(processors.here()))
+    elif isinstance(image, Image):
+        images.unchanged(project.root, image)
     return engine, image
 
 

@@ -14,7 +14,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers import on_hosts
 from sierra.containers.container_setup import Isolation, contain
 from sierra.containers.engines.base import Capabilities, Engine
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage, here
 from sierra.containers.on_hosts import HostContainers
 from sierra.execution import commands, shared_files
 from sierra.execution.follow import Followed, follow
@@ -45,7 +45,7 @@ class Setup:
     project: LoadedProject
     spec: RunSpec
     engine: Engine
-    image: Image | None
+    image: AnyImage | None
     limits: Limits
     root: Path
     """Folder of the code."""
@@ -65,6 +65,8 @@ class Service:
         self._store = store
         self._session = session
         self._stays = stays
+        self._image = None if setup.spec.robots is not None else here(setup.image)
+        """The image in which runs execute; None for runs on robots, each of which has its own."""
         self._beside = self._shared_files()
         self._begun: set[int] = set()
         """The experiments of which runs were executed."""
@@ -74,7 +76,7 @@ class Service:
             return
         self.isolation = contain(
             setup.engine,
-            setup.image,
+            self._image,
             setup.spec,
             setup.project.config.container,
             setup.limits,
@@ -133,7 +135,8 @@ class Service:
         `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before.
         """
         executing = runner.runner if isinstance(runner, WatchedRunner) else runner
-        check_members(executing, executing.name, on_robots=self._setup.spec.robots is not None)
+        on_robots = self._setup.spec.robots is not None
+        check_members(executing, executing.name, on_robots=on_robots, contained=self._hosts is not None)
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record
@@ -166,7 +169,7 @@ class Service:
             self._limits(),
             self._session.id,
             setup.project.root,
-            image=setup.image,
+            image=self._image,
             box=self._hosts.box if self._hosts else self.isolation.box,
             script=self._session.paths.worker if self._stays else None,
             beside=self._session.paths.shared if self._beside else None,
@@ -203,4 +206,4 @@ class Service:
     def _search(self) -> str:
         """Return the PATH of the runs."""
         setup = self._setup
-        return commands.declared(setup.spec.environment, setup.root, setup.project.root, image=setup.image)["PATH"]
+        return commands.declared(setup.spec.environment, setup.root, setup.project.root, image=self._image)["PATH"]

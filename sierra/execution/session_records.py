@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
-from sierra.errors import Damaged
+from sierra.containers import images
+from sierra.containers.images import record
+from sierra.containers.images.image import Image, ImageVariants, every
+from sierra.errors import Damaged, Missing
 from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
@@ -20,10 +24,20 @@ from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import BatchRow, BatchRunRow, BlobRow, ReusedExecutionRow, SessionRow, SpecRow, StaleSessionRow
+from sierra.store.row_types import (
+    BatchRow,
+    BatchRunRow,
+    BlobRow,
+    ImageRow,
+    ReusedExecutionRow,
+    SessionRow,
+    SpecRow,
+    StaleSessionRow,
+)
 from sierra.store.schema import sql_types
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
+from sierra.util import processors
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import sha256
 
@@ -59,12 +73,8 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     if code.vcs == "none":  # git keeps its own
         files_of_source = source.contents(code, plan.project.root, blobs)
         writer.records(BlobRow(blob, objects.add(content)) for blob, content in files_of_source)
-    if plan.image is not None:
-        from sierra.containers import images
-
-        inside = images.examine(plan.project.root, store.paths, plan.image)
-        objects.add(inside.listing)
-        writer.records([inside.row()])
+    if isinstance(plan.image, Image):
+        writer.records([_row_of_image(plan, store, plan.image, objects)])
     objects.close()
     writer.records([batch_row(plan, _lamport(session))])
     writer.records([_spec_row(batch)])
@@ -75,6 +85,38 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     with sessions.exclusively(store.paths):
         if store.segments() == seen or not is_kept(plan, store):
             store.publish(writer)
+
+
+def keep_variants(plan: Plan, store: Store, session: Session) -> None:
+    """Record the images for several processors that the plan's image stands for, unless the store has them.
+
+    An image that is not available here is left out: only a host with its processor needs it.
+    """
+    if not isinstance(plan.image, ImageVariants):
+        return
+    recorded = set(store.values(str, "SELECT image FROM images"))
+    rows = [] if plan.image.id in recorded else [record.row(plan.image)]
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    objects = Objects(writer.path("objects"))
+    for one in _for_hosts(plan, plan.image):
+        if one.id not in recorded:
+            with contextlib.suppress(Missing, Damaged):
+                rows.append(_row_of_image(plan, store, one, objects))
+    objects.close()
+    writer.records(rows)
+    store.publish(writer)
+
+
+def _for_hosts(plan: Plan, image: ImageVariants) -> tuple[Image, ...]:
+    """Return the images that the hosts of a plan may need."""
+    return (image.on(processors.here()),) if plan.batch.spec.robots is None else every(image)
+
+
+def _row_of_image(plan: Plan, store: Store, image: Image, objects: Objects) -> ImageRow:
+    """Return the row of an image, and add the list of its files. Raises Missing, Damaged."""
+    inside = images.examine(plan.project.root, store.paths, image)
+    objects.add(inside.listing)
+    return inside.row()
 
 
 def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.containers.engines.base import HERE, PROJECT
+from sierra.containers.images.image import Image, here
 from sierra.errors import Missing, UsageError
 from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan import Plan
@@ -149,12 +150,19 @@ def _copy(source: Path, target: Path, row: SharedFileRow) -> None:
 def _builder(plan: Plan) -> CommandBuilder:
     root = plan.project.root
     code = Path(PROJECT) if plan.image else root
-    return CommandBuilder(plan.batch.spec, code, plan.engine, plan.limits, "", root, image=plan.image)
+    return CommandBuilder(plan.batch.spec, code, plan.engine, plan.limits, "", root, image=_image(plan))
+
+
+def _image(plan: Plan) -> Image | None:
+    """Return the image of the runs; None for runs on robots in images for several processors, and without an image."""
+    on_robots = plan.batch.spec.robots is not None
+    return plan.image if isinstance(plan.image, Image) else None if on_robots else here(plan.image)
 
 
 def _environment(plan: Plan, variables: Mapping[str, str]) -> dict[str, str]:
     """Return the declared variables of a run, with those of its image."""
-    names = {*plan.batch.spec.environment, *(plan.image.variables if plan.image else ()), *OWN}
+    image = _image(plan)
+    names = {*plan.batch.spec.environment, *(image.variables if image else ()), *OWN}
     return {name: _relative(value) for name, value in sorted(variables.items()) if name in names}
 
 

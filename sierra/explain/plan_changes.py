@@ -24,6 +24,7 @@ class Aspect(StrEnum):
     SHARED_FILES = "shared files"
     """Files beside the inputs of runs (`files` in `sierra.toml`); `details` lists those that differ."""
     IMAGE = "image"
+    VARIANTS = "images by processor"
     PACKAGES = "packages"
     FILES = "files"
     """Packages or files of the image; `details` lists them."""

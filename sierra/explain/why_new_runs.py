@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
+from sierra.containers.images import record
+from sierra.containers.images.image import Image
 from sierra.errors import Damaged, Missing, NotFound
 from sierra.execution import around, row_queries
 from sierra.execution.observation import stale_sessions
@@ -20,7 +22,7 @@ from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import changed
-from sierra.store.row_types import SharedFileRow
+from sierra.store.row_types import ImageRow, SharedFileRow
 from sierra.store.store import Snapshot, Store
 
 if TYPE_CHECKING:
@@ -197,33 +199,47 @@ def _image(plan: Plan, store: Store, before: Recorded) -> Iterator[PlanChange]:
     """Yield the differences of the image, of its content, and of the host access of runs."""
     spec = plan.batch.spec
     if before.image != spec.image:
-        was, now = _recorded(store, before.image), _known(plan, store)
-        yield PlanChange(Aspect.IMAGE, was=_called(was, before.image), now=_called(now, spec.image))
-        if was and now:
-            yield _inside(was, now, mentioned(spec.words, plan.project.root))
+        row = _row(store, before.image)
+        was = _called(row.name if row else None, before.image)
+        yield PlanChange(Aspect.IMAGE, was=was, now=_called(plan.image.name if plan.image else None, spec.image))
+        yield from _images(plan, store, row)
     if reach := other_host_access(before.host_access or (), spec.host_access):
         yield PlanChange(Aspect.HOST_ACCESS, ", ".join(reach))
 
 
-def _called(contents: Contents | None, identity: str | None) -> str:
+def _images(plan: Plan, store: Store, row: ImageRow | None) -> Iterator[PlanChange]:
+    """Yield the differences between the content of a recorded image and that of a plan; of several, each with its own."""
+    words = mentioned(plan.batch.spec.words, plan.project.root)
+    if row is None or plan.image is None:
+        return
+    if isinstance(plan.image, Image):
+        pairs = [(row.image, plan.image)]
+    else:
+        was, now = record.variants(row), plan.image.ids
+        yield PlanChange(Aspect.VARIANTS, details=tuple(record.changes(was, now)))
+        pairs = [(was[one], plan.image.known[one]) for one in record.changed(was, now) if one in plan.image.known]
+    for identity, image in pairs:
+        old, new = _recorded(store, identity), images.contents(store.paths, image) or _recorded(store, image.id)
+        if old and new:
+            yield _inside(old, new, words)
+
+
+def _called(name: str | None, identity: str | None) -> str:
     text = images.short(identity) if identity else "none"
-    return f"{contents.image.name} ({text})" if contents and contents.image.name else text
+    return f"{name} ({text})" if name else text
 
 
-def _recorded(store: Store, identity: str | None) -> Contents | None:
+def _row(store: Store, identity: str | None) -> ImageRow | None:
+    return next(iter(store.select(ImageRow, "SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)), None)
+
+
+def _recorded(store: Store, identity: str) -> Contents | None:
     """Return the record of an image; None if it cannot be read, which `sierra fsck` reports."""
     from sierra.execution import plan_from_record
 
     with contextlib.suppress(Missing, NotFound, Damaged):
-        return plan_from_record.image_contents(store, identity) if identity else None
+        return plan_from_record.image_contents(store, identity)
     return None
-
-
-def _known(plan: Plan, store: Store) -> Contents | None:
-    """Return what is known about a plan's image without reading the whole image."""
-    if plan.image is None:
-        return None
-    return images.contents(store.paths, plan.image) or _recorded(store, plan.image.id)
 
 
 def _inside(was: Contents, now: Contents, words: frozenset[str]) -> PlanChange:

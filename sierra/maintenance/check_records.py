@@ -18,6 +18,7 @@ from typing import NamedTuple, TypeVar
 
 import pyarrow as pa
 
+from sierra.containers.images.image import variants_id
 from sierra.design.expand import exact, run_id
 from sierra.errors import Missing, SierraError
 from sierra.execution import around
@@ -597,9 +598,14 @@ def _manifests(records: Records) -> Iterator[Finding]:
 
 def _images(records: Records) -> Iterator[Finding]:
     """Check that the images of run specifications are recorded, and that the lists of their files are present."""
-    for identity, files in records.each(IMAGES):
-        if files is None:
+    for identity, kind, files, variants in records.each(IMAGES):
+        if kind is None:
             what = f"the image {identity} is not recorded"
+        elif variants is not None:
+            ids = dict(one.split("=", 1) for one in variants if "=" in one)
+            if variants_id(ids) == identity:
+                continue
+            what = f"the images by processor of {identity} have another hash"
         elif files not in records.objects.whole:
             what = f"the list of the files of image {identity} is not in the store"
         else:
@@ -608,8 +614,8 @@ def _images(records: Records) -> Iterator[Finding]:
 
 
 IMAGES = """
-SELECT DISTINCT coalesce(r.image, i.image), i.files FROM (SELECT image FROM specs WHERE image IS NOT NULL) r
-FULL JOIN images i USING (image)
+SELECT DISTINCT coalesce(r.image, i.image), i.kind, i.files, i.variants
+FROM (SELECT image FROM specs WHERE image IS NOT NULL) r FULL JOIN images i USING (image)
 """
 
 

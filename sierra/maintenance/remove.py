@@ -187,9 +187,14 @@ CREATE TEMP TABLE gone_builds AS
 CREATE TEMP TABLE gone_shared_files AS
     SELECT shared_files AS shared FROM specs WHERE spec IN (SELECT spec FROM gone_members) AND shared_files IS NOT NULL
     EXCEPT SELECT shared_files FROM specs WHERE spec IN (SELECT spec FROM staying_specs);
+CREATE TEMP TABLE named_images AS
+    SELECT image, image AS part FROM images UNION
+    SELECT image, split_part(unnest(variants), '=', 2) FROM images WHERE variants IS NOT NULL;
 CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
-    image IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members))
-    AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
+    image IN (SELECT part FROM named_images SEMI JOIN
+              (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members)) USING (image))
+    AND image NOT IN (SELECT part FROM named_images SEMI JOIN
+                      (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs)) USING (image));
 """
 BATCHES = "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch"
 GONE_SESSIONS = "SELECT session FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches)"
@@ -261,7 +266,8 @@ OBJECTS = """
  UNION SELECT sha256 FROM programs SEMI JOIN gone_programs USING (programs)
  UNION SELECT sha256 FROM files_read SEMI JOIN gone_files USING (files)
  UNION SELECT sha256 FROM shared_files WHERE shared IN (SELECT shared FROM gone_shared_files)
- UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
+ UNION SELECT files FROM gone_images WHERE files IS NOT NULL
+ UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
 (SELECT sha256 FROM all_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || other_inputs) FROM staying_members

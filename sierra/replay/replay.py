@@ -20,7 +20,7 @@ from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage, here
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries, targets
 from sierra.execution.build.recorded import rebuild
@@ -79,7 +79,7 @@ class ReplayOptions:
     """True to keep the restored source and the folders of the runs."""
     only: frozenset[str] | None = None
     """Ids of the runs to replay; None for all."""
-    image: Image | None = None
+    image: AnyImage | None = None
     """The recorded image, if it is in another place than the pinned or recorded one."""
     earlier: frozenset[str] = frozenset()
     """Sessions of earlier replays. Their successful executions count, if programs, machine and isolation are the same."""
@@ -157,10 +157,11 @@ def replay(
             record.notes += [built.text] if built.different else []
         checkout.bring(root, (name for name, _ in checkout.used))
         checkout.supply(root)
-        if image is not None and engine.name == "none":
-            record.notes += compare_host_with_image.unlike(
-                record.of.spec, plan_from_record.image_contents(store, image.id), root
-            )
+        if image is not None and engine.name == "none" and takes_robots:
+            record.notes.append(f"not executed in a container, but by the robots' own programs: {image.name} is not used")
+        elif engine.name == "none" and (inside := here(image)) is not None:
+            contents = plan_from_record.image_contents(store, inside.id)
+            record.notes += compare_host_with_image.unlike(record.of.spec, contents, root)
         variables = commands.declared(record.of.spec.environment, root, project.root)
         now = reported_versions.with_versions(checkout.programs_in(root), project.config.programs, variables, root)
         around = of_fields(EnvironmentRow, environment.capture(__version__, project.config.environment.record))

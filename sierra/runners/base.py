@@ -179,9 +179,25 @@ class RunsMembers(Protocol):
         """
 
 
-def check_members(runner: Runner, name: str, *, on_robots: bool) -> None:
-    """Raise UsageError if a runner cannot execute runs on robots, or if it can execute only these."""
+@runtime_checkable
+class ContainsMembers(RunsMembers, Protocol):
+    """A runner that executes the members of jobs in the containers of `Work.containers`, if there are any.
+
+    A runner without `contains_members` gets no runs in containers, because it would execute them on the robots themselves.
+    """
+
+    contains_members: bool
+    """True if members execute in containers; false for a runner that cannot do this with its options."""
+
+
+def check_members(runner: Runner, name: str, *, on_robots: bool, contained: bool = False) -> None:
+    """Raise UsageError if a runner cannot execute runs on robots, or if it can execute only these.
+
+    `contained`: the runs execute in containers.
+    """
     able = isinstance(runner, RunsMembers)
+    if on_robots and able and contained and not (isinstance(runner, ContainsMembers) and runner.contains_members):
+        raise UsageError(f"runner {name!r} cannot execute runs on robots in containers; use --on robots, or --engine none")
     if on_robots and not able:
         raise UsageError(f"runner {name!r} cannot execute runs on robots ([robots] in sierra.toml); use --on robots")
     if able and not on_robots:

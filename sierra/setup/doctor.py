@@ -19,6 +19,7 @@ from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.machine import usable_cores
 from sierra.store.layout import ProjectPaths, StorePaths, user_settings
+from sierra.util import processors
 
 State = Literal["ok", "absent", "missing"]
 
@@ -173,8 +174,9 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         platform = platforms.find(config.platform, config)
         declared = run_values.declared(config)
         if config.container is not None:
-            image = images.pinned(project.root, config.container.image)
-            images.verify(project.root, image)
+            found = images.pinned_for_hosts(project.root, config.container.image)
+            image = images.every(found)[0] if config.robots else found.on(processors.here())
+            (images.unchanged if config.robots else images.verify)(project.root, image)
             inside = images.examine(project.root, StorePaths(ProjectPaths(project.root).store), image)
             command = commands.command(platform, project.root, contained=True, declared=declared, project=config)
             path = commands.environment(platform, config).get("PATH")
@@ -192,7 +194,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         if "/" in word and not word.startswith("{"):
             word = str(project.root / table.folder / word)
         if config.container is not None and not Path(word).is_relative_to(project.root):
-            image = images.pinned(project.root, config.container.image)
+            image = images.pinned_for_hosts(project.root, config.container.image).on(processors.here())
             inside = images.examine(project.root, StorePaths(ProjectPaths(project.root).store), image)
             return f"{container_setup.program((word,), None, inside)} in {image.name}"
         variables = commands.declared(commands.environment(platforms.find(config.platform, config), config), project.root)

@@ -629,9 +629,11 @@ class ImageRow(NamedTuple):
     """Container images in which runs were, or would have been, executed, each recorded once."""
 
     image: Annotated[
-        str, "content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system"
+        str,
+        "content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system; "
+        "variants: and the hash of the images in the column variants",
     ]
-    kind: Annotated[str, "oci or squashfs"]
+    kind: Annotated[str, "oci or squashfs; variants for images for several processors"]
     architecture: Annotated[str | None, "the OCI name: amd64, arm64, …; NULL if the image does not state it"]
     layers: Annotated[list[str], "digests of the layers' files (OCI's diff_ids), lowest layer first; empty for a squashfs"]
     name: Annotated[str | None, "the name that the project uses"]
@@ -650,9 +652,14 @@ class ImageRow(NamedTuple):
     recipe: Annotated[str | None, "how it was made, if known: a definition file, or a history"]
     files: Annotated[
         str | None,
-        "SHA-256 of the list of its files, which is in objects: one JSON object per line with path, type, size, sha256",
+        "SHA-256 of the list of its files, which is in objects: one JSON object per line with path, type, size, sha256; NULL "
+        "for variants",
     ]
-    size: Annotated[int, "total size of its files", "bytes"]
+    size: Annotated[int, "total size of its files; 0 for variants, whose images have rows of their own", "bytes"]
+    variants: Annotated[
+        list[str] | None,
+        "the images for several processors that one name with {arch} stands for, each as PROCESSOR=IMAGE; NULL for one image",
+    ] = None
 
 
 class DeliverableRow(NamedTuple):

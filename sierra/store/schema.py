@@ -57,6 +57,7 @@ LATER: dict[str, tuple[str, ...]] = {
     "builds": ("processors",),
     "environments": ("packages", "workspaces"),
     "observations": ("distributions",),
+    "images": ("variants",),
     "robots": ("isolation", "clock_remark"),
     "specs": ("named_inputs", "shared_files", "around", "robots"),
 }

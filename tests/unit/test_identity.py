@@ -14,7 +14,7 @@ import sierra
 from sierra.config.output_tables import Output, Success
 from sierra.containers.container_setup import Isolation
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
-from sierra.containers.images.image import Image, Kind
+from sierra.containers.images.image import Image, Kind, variants_id
 from sierra.design.seeds import seed
 from sierra.execution.plan import Plan
 from sierra.ingest.recorder import result_hash
@@ -276,6 +276,7 @@ CONTAINED = [
     "b5d2f5a75e3684cf333182755ff08a4587b7841a1a46ff9c1e3d8ffe21fbfeec",
     "c828f09234ce24a94094541f6546b435bc643b254d42a609c65aea9502bc7d6b",
 ]
+VARIANTS = "variants:b1946e70871620f0d479c9c5249befe7cd14b4b45d401d8a66a3658ffb499be7"
 
 
 def test_run_spec_in_an_image_contains_the_image_id_and_host_access() -> None:
@@ -284,6 +285,13 @@ def test_run_spec_in_an_image_contains_the_image_id_and_host_access() -> None:
     assert plain.preimage()["image"] == {"id": "sha256:" + "0" * 64, "reach": []}
     assert [digest("recipe", one.preimage()) for one in (plain, reaching)] == CONTAINED
     assert replace(plain, image=None, host_access=("network",)).preimage()["image"] is None
+
+
+def test_images_by_processor_have_one_id() -> None:
+    ids = {"x86_64": "sha256:" + "0" * 64, "aarch64": "squashfs:" + "1" * 64}
+    assert variants_id(ids) == VARIANTS
+    assert variants_id(dict(reversed(ids.items()))) == VARIANTS
+    assert variants_id(dict(zip(ids, reversed(ids.values()), strict=True))) != VARIANTS
 
 
 ISOLATION = "248f73e6160525a63312e2ea2bb660709f2c72ba1316f4c6561046f4f7205a30"

@@ -74,7 +74,7 @@ class Apptainer(WithoutOptions):
         return str(sandboxes.prepare(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
     def portable(self, image: Image, root: Path, store: StorePaths) -> Path:
-        images.verify(root, image)
+        images.unchanged(root, image)
         return images.rootfs(root, store, image)
 
     def supply(self, image: Image, file: Path, sha256: str, notice: Notice) -> Supplied:

@@ -69,7 +69,7 @@ class Podman(WithoutOptions):
 
         _check_kind(image)
         if image.file and (root / image.file).is_file():
-            images.verify(root, image)
+            images.unchanged(root, image)
             return root / image.file
         archive = store.image(image.folder).archive
         if not archive.is_file():

@@ -10,17 +10,17 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from sierra.containers.images.image import Image, machine, short
+from sierra.containers.images.image import AnyImage, Image, ImageVariants, every, here, machine, short
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import contents, examine, outdated, rootfs
-    from sierra.containers.images.pins import all_pinned, pin, pinned
-    from sierra.containers.images.resolve import named, verify
+    from sierra.containers.images.pins import all_pinned, pin, pinned, pinned_for_hosts
+    from sierra.containers.images.resolve import existing, named, unchanged, verify
 
 HOMES = {
     **dict.fromkeys(("contents", "examine", "outdated", "rootfs"), "image_contents"),
-    **dict.fromkeys(("all_pinned", "pin", "pinned"), "pins"),
-    **dict.fromkeys(("named", "verify"), "resolve"),
+    **dict.fromkeys(("all_pinned", "pin", "pinned", "pinned_for_hosts"), "pins"),
+    **dict.fromkeys(("existing", "named", "unchanged", "verify"), "resolve"),
 }
 """The modules of names that are loaded when they are used: most projects have no image."""
 
@@ -31,5 +31,17 @@ def __getattr__(name: str) -> object:
     return getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
 
 
-__all__ = ["Image", "all_pinned", "contents", "examine", "machine", "named", "outdated", "pin", "pinned", "rootfs", "short"]
-__all__ += ["verify"]
+__all__ = [
+    "AnyImage",
+    "Image",
+    "ImageVariants",
+    "all_pinned",
+    "contents",
+    "every",
+    "examine",
+    "existing",
+    "here",
+    "machine",
+    "named",
+]
+__all__ += ["outdated", "pin", "pinned", "pinned_for_hosts", "rootfs", "short", "unchanged", "verify"]

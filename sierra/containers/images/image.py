@@ -7,6 +7,9 @@ Names change, files are copied, and every image store writes its own manifests. 
 * for a squashfs, plain or in a SIF, `squashfs:` and the SHA-256 of the file system (a signature changes the SIF, but not this).
 
 A squashfs that SIERRA made from an OCI image keeps the id of that OCI image.
+
+A name with `{arch}` stands for one image for each processor. Their identity together is `variants:` and the hash of their ids
+by processor. It is the same on every host, whichever of the images executes a run there.
 """
 
 from __future__ import annotations
@@ -17,10 +20,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from sierra.errors import Missing
+from sierra.util import processors
+from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView, as_texts
+from sierra.util.processors import ARCH
 
-ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64", "armv7l": "arm", "i686": "386"}
-"""The OCI names of processor architectures that have another name in the kernel."""
+DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+"""The PATH that engines use if an image does not set one."""
 
 ID = re.compile(r"(sha256|squashfs):[0-9a-f]{64}")
 
@@ -30,6 +37,8 @@ class Kind(StrEnum):
 
     OCI = "oci"
     SQUASHFS = "squashfs"
+    VARIANTS = "variants"
+    """Images for several processors under one name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +63,63 @@ class Image:
     def folder(self) -> str:
         """Return the image's id as a file name."""
         return self.id.replace(":", "-")
+
+    @property
+    def defaults(self) -> dict[str, str]:
+        """Return the variables of programs for which nothing else is declared: the image's, and a PATH."""
+        return {"PATH": DEFAULT_PATH, **self.variables}
+
+    def on(self, processor: str) -> Image:
+        """Return the image itself: it is the same on every host."""
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class ImageVariants:
+    """The images that one name with `{arch}` stands for: one for each processor."""
+
+    name: str
+    """The name that a project uses, with `{arch}`."""
+    ids: Mapping[str, str]
+    """The ids of the images, by processor (see `sierra.util.processors`)."""
+    known: Mapping[str, Image]
+    """The images that are pinned or recorded here, by processor."""
+
+    @property
+    def id(self) -> str:
+        """Return the content identity of the images together."""
+        return variants_id(self.ids)
+
+    def on(self, processor: str) -> Image:
+        """Return the image for hosts with a processor. Raises Missing if there is none."""
+        name = self.name.replace(ARCH, processor)
+        if processor not in self.ids:
+            raise Missing(f"no image for {processor}: {name} is not pinned; add it, and run: sierra image pin {name}")
+        if processor not in self.known:
+            what = f"the image {name} ({short(self.ids[processor])})"
+            raise Missing(f"{what} is neither pinned nor recorded; add it, and run: sierra image pin {name}")
+        return self.known[processor]
+
+
+AnyImage = Image | ImageVariants
+"""What the name of an image stands for."""
+
+
+def variants_id(ids: Mapping[str, str]) -> str:
+    """Return the content identity of images together; `ids` are their ids by processor."""
+    return f"{Kind.VARIANTS}:{digest('image variants', {'images': dict(ids)})}"
+
+
+def every(image: AnyImage | None) -> tuple[Image, ...]:
+    """Return all images that are known of what a name stands for."""
+    if image is None:
+        return ()
+    return (image,) if isinstance(image, Image) else tuple(image.known.values())
+
+
+def here(image: AnyImage | None) -> Image | None:
+    """Return the image for this machine; None for none. Raises Missing if there is none for its processor."""
+    return None if image is None else image.on(processors.here())
 
 
 class InvalidImage(ValueError):
@@ -82,7 +148,13 @@ def _text(name: str, fields: Mapping[str, JsonView], key: str) -> str:
 
 def machine() -> str:
     """Return this machine's architecture in OCI's terms."""
-    return ARCHITECTURES.get(platform.machine(), platform.machine())
+    return architecture(platform.machine())
+
+
+def architecture(machine: str) -> str:
+    """Return a processor's architecture in OCI's terms, from its name in the kernel's terms."""
+    name = processors.name_of(machine)
+    return processors.OCI.get(name, name).partition("/")[0]
 
 
 def short(identity: str) -> str:

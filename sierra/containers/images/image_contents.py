@@ -20,7 +20,7 @@ from pathlib import Path
 
 from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif_format
 from sierra.containers.images import squashfs_tools as squashfs
-from sierra.containers.images.image import Image, Kind, of_fields, short
+from sierra.containers.images.image import DEFAULT_PATH, Image, Kind, of_fields, short
 from sierra.containers.images.merge_layers import Entry, Rootfs, listed, listing, merge, resolve
 from sierra.containers.images.oci import Archive
 from sierra.errors import Damaged, Missing
@@ -34,8 +34,6 @@ from sierra.util.json_types import JsonView, as_object
 FORMAT = 1
 UNFINISHED = re.compile(rf"\.(saved\.\w+\.\d+|(image\.json|files\.jsonl){UNFINISHED_END}|rootfs\.(sqfs|\d+)\.\d+)")
 FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
-DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-"""The PATH that engines use if an image does not set one."""
 EXECUTABLE = 0o111
 STORED = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
 """The fields of `Contents` that are stored as they are."""

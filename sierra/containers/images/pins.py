@@ -2,20 +2,25 @@
 
 The image behind a name can change: a tag is rebuilt, a file is replaced. A run must stay the same run, so it uses the pinned
 image. `sierra image pin` changes the pin to the new image.
+
+A name with `{arch}` stands for all names that have a processor in its place and are pinned.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
-from sierra.containers.images.image import Image, InvalidImage, of_fields
+from sierra.containers.images.image import AnyImage, Image, ImageVariants, InvalidImage, architecture, of_fields
 from sierra.containers.images.image_contents import Contents, examine, examine_again, squashfs_file
 from sierra.containers.images.resolve import named
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.util import processors
 from sierra.util.fs import write_whole
+from sierra.util.processors import ARCH
 
 FORMAT = 1
 
@@ -32,12 +37,31 @@ def pin(root: Path, store: StorePaths, name: str) -> Contents:
     return found
 
 
+def pinned_for_hosts(root: Path, name: str) -> AnyImage:
+    """Return what a name is pinned to: an image, or for a name with `{arch}`, an image for each processor.
+
+    Raises as `pinned`, and ConfigError for an image that is for another processor than its name says.
+    """
+    return _variants(root, name, all_pinned(root)) if ARCH in name else pinned(root, name)
+
+
 def pinned(root: Path, name: str) -> Image:
     """Return the image that a name is pinned to. Raises Missing if it is not pinned, ConfigError for a broken `sierra.lock`."""
     known = all_pinned(root)
     if name not in known:
         raise Missing(f"the image {name!r} is not pinned, {_why(root, name)} run: sierra image pin {name}")
     return known[name]
+
+
+def _variants(root: Path, name: str, known: Mapping[str, Image]) -> ImageVariants:
+    variants = {one: known[own] for one in processors.NAMES if (own := name.replace(ARCH, one)) in known}
+    if not variants:
+        mine = name.replace(ARCH, processors.here())
+        raise Missing(f"no image of the name {name!r} is pinned, {_why(root, mine)} run: sierra image pin {name!r}")
+    for processor, image in variants.items():
+        if image.architecture and image.architecture != architecture(processor):
+            raise ConfigError(f"the image {image.name} is for {image.architecture}, but its name is that for {processor}")
+    return ImageVariants(name, {processor: image.id for processor, image in variants.items()}, variants)
 
 
 def _why(root: Path, name: str) -> str:

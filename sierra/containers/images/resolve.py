@@ -14,6 +14,8 @@ from sierra.containers.images.image import Image, Kind, machine, short
 from sierra.errors import ConfigError, Damaged, Missing
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.util import processors
+from sierra.util.processors import ARCH
 
 TAG = "localhost/sierra/"
 FOLDER = re.compile(r"[a-z0-9]+(?:[._-]+[a-z0-9]+)*")
@@ -65,13 +67,37 @@ def named(root: Path, name: str) -> Image:
         raise Missing(f"the image {name} cannot be read: {error.strerror or error}") from error
 
 
-def verify(root: Path, image: Image) -> None:
-    """Check that a pinned image is still the image of its name, and can run here. The result is cached, so the check is cheap.
+def existing(root: Path, name: str) -> list[str]:
+    """Return the names that a name with `{arch}` stands for and that name an image now; another name as it is.
 
-    Raises Missing, with both ids, if a file was changed or a tag moved; also if the image is for another architecture.
+    Raises Missing if there is no such image; Damaged for a file that is not an image.
     """
+    if ARCH not in name:
+        return [name]
+    found, why = [], ""
+    for one in (name.replace(ARCH, processor) for processor in (processors.here(), *processors.NAMES)):
+        try:
+            named(root, one)
+            found.append(one)
+        except Missing as error:
+            why = why or str(error)
+    if not found:
+        raise Missing(f"{name} names no image for any processor: {why}")
+    return list(dict.fromkeys(found))
+
+
+def verify(root: Path, image: Image) -> None:
+    """Check that a pinned image is `unchanged`, and can run here. Raises Missing, also for another architecture."""
     if image.architecture and image.architecture != machine():
         raise Missing(f"the image {image.name} is for {image.architecture}, but this machine is {machine()}; build it here")
+    unchanged(root, image)
+
+
+def unchanged(root: Path, image: Image) -> None:
+    """Check that a pinned image is still the image of its name. The result is cached, so the check is cheap.
+
+    Raises Missing, with both ids, if a file was changed or a tag moved.
+    """
     if image.file:
         _verify_file(root, image)
     elif podman_images.installed():

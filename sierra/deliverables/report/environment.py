@@ -140,7 +140,8 @@ def _image(state: BatchState, place: Place) -> Iterator[Markup]:
             "image": row.name if row else "not recorded",
             "content": element("code", image.image),
             "kind": row and row.kind,
-            "processor": row and row.architecture,
+            "processor": row
+            and (few([one.partition("=")[0] for one in row.variants], 4) if row.variants else row.architecture),
             "packages": packages,
             "isolation": few(list(dict.fromkeys(isolations)), 4),
             "access to the host": ", ".join(state.shown.spec.host_access) or "none",

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers import engines
+from sierra.containers import engines, images
 from sierra.errors import ConfigError, SierraError
 from sierra.execution import project_source, recover, resolve_plan
 from sierra.execution.build import products
@@ -113,7 +113,7 @@ def _build(plan: Plan, state: BuildState, store: Store, observer: Observer) -> N
     recipe, root = state.recipe, plan.project.root
     _check_outside(plan, state, [one.name for one in state.products])
     observer.notice(f"building, because {state.reason}")
-    place = Place(root, plan.project, plan.engine, plan.image)
+    place = Place(root, plan.project, plan.engine, images.here(plan.image))
     session = Session(store.paths, logged=False)
     try:
         session.take_number()

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage
+from sierra.containers.images.image import here as image_here
 from sierra.execution import commands, row_queries
 from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import PLATFORM, Recipe, complete
@@ -89,7 +90,7 @@ def rebuild(
     store: Store,
     session: Session,
     engine: Engine,
-    image: Image | None,
+    image: AnyImage | None,
     *,
     on_robots: bool = False,
 ) -> Rebuilt:
@@ -103,13 +104,14 @@ def rebuild(
     recipe = _recipe(recorded.row, manifest, table.wall if table else None)
     if recipe.processors and not on_robots:
         recipe = replace(recipe, processors=tuple(dict.fromkeys((*recipe.processors, here()))))
-    hosted = image if engine.name == "none" else None
+    inside = image_here(image)
+    hosted = inside if engine.name == "none" else None
     if hosted is not None:
         variables = commands.within(hosted, recipe.spec.environment)
         recipe = replace(recipe, spec=replace(recipe.spec, environment=variables, image=None, host_access=()))
     root = session.paths.source
     recipe = complete(recipe, root, project.root, project.config.container if recipe.spec.image else None)
-    place = Place(root, project, engine, None if hosted else image)
+    place = Place(root, project, engine, None if hosted else inside)
     ended = perform(recipe, place, store, session)
     record(recipe, ended, place, store, session, batch=recorded.row.batch, purpose=Purpose.REPLAY)
     if ended.reason is not None:

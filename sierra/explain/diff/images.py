@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
+from sierra.containers.images import record
 from sierra.containers.images.diff import Change, files, packages
 from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.load_sides import Side
@@ -29,7 +31,7 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
         old, new = (_row(snapshot, identity) for identity in (was, now))
         yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
         if old and new:
-            yield from _inside(store, old, new, mentioned(after.spec.command, root))
+            yield from _by_processor(snapshot, store, old, new, mentioned(after.spec.command, root))
     before_reach, reach = (side.spec.host_access for side in (before, after))
     if changes := other_host_access(before_reach, reach):
         yield Difference("image", "host_access", f"host access of runs: {', '.join(changes)}", before_reach, reach)
@@ -43,6 +45,22 @@ def _called(identity: str | None, row: ImageRow | None) -> str:
     if identity is None:
         return "none"
     return f"{row.name} ({images.short(identity)})" if row else f"{images.short(identity)} (not recorded)"
+
+
+def _by_processor(
+    snapshot: Snapshot, store: Store, old: ImageRow, new: ImageRow, words: frozenset[str]
+) -> Iterator[Difference]:
+    """Yield differences of two images; of images for several processors, for each processor that both have."""
+    was, now = record.variants(old), record.variants(new)
+    if not (was or now):
+        yield from _inside(store, old, new, words)
+        return
+    yield Difference("image", "variants", f"images by processor: {', '.join(record.changes(was, now))}", was, now)
+    for one in record.changed(was, now):
+        before, after = _row(snapshot, was[one]), _row(snapshot, now[one])
+        if before and after:
+            for difference in _inside(store, before, after, words):
+                yield replace(difference, line=f"{one}: {difference.line}")
 
 
 def _inside(store: Store, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:

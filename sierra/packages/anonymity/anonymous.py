@@ -41,7 +41,7 @@ UNION ALL SELECT sha256, path || ' of run ' || run[:10] FROM all_artifacts WHERE
 UNION ALL SELECT unnest([input] || other_inputs), 'input of run ' || run[:10] FROM batch_runs
 UNION ALL SELECT sha256, 'file ' || name || ' beside the inputs' FROM shared_files
 UNION ALL SELECT log, 'log of build ' || build[:10] FROM builds
-UNION ALL SELECT files, 'list of the files of image ' || image FROM images
+UNION ALL SELECT files, 'list of the files of image ' || image FROM images WHERE files IS NOT NULL
 UNION ALL SELECT files, 'list of the files of the source' FROM sources
 """
 """SQL: the SHA-256 of objects, and what they are."""

@@ -177,7 +177,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     "reused_executions": _rules("session run execution"),
     "unused_changes": _rules("session spec programs", name=Rule.PLACE),
     "images": _rules(
-        "image kind architecture layers name sha256 squashfs manifests labels variables packages recipe files size",
+        "image kind architecture layers name sha256 squashfs manifests labels variables packages recipe files size variants",
         file=Rule.PLACE,
         created=Rule.NOTHING,
     ),

@@ -114,8 +114,8 @@ class Around:
     """The programs, by specification."""
     steps: Mapping[str, Entity]
     """The steps of the workflow, by specification."""
-    images: Mapping[str, Entity]
-    """The container images, by specification."""
+    images: Mapping[str, Sequence[Entity]]
+    """The container images, by specification: several for several processors."""
     commands: Mapping[str, Sequence[str]]
     """Programs with arguments, by specification."""
 
@@ -202,7 +202,7 @@ def _action(key: str, row: _Executed, objects: Sequence[Entity], around: Around,
         "result": around.results,
         "startTime": moment(row.started),
         "endTime": moment(row.ended),
-        "containerImage": _unique(around.images[spec] for spec in row.specs if spec in around.images),
+        "containerImage": _unique(image for spec in row.specs for image in around.images.get(spec, ())),
         **_status((row.reason or "") if single else several),
     }
 

@@ -82,7 +82,8 @@ FROM programs p JOIN (
 ) m USING (programs) WHERE p.kind = 'program' ORDER BY ALL
 """
 IMAGES = """
-SELECT DISTINCT ON (image) image, kind, name, sha256 FROM images WHERE image IN (SELECT image FROM specs) ORDER BY image, name
+SELECT DISTINCT ON (image) image, kind, name, sha256, variants FROM images
+WHERE image IN (SELECT image FROM specs UNION SELECT image FROM isolations) ORDER BY image, name
 """
 
 
@@ -109,6 +110,7 @@ class Image(NamedTuple):
     kind: str
     name: str | None
     sha256: str | None
+    variants: list[str] | None = None
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
@@ -234,7 +236,10 @@ def _organization(graph: Graph, author: Author) -> Entity:
 def _around(graph: Graph, subject: Subject, found: Mapping[str, Member], agents: Sequence[Entity], workflow: Entity) -> Around:
     specs = subject.store.select(_Spec, SPECS)
     programs = subject.store.select(_Program, PROGRAMS)
-    images = {image.image: graph.add(described(image)) for image in subject.store.select(Image, IMAGES)}
+    recorded = subject.store.select(Image, IMAGES)
+    each = {image.image: graph.add(described(image)) for image in recorded if not image.variants}
+    parts = {image.image: [one.partition("=")[2] for one in image.variants or ()] or [image.image] for image in recorded}
+    images = {name: [each[one] for one in ids if one in each] for name, ids in parts.items()}
     tools = {spec.spec: _tool(graph, spec, specs, programs) for spec in specs}
     rows = batches(subject.store)
     return Around(

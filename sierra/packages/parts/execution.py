@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra.containers.engines.apptainer import SCRIPT
-from sierra.containers.images.image import Image
+from sierra.containers.images.image import AnyImage, Image
 from sierra.errors import Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
 from sierra.execution.plan_from_record import LAST, Last, Recalled
@@ -26,6 +26,7 @@ from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.dependency_model import Kind
 from sierra.provenance.source.manifest import LINK, parts, read
 from sierra.runners import local
+from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.hashing import short
 from sierra.util.text import counted
@@ -73,7 +74,7 @@ class _Batch:
         recalled = plan_from_record.recall(store, batch, last.programs, last.ingest_rules)
         _check(recalled)
         project = targets.of_batch(self._subject.project, store, batch)
-        image = plan_from_record.image(project, store, recalled.spec)
+        image = _executed(plan_from_record.image(project, store, recalled.spec), store, batch)
         folder = next((name for name, tree in folders(self._subject).items() if tree.tree == recalled.spec.source), PROJECT)
         self.plan |= {
             "project": folder.rstrip("/"),
@@ -166,6 +167,22 @@ def _needs(recalled: Recalled) -> list[dict[str, str]]:
             name = one.program().called.partition(":")[0]
             versions[name] = one.version or versions.get(name, "")
     return [{"name": name, "version": version} for name, version in sorted(versions.items())]
+
+
+EXECUTED = """
+SELECT DISTINCT i.image FROM effective f JOIN executions e USING (execution) JOIN isolations i USING (isolation)
+WHERE f.batch = $b
+"""
+
+
+def _executed(image: AnyImage | None, store: Store, batch: str) -> Image | None:
+    """Return the image of runs; of images for several processors, the one in which they were executed. Raises Missing."""
+    if image is None or isinstance(image, Image):
+        return image
+    used = store.values(str, EXECUTED, b=batch)
+    if len(used) != 1:
+        raise Missing(f"its runs were executed in {len(used)} of the images {image.name}, one for each processor")
+    return next(one for one in image.known.values() if one.id == used[0])
 
 
 def _image(image: Image | None) -> dict[str, str] | None:

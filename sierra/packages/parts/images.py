@@ -28,9 +28,12 @@ from sierra.util.hashing import sha256_file
 
 USED = """
 SELECT DISTINCT ON (image) * FROM images
-WHERE image IN (SELECT image FROM specs UNION SELECT image FROM builds) ORDER BY image, name, file
+WHERE image IN (SELECT image FROM specs UNION SELECT image FROM builds UNION SELECT image FROM isolations)
+ORDER BY image, name, file
 """
-DESCRIBED = ("image", "kind", "architecture", "layers", "name", "variables", "recipe")
+DESCRIBED = ("image", "kind", "architecture", "layers", "name", "variables", "recipe", "variants")
+OPTIONAL = ("variants",)
+"""The columns that are only described where they have a value."""
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
@@ -45,7 +48,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     notes: list[str] = []
     for row in rows:
         recipe = _Recipe(subject, row)
-        made += [*recipe.members, *_files(subject, _image(row))]
+        made += [*recipe.members, *(() if row.variants else _files(subject, _image(row)))]
         notes += recipe.notes
     lacking = (
         "" if subject.options.image != "none" else f"container images are not packed, only described in {IMAGES}: see --image"
@@ -55,7 +58,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
 
 def _description(rows: Sequence[ImageRow]) -> bytes:
     """Return the recorded ids, layers and recipes of images as JSON."""
-    fields = [{name: getattr(row, name) for name in DESCRIBED} for row in rows]
+    fields = [{name: getattr(row, name) for name in DESCRIBED if name not in OPTIONAL or getattr(row, name)} for row in rows]
     return (json.dumps(fields, indent=2, ensure_ascii=False) + "\n").encode()
 
 

@@ -12,13 +12,14 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers import engines
 from sierra.containers.container_setup import DEVICE, GPU, MOUNT, NETWORK
 from sierra.containers.engines.base import Engine
-from sierra.containers.images.image import Image, Kind
+from sierra.containers.images.image import AnyImage, Image, ImageVariants, Kind
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import commands, plan_from_record, row_queries, targets
 from sierra.execution.plan_from_record import Recalled
 from sierra.packages.layout import IMAGE_FILES
 from sierra.provenance.dependency_model import INSTALLED, normalized, versions
 from sierra.store.store import Store
+from sierra.util import processors
 from sierra.util.hashing import sha256_file, short
 from sierra.util.text import one_line
 
@@ -82,7 +83,7 @@ class PlannedBatch:
     engine: str = NONE
     access: tuple[str, ...] = ()
     """Things beyond the package that a container may use, as `network`; empty without a container."""
-    image: Image | None = None
+    image: AnyImage | None = None
     """The image of the containers, at its place in the package; None without a container."""
     missing: tuple[str, ...] = ()
     """One line for each thing that this machine lacks, and the remedy. If there is one, the batch is not executed."""
@@ -150,7 +151,7 @@ def _with_engine(
         missing += _lacking_program(project, recalled)
     image = None if engine.name == NONE else packed_image(project, store, recalled)
     if image is not None and not missing:
-        engine.prepare(image, project.root, store.paths)
+        engine.prepare(image.on(processors.here()), project.root, store.paths)
     if missing:
         return _lacking(planned, *missing)
     access = [one for one in _host_access(recalled) if one in (NETWORK, GPU) or one.startswith(DEVICE)]
@@ -162,11 +163,15 @@ def _with_engine(
     return replace(planned, commands=words, engine=engine.name, access=allowed, image=image)
 
 
-def packed_image(project: LoadedProject, store: Store, recalled: Recalled) -> Image | None:
+def packed_image(project: LoadedProject, store: Store, recalled: Recalled) -> AnyImage | None:
     """Return the image of a batch with its file in the package; without a file, if the recorded one is outside the package."""
     image = plan_from_record.image(project, store, recalled.spec)
-    if image is None:
-        return None
+    if isinstance(image, ImageVariants):
+        return replace(image, known={processor: _packed(project, one) for processor, one in image.known.items()})
+    return _packed(project, image) if image else None
+
+
+def _packed(project: LoadedProject, image: Image) -> Image:
     for ending in ENDINGS[image.kind]:
         name = f"../{IMAGE_FILES}{image.folder}{ending}"
         if (project.root / name).is_file():

@@ -65,6 +65,7 @@ class Robots:
     name = "robots"
     stays = False
     remote = True
+    contains_members = True
     Options: ClassVar[type[Table]] = FleetTable
 
     def __init__(self, slots: int, options: Table, make_link: MakeLink | None = None) -> None:

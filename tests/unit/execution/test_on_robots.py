@@ -14,7 +14,7 @@ from sierra.errors import ConfigError, QueryError, SierraError, UsageError
 from sierra.execution.commands import CommandBuilder
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Job, Member
 from sierra.store.row_types import RobotRow
-from tests import projects, robots
+from tests import images, projects, robots
 
 GROUPS = """
 [targets.robots.robots.base]
@@ -176,6 +176,19 @@ def test_contradictory_tables_of_robots_are_refused(tmp_path: Path, more: str, m
     with pytest.raises(ConfigError) as raised:
         sierra.open(robots.project(tmp_path / "p", more)).plan("population_size=2", target="robots")
     assert message in str(raised.value)
+
+
+def test_a_runner_that_does_not_claim_containers_gets_no_runs_in_them(tmp_path: Path) -> None:
+    more = '[targets.robots.container]\nimage = "sim.tar"\nengine = "apptainer"\n'
+    root = robots.project(tmp_path / "p", more)
+    layer = images.layer(("bin/python3", "#!"))
+    images.docker_archive(root / "sim.tar", [layer])
+    sierra.open(root).pin("sim.tar")
+    project = sierra.open(root)
+    with pytest.raises(UsageError, match=r"^runner 'pretend' cannot execute runs on robots in containers; use --on robots, or"):
+        project.run("population_size=2", target="robots", runner="pretend", figures=False)
+    assert list(project.batches) == []
+    assert project.run("population_size=2", target="robots", runner="pretend", engine="none", figures=False).failed == 0
 
 
 def test_runners_refuse_runs_that_they_cannot_execute(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,14 +13,20 @@ from sierra.containers import container_setup, on_hosts
 from sierra.containers.engines.apptainer import Apptainer
 from sierra.containers.engines.base import NoEngine
 from sierra.containers.engines.hosts import OtherHost
-from sierra.containers.images.image import Image, Kind
+from sierra.containers.images.image import AnyImage, Image, ImageVariants, Kind, architecture
 from sierra.errors import ConfigError, Missing
 from sierra.model import Limits, RunSpec
 from sierra.store.layout import StorePaths
+from sierra.util.processors import here
 from tests.support.local_link import LocalLink
 
 IMAGE = Image("lab.sqfs", f"squashfs:{'0' * 64}", Kind.SQUASHFS, "s390x", (), {})
 SPEC = RunSpec("command", ("true",), {}, None, IMAGE.id)
+
+
+def containers(images: AnyImage, any_image: Image) -> on_hosts.HostContainers:
+    box = container_setup.settings(SPEC, any_image, Container(image="lab.sqfs"), Limits(), "s")
+    return on_hosts.HostContainers(Apptainer(), box, images, lambda image: on_hosts.Prepared(image, Path(image.name), "", ""))
 
 
 @pytest.fixture
@@ -76,23 +83,33 @@ def test_a_large_file_is_copied_with_signs_of_progress(
 
 
 def test_an_image_for_another_processor_is_refused(host: OtherHost, tmp_path: Path) -> None:
-    box = container_setup.settings(SPEC, IMAGE, Container(image="lab.sqfs"), Limits(), "s")
-    containers = on_hosts.HostContainers(Apptainer(), box, tmp_path, "")
     with pytest.raises(Missing, match=r"^ada: the image lab.sqfs is for s390x, but its processor is \w+$"):
-        containers.on(host)
+        containers(IMAGE, IMAGE).on(host)
+
+
+def test_each_host_gets_the_image_for_its_processor(host: OtherHost) -> None:
+    images = {name: replace(IMAGE, name=f"lab-{name}.sqfs", architecture=architecture(name)) for name in ("s390x", here())}
+    both = ImageVariants("lab-{arch}.sqfs", {name: one.id for name, one in images.items()}, images)
+    assert containers(both, IMAGE).image_for(host).image == images[here()]
+    other = replace(both, ids={"s390x": IMAGE.id}, known={"s390x": images["s390x"]})
+    with pytest.raises(
+        Missing, match=rf"^ada: no image for {here()}: lab-{here()}\.sqfs is not pinned; add it, and run: sierra"
+    ):
+        containers(other, IMAGE).on(host)
+    with pytest.raises(Missing, match=rf"^ada: the image lab-{here()}\.sqfs \(squashfs:0+\) is neither pinned nor recorded"):
+        containers(replace(both, known={}), IMAGE).on(host)
 
 
 def test_a_host_without_the_engine_or_a_device_is_named(
     host: OtherHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = Image("lab.sqfs", IMAGE.id, Kind.SQUASHFS, "", (), {})
-    box = container_setup.settings(SPEC, own, Container(image="lab.sqfs"), Limits(), "s")
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python3").symlink_to("/usr/bin/python3")
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     with pytest.raises(Missing, match=r"^ada: neither apptainer nor singularity-ce is installed; see"):
-        on_hosts.HostContainers(Apptainer(), box, tmp_path, "").on(host)
+        containers(own, own).on(host)
     assert not Path(host.root).exists()
 
 

@@ -17,8 +17,11 @@ from sierra.errors import ConfigError, Missing
 from sierra.ingest.observations import observed
 from sierra.model import Job
 from sierra.provenance.environment import differing
+from sierra.runners.base import Work
 from sierra.runners.robots.fleet_table import RobotTable
 from sierra.runners.robots.runner import Robots
+from sierra.store.layout import SessionPaths
+from sierra.testing import robots as conformance
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
 from tests.support.robot_runs import Runs, job
@@ -98,6 +101,24 @@ def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
     assert str(was).startswith("sha256 ")
     assert was != found
     assert re.search(r"^libc6==", str(after["packages"]), re.MULTILINE)
+
+
+def test_the_runner_passes_its_conformance_suite(fleet: Fleet, tmp_path: Path):
+    folder = tmp_path / "suite"
+    folder.mkdir()
+    conformance.check(lambda: Robots(1, fleet.table, fleet.make_link), folder)
+
+
+class Careless(Robots):
+    """A runner that claims to use containers, but does not."""
+
+    def submit(self, work: Work, session: SessionPaths) -> None:
+        super().submit(replace(work, containers=None), session)
+
+
+def test_the_suite_notices_a_runner_that_ignores_containers(fleet: Fleet, tmp_path: Path):
+    with pytest.raises(AssertionError, match=r"^it has not requested the containers of Work\.containers$"):
+        conformance.executes_nothing_beside_containers(Careless(1, fleet.table, fleet.make_link), tmp_path)
 
 
 def test_nothing_starts_if_a_robot_is_missing(fleet: Fleet):
