@@ -1,5 +1,7 @@
 """Runs on three robots of this machine: how far apart programs start, how fast all stop, and what a run costs. For root.
 
+Also how long after the common start programs begin, on the robots themselves and in containers.
+
 Python, sshd and the programs of all robots share the cores of this machine, so that a real fleet is faster.
 """
 
@@ -20,10 +22,34 @@ sys.path.insert(0, str(ROOT))
 
 from sierra.links.base import LinkOptions  # noqa: E402 - tests are found by the line above
 from sierra.links.fabric import Fabric  # noqa: E402
+from tests import containers, projects  # noqa: E402
 from tests.support.robot_fleet import PROGRAMS, Fleet  # noqa: E402
 from tests.support.robot_runs import Runs, job  # noqa: E402
 
 TRIALS = 20
+PROJECT = """
+template = "arena.xml"
+command = "sh begin.sh"
+seed = "//random/@seed"
+[variables]
+population_size = "//swarm/@count"
+[robots]
+count = "population_size"
+[outputs.begun]
+file = "begun.csv"
+[container]
+image = "host.tar"
+[runners.robots]
+fleet = {{ {fleet} }}
+link_options = {{ ssh_config = "{config}" }}
+disk_min = 1000000
+stop = []
+"""
+BEGIN = "now=$(date +%s%N); echo ns > begun.csv; echo $now >> begun.csv\n"
+DELAYS = """
+SELECT (ns - (epoch_us(started) * 1000 - start_skew_ns)) / 1e6 AS delay
+FROM begun b JOIN robots r ON r.execution = b.execution AND r.place = b.robot
+"""
 PLACES = ("1", "2", "3")
 
 
@@ -42,6 +68,11 @@ def main() -> None:
             fleet.enter(name, "rm", "-f", "/home/robot/stops")
         stops(make(), "sleep")
         stops(make(), "deaf")
+        for engine in ("none", "podman", "apptainer"):
+            if engine == "none" or shutil.which(engine):
+                begins(fleet, Path(folder) / engine, engine)
+            else:
+                print(f"start in containers of {engine}: not measured, because it is not installed")
 
 
 def trials(runs: Runs) -> None:
@@ -72,6 +103,21 @@ def stops(runs: Runs, action: str) -> None:
         (home / "stops").unlink()
     show(f"stop of programs that {'end' if action == 'sleep' else 'ignore SIGTERM'}: told to all", max(told) * 1e3, "ms", "100")
     show("  all are gone", max(ended), "s", "grace: 2")
+
+
+def begins(fleet: Fleet, root: Path, engine: str) -> None:
+    """Measure the time from the common start until the programs of three robots begin, by their own clocks."""
+    members = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
+    projects.make(root, PROJECT.format(fleet=members, config=fleet.ssh_config))
+    (root / "begin.sh").write_text(BEGIN)
+    containers.host(root, Path("/bin/sh"), Path("/bin/date"))
+    query = ("run", "population_size=3", "--runs", str(TRIALS), "--on", "robots", "--engine", engine, "--no-figures")
+    for words in (("image", "pin"), query):
+        done = projects.quick(root, *words)
+        assert done.returncode in (0, 1), done.stderr  # on a busy machine, single runs fail
+    found = sorted(row["delay"] for row in projects.sql(root, DELAYS))
+    show(f"common start until programs begin, {engine}: median", statistics.median(found), "ms", "-")
+    show("  the slowest of all", found[-1], "ms", "-")
 
 
 def show(what: str, value: float, unit: str, limit: str) -> None:
