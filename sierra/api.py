@@ -914,6 +914,9 @@ class Project:
         """Return the given name of an image in the project's spelling; without one, the name of the project's image.
 
         Raises UsageError if there is neither.
+
+        >>> project.image_name("docker.io/library/debian:12")
+        'docker.io/library/debian:12'
         """
         from sierra.containers.images import resolve
 

@@ -19,7 +19,7 @@ from sierra.execution.observer import Progress
 from tests import projects
 
 WITHOUT_EXAMPLE = {
-    *("pin", "build_image", "import_image", "export_image", "image", "images"),  # need a container image
+    *("pin", "pin_all", "build_image", "import_image", "export_image", "image", "images"),  # need a container image
     *("push_sources", "fetch_sources"),  # need a git remote
     *("root", "config", "store", "stored"),
 }
