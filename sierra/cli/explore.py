@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from typing import Annotated
 
 import typer
@@ -40,15 +41,16 @@ def explore(
     if write and context.obj is not None:
         raise UsageError("a package is never changed; leave out --write")
     server = project().explorer(port=port, write=write, package=context.obj)
-    if as_json:
-        print_json({"address": server.url, "host": ADDRESS, "port": server.port, "token": server.token, "writes": write})
-        sys.stdout.flush()
-    else:
-        print(server.url, flush=True)
-        note("Ctrl-C ends the server")
-        if browser and sys.stdout.isatty():
-            _open(server.url)
     try:
+        if as_json:
+            print_json({"address": server.url, "host": ADDRESS, "port": server.port, "token": server.token, "writes": write})
+            sys.stdout.flush()
+        else:
+            print(server.url, flush=True)
+            note("Ctrl-C ends the server")
+            if browser and sys.stdout.isatty():
+                # A browser in the terminal returns only when it is closed, and asks for the page before that.
+                threading.Thread(target=_open, args=(server.url,), daemon=True).start()
         server.serve()
     except KeyboardInterrupt:
         note("ended")

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -137,6 +138,22 @@ def test_a_missing_browser_is_reported_on_a_terminal(recorded: Path) -> None:
     lonely = {"PATH": "/nonexistent", "BROWSER": "/nonexistent/browser", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
     with Terminal(recorded, str(projects.SIERRA), "explore", environment=lonely) as terminal:
         terminal.expect("no browser was found; open the address in one")
+        terminal.type("\x03")
+        assert terminal.end() == 0
+
+
+def test_a_browser_in_the_terminal_gets_the_page(recorded: Path, tmp_path: Path) -> None:
+    """Such a browser returns only when it is closed; the page must be served meanwhile."""
+    page, browser = tmp_path / "page.html", tmp_path / "browser"
+    browser.write_text(
+        f"#!{sys.executable}\nimport os, sys, urllib.request\n"
+        f"open({str(page)!r} + '.part', 'wb').write(urllib.request.urlopen(sys.argv[1]).read())\n"
+        f"os.rename({str(page)!r} + '.part', {str(page)!r})\n"
+    )
+    browser.chmod(0o755)
+    with Terminal(recorded, str(projects.SIERRA), "explore", environment={"BROWSER": f"{browser} %s"}) as terminal:
+        until(page.exists, "the browser has the page")
+        assert b"<html" in page.read_bytes()
         terminal.type("\x03")
         assert terminal.end() == 0
 
