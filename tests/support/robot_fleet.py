@@ -34,6 +34,8 @@ SBIN = ":/usr/sbin:/sbin"
 PROGRAMS = ("sshd", "ssh-keygen", "ssh", "ip", "unshare", "nsenter", "tc")
 FAKETIME = "/usr/$LIB/faketime/libfaketimeMT.so.1"
 USER, UID = "robot", 5002
+SUB_IDS, SUB_UID = ("subuid", "subgid"), 500_000
+"""The files with the ranges of ids of users, which images with files of several users need, and the first id of the range."""
 REPOSITORY = Path(__file__).parents[2]
 MARK = "sierra-fleet"
 
@@ -357,6 +359,7 @@ class Fleet:
         for file, line in {
             "passwd": f"{USER}:x:{UID}:{UID}::/home/{USER}:/bin/bash",
             "group": f"{USER}:x:{UID}:",
+            **dict.fromkeys(SUB_IDS, f"{USER}:{SUB_UID}:65536"),
             "shadow": f"{USER}:*:19000:0:99999:7:::",  # sshd refuses accounts with `!`
             "hosts": "".join(f"{robot.address} {robot.name}\n" for robot in self.robots.values()),
         }.items():

@@ -154,18 +154,20 @@ def start(
 def remedy(name: str, output: str) -> str:
     """Return an engine's error in one line, with the remedy if it is known."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
-    for pattern, advice in KNOWN:
-        if re.search(pattern, output):
-            return f"{name} cannot start a container: {advice}"
-    return f"{name} cannot start a container: {lines[-1][:300] if lines else 'it printed no error'}"
+    return f"{name} cannot start a container: {advice(output) or (lines[-1][:300] if lines else 'it printed no error')}"
+
+
+def advice(output: str) -> str | None:
+    """Return the reason and the remedy of an engine's error; None if they are unknown."""
+    return next((known for pattern, known in KNOWN if re.search(pattern, output)), None)
 
 
 KNOWN = (
     (r"cgroups in hybrid mode not supported", "crun does not work with hybrid cgroups; install runc"),
     (r"RLIMIT_\w+|setrlimit", "its default limits are higher than this user may set; lower default_ulimits in containers.conf"),
     (r"no subuid ranges found|cannot find UID/GID|insufficient UIDs or GIDs", "the user has no range of ids in /etc/subuid; "
-     "an administrator can add one (usermod --add-subuids 100000-165535 --add-subgids 100000-165535 NAME), "
-     'or set ignore_chown_errors = "true" in [storage.options.overlay] of storage.conf'),
+     "an administrator can add one (usermod --add-subuids 100000-165535 --add-subgids 100000-165535 NAME; then, as that user, "
+     'podman system migrate), or set ignore_chown_errors = "true" in [storage.options.overlay] of storage.conf'),
     (r"newuidmap", "newuidmap is missing or lacks its privileges; install uidmap (shadow-utils)"),
     (r"failed to open /dev/fuse|/dev/fuse: (Permission denied|No such file)", "/dev/fuse cannot be opened"),
     (r"(?i)clone.*operation not permitted|user namespace.*(disabled|not permitted)|unshare.*(denied|not permitted)|"
@@ -179,7 +181,7 @@ KNOWN = (
     (r"(?i)no space left on device", "the disk is full"),
     (r"capability set .* while permitted", "its default capabilities exceed those of root here"),
 )  # fmt: skip
-"""Patterns of errors with which engines fail to start containers, each with its remedy."""
+"""Patterns of errors with which engines fail to start containers or to load images, each with its remedy."""
 
 
 def _reported(done: subprocess.CompletedProcess[str], host: Host) -> Capabilities:

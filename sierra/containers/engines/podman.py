@@ -17,7 +17,7 @@ from pathlib import Path
 
 from sierra.config.field_types import Table
 from sierra.containers import images
-from sierra.containers.engines import hosts, podman_ways_to_start
+from sierra.containers.engines import capabilities, hosts, podman_ways_to_start
 from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process, Supplied, WithoutOptions
 from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
 from sierra.containers.engines.hosts import HERE, SLOWEST, SPARE_S, Host, Notice, OtherHost, handed_on
@@ -84,7 +84,8 @@ class Podman(WithoutOptions):
             done = self._podman("load", "--quiet", f"--input={placed.path}", timeout=SPARE_S + file.stat().st_size / SLOWEST)
             self._host.call("remove", str(Path(placed.path).parent))  # podman has a copy
             if not self._has(image):
-                said = podman_images.complaint(done.stderr) if done.returncode else f"it has not the id {short(image.id)}"
+                why = capabilities.advice(done.stderr) or podman_images.complaint(done.stderr)
+                said = why if done.returncode else f"it has not the id {short(image.id)}"
                 raise Missing(f"{self._host.name}: podman cannot load the image {image.name}: {said}")
         return Supplied(image.id)
 

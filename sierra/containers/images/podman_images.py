@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import resource
 import secrets
 import shutil
@@ -43,6 +44,11 @@ CONFIGURATION = ("storage.conf", "containers.conf")
 FOLDERS = ("/usr/share/containers", "/etc/containers")
 VARIABLES = ("CONTAINERS_CONF", "CONTAINERS_STORAGE_CONF", "STORAGE_DRIVER", "STORAGE_OPTS", "XDG_DATA_HOME", "HOME")
 """The environment variables that decide where podman stores images."""
+ARCHIVE = re.compile(r"\* (docker|oci)-archive: (?!loading index)")
+"""The beginning of the line in which podman says why an archive cannot be loaded, after `payload does not match`.
+
+It tries all formats, and has a line for each of them. That of an archive of another kind says that it has no index.
+"""
 UNKNOWN = ("image not known", "no such image", "no such object", "unable to find a name and tag match")
 INSTALL = "podman is not installed (apt-get install podman, dnf install podman); or name the image as a file"
 
@@ -182,6 +188,8 @@ def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], ne
 def complaint(output: str) -> str:
     """Return the line in which podman gives the reason of a failure, without its prefixes."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
+    if of_formats := [line for line in lines if ARCHIVE.match(line)]:
+        return ARCHIVE.sub("", of_formats[-1])
     errors = [line for line in lines if line.startswith("Error:")]
     why = (errors or lines or ["it printed no error"])[-1].removeprefix("Error:").strip()
     return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why
