@@ -96,7 +96,10 @@ class FleetTable(Table):
         description="the calibration file on each robot, whose SHA-256 is recorded before each run; absolute, or in ~/",
         examples=["~/calibration.yaml"],
     )
-    disk_min: Size = Field(100_000_000, description="free space below which no run starts, in bytes or as in `1 GB`")
+    disk_min: Size = Field(
+        100_000_000,
+        description="free space below which no run starts, on each robot and on this machine, in bytes or as in `1 GB`",
+    )
     clock_error: Positive = Field(
         0.05, description="largest error of the measurement of a robot's clock with which a run starts, in seconds"
     )

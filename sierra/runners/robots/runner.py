@@ -12,6 +12,7 @@ import getpass
 import os
 import queue
 import secrets
+import shutil
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -181,6 +182,7 @@ class Robots:
 
     def _try(self, job: Job) -> None:
         """Execute one run as `_run` does, once."""
+        self._check_room()
         taken = allocate(self._table, [(one.place, one.group) for one in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
         each(Robot.examine, robots.values())
@@ -211,6 +213,14 @@ class Robots:
                     self._keep(trial, job)
         finally:
             self._trial = None
+
+    def _check_room(self) -> None:
+        """Check that what a run measures can be kept on this machine. Raises Missing."""
+        least = self._table.disk_min
+        for folder in dict.fromkeys((self._session.root, self._session.runs)):
+            free = shutil.disk_usage(folder).free
+            if free < least:
+                raise Missing(f"this machine: the disk of {folder} has {free} bytes free, less than disk_min = {least}")
 
     def _keep(self, trial: Trial, job: Job) -> None:
         """Pull what the run has left, and append its result to the journal."""

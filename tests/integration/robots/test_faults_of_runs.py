@@ -81,6 +81,10 @@ def test_a_full_disk_of_this_machine_loses_no_record(
     assert line.startswith(f"sierra: cannot write to {store}/work/")
     assert line.endswith(": No space left on device")
     all_idle(fleet)
+    os.truncate(store / "full", (store / "full").stat().st_size - 500_000)
+    refused = projects.quick(project, *RUN)
+    assert refused.returncode == 3
+    assert refused.stderr.splitlines()[-1].startswith(f"sierra: this machine: the disk of {store}/work/")
     (store / "full").unlink()
     answered(project, ticks=5)
     assert projects.quick(project, "fsck").returncode == 0

@@ -135,6 +135,16 @@ def test_a_robot_that_is_not_ready_stops_all(fleet: Fleet, tmp_path: Path):
         fleet.run(job(1))
 
 
+def test_no_robot_is_touched_if_this_machine_has_no_room_for_what_a_run_measures(fleet: Fleet):
+    fleet.table = fleet.table.model_copy(update={"disk_min": 10**18})
+    reason = (
+        rf"^this machine: the disk of {re.escape(str(fleet.session.root))} has \d+ bytes free, less than disk_min = {10**18}$"
+    )
+    with pytest.raises(Missing, match=reason):
+        fleet.run(job(1))
+    assert not any(link.pushed or list(link.home.iterdir()) for link in fleet.links.values())
+
+
 def test_a_failed_program_stops_the_others(fleet: Fleet):
     [result] = fleet.run(job(1, "1", "sleep", "2", "7", "3", "sleep"))
     assert result.exit_code == 7
