@@ -128,7 +128,7 @@ CREATE TABLE robots (
     "clock_end_ns" BIGINT,  -- its clock when the last offset was measured, since 1970-01-01 UTC [ns]
     "rtt_ns" BIGINT,  -- round-trip time of these measurements; offsets are uncertain by half of it [ns]
     "start_skew_ns" BIGINT,  -- start of its program minus the common start, by the submitting host's clock [ns]
-    "started" TIMESTAMP WITH TIME ZONE,  -- when its program, or the engine of its container, started, by the submitting host's clock
+    "started" TIMESTAMP WITH TIME ZONE,  -- when its program started, or the engine of its container if the image has no /bin/sh, by the submitting host's clock
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended, by the submitting host's clock
     "exit_code" BIGINT,  -- exit status of its program; NULL if a signal ended it or it is unknown
     "signal" BIGINT,  -- the signal that ended its program; NULL if none did

@@ -457,6 +457,8 @@ class Client:
     environment: Mapping[str, str]
     stop: tuple[str, ...] = ()
     """The command that ends the container if the client cannot do it any more."""
+    start_pipe: str = ""
+    """The named pipe from which a line lets the program in the container begin; empty if it begins at once."""
 
 
 BASE = 0

@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra.config.execution_tables import Container
+from sierra.containers import held_start
 from sierra.containers.container_setup import Isolation, examined, ignored, mounts, settings
 from sierra.containers.engines.base import PROJECT, Capabilities, ContainerSpec, Engine, Mount, OnOtherHosts, run_process
 from sierra.containers.engines.hosts import Notice, OtherHost
 from sierra.containers.images.image import AnyImage, Image, architecture, every
 from sierra.errors import ConfigError, Missing
-from sierra.model import Client, Limits, RunSpec
+from sierra.model import Client, Limits, Result, RunSpec
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import StorePaths
 from sierra.util.processors import name_of
@@ -33,6 +34,8 @@ class Prepared:
     sha256: str
     user: str
     """The user that the image sets for its programs, who is ignored; empty for root."""
+    shell: bool = True
+    """True if the image has a shell, in which programs can wait for a common start."""
 
 
 class HostContainers:
@@ -128,12 +131,23 @@ class HostContainer:
     @property
     def notes(self) -> Iterator[str]:
         """Yield what the engine there cannot do, and what of the image has no effect."""
-        notes = (*_about(self._prepared.user), *ignored(self.engine, self.abilities, self.box))
+        notes = (*_about(self._prepared), *ignored(self.engine, self.abilities, self.box))
         return (f"{self._host.name}: {note}" for note in notes)
 
-    def client(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client:
-        """Return the client that starts the container of a run there. `variables` replace those that the image sets."""
-        return self.engine.client(self.box, run_process(argv, {**self.box.image.defaults, **variables}))
+    def client(self, argv: tuple[str, ...], variables: Mapping[str, str], *, waits: bool = False) -> Client:
+        """Return the client that starts the container of a run there. `variables` replace those that the image sets.
+
+        `waits`: if possible, the program waits in the container for a common start: see `sierra.containers.held_start`.
+        """
+        complete = {**self.box.image.defaults, **variables}
+        if not (waits and self._prepared.shell and held_start.passes(complete)):
+            return self.engine.client(self.box, run_process(argv, complete))
+        client = self.engine.client(self.box, run_process(held_start.waiting(argv, complete), complete))
+        return replace(client, start_pipe=held_start.host_pipe())
+
+    def classify(self, result: Result, stderr: str) -> Result:
+        """Return the result of a run's program, derived from its client's result and the end of its standard error."""
+        return held_start.classify(self.engine.classify(result, stderr, self.isolation.enforced), stderr)
 
 
 def contain(
@@ -158,10 +172,12 @@ def contain(
         inside = examined(spec, image, root, store)
         file = engine.portable(image, root, store)
         pinned = image.sha256 if image.file and root / image.file == file else ""
-        return Prepared(image, file, pinned or cached_sha256(file), inside.user)
+        shell = inside.program(held_start.SHELL) is not None
+        return Prepared(image, file, pinned or cached_sha256(file), inside.user, shell)
 
     of_any = image if isinstance(image, Image) else next(iter(every(image)))
-    box = replace(settings(spec, of_any, container, bounds, session), mounts=tuple(mounts(spec, container, root)))
+    # a program may wait for its start for any time, and the agent there ends containers; therefore without a time limit
+    box = replace(settings(spec, of_any, container, bounds, session), mounts=tuple(mounts(spec, container, root)), wall=None)
     containers = HostContainers(engine, box, image, prepare, _without_effect(container))
     if isinstance(image, Image):
         containers.ready(image)
@@ -173,6 +189,11 @@ def _without_effect(container: Container) -> Iterator[str]:
         yield 'isolation = "worker" has no effect on robots: each run gets its own container'
 
 
-def _about(user: str) -> Iterator[str]:
-    if user:
-        yield f"the image's USER {user!r} is ignored: outside the container, processes belong to the user of the link"
+def _about(image: Prepared) -> Iterator[str]:
+    if image.user:
+        yield f"the image's USER {image.user!r} is ignored: outside the container, processes belong to the user of the link"
+    if not image.shell:
+        yield (
+            f"the image {image.image.name} has no {held_start.SHELL}: its container starts at the common start, "
+            "and its program begins later"
+        )

@@ -183,6 +183,8 @@ def record(job: Job) -> worker.Job:
         record["beside"] = job.beside
     if client := job.client:
         record["client"] = {"argv": client.argv, "environment": dict(client.environment), "stop": client.stop}
+        if client.start_pipe:
+            record["client"]["start_pipe"] = client.start_pipe
         record["shared"] = job.shared
     if job.observe is not None:
         record["observe"] = dict(job.observe)

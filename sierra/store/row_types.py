@@ -173,7 +173,8 @@ class RobotRow(NamedTuple):
         int | None, "start of its program minus the common start, by the submitting host's clock", "ns"
     ] = None
     started: Annotated[
-        datetime | None, "when its program, or the engine of its container, started, by the submitting host's clock"
+        datetime | None,
+        "when its program started, or the engine of its container if the image has no /bin/sh, by the submitting host's clock",
     ] = None
     ended: Annotated[datetime | None, "when its program ended, by the submitting host's clock"] = None
     exit_code: Annotated[int | None, "exit status of its program; NULL if a signal ended it or it is unknown"] = None

@@ -12,7 +12,7 @@ Both sides exchange lines of JSON: the driver sends requests (`do`), the agent a
 | `hello` | `hello` or `refused` | lock the robot, end and remove leftovers, execute the setup line |
 | `check` | `checked` | measure battery and disk; before a run, also read firmware and calibration, and execute the checks |
 | `clock` | `clock` | the two clocks, in ns |
-| `arm` | `armed` or `refused` | make the run's folder, and start its worker, which waits |
+| `arm` | `armed` or `refused` | make the run's folder, and start its worker and its container, which wait |
 | `at` | `gated` or `late` | start the run at this time (ns) of this robot's clock; a time in the past is refused |
 | `stop` | (`ended`) | end the run |
 | `done` | `removed` | remove the run's folder |
@@ -242,8 +242,8 @@ class Run:
         return self.begun
 
     def is_ready(self) -> bool:
-        """Return whether the run is prepared, or its worker has ended."""
-        return any(event["event"] == "ready" for event in self.events()) or self.worker.poll() is not None
+        """Return whether the run is prepared."""
+        return any(event["event"] == "ready" for event in self.events())
 
     def record(self) -> Record | None:
         """Return the worker's report on the run's end; None without one."""
@@ -634,8 +634,7 @@ class Agent:
         if run is None:
             return
         if run.armed and run.is_ready():
-            self.tell(run.armed)
-            run.armed = None
+            self.answer_order(run)
         if run.gated and not run.reported and run.has_begun():
             run.reported = True
             self.tell({"event": "started", "attempt": run.attempt})
@@ -645,8 +644,16 @@ class Agent:
             with contextlib.suppress(OSError):  # of a full disk, the driver hears at once
                 write_whole(os.path.join(run.folder, ENDED), report)
             self.tell({"event": "ended", **report})
+            if run.armed:
+                self.answer_order(run)
             if not self.leaving:
                 self.prepare_worker()
+
+    def answer_order(self, run: Run) -> None:
+        """Answer that a run is armed. If it has ended already, the driver has heard of this before."""
+        if run.armed:
+            self.tell(run.armed)
+        run.armed = None
 
     def tell(self, event: Record) -> None:
         """Send an event. A driver that does not read loses it."""

@@ -56,6 +56,9 @@ own environment. The run's processes are those with SIERRA_EXECUTION in their en
 Their use of resources is measured from outside, at intervals of a twentieth of the time that they have run; if they end before
 the first measurement, it is unknown (null). If the client was killed, its `stop` ends the container.
 
+If a run waits for its moment, and its client has a `start_pipe`, the container is started before: see `Held`. Otherwise its
+`end` has the key `delay_s`: about how many seconds after its moment its program began, because the engine took so long.
+
 A `shared` container executes all runs of a slot, one after the other. It is started with the first of them, with a folder of
 its own (the NUL in its argv). This worker also runs inside the container: it takes jobs from its standard input and, with the
 argument `-`, writes its journal to its standard output. Everything that a run leaves in one of PLACES, folders of the
@@ -165,6 +168,8 @@ class Program(TypedDict):
     argv: Sequence[str]
     environment: Mapping[str, str]
     stop: NotRequired[Sequence[str]]
+    start_pipe: NotRequired[str]
+    """The named pipe from which a line lets the program in the container begin."""
 
 
 class Helps(TypedDict):
@@ -241,6 +246,7 @@ class Remains(TypedDict):
     elsewhere: NotRequired[list[str]]
     spare: NotRequired[bool]
     observed: NotRequired[bool]
+    delay_s: NotRequired[float]
 
 
 class Start(TypedDict):
@@ -294,6 +300,10 @@ Event = Union[Start, Ready, Stalled, End]
 
 class GivenUp(Exception):
     """The worker stops, and no longer reads the outputs of a run."""
+
+
+class NotHeld(Exception):
+    """A container cannot be started before its run begins, for the reason given in one line."""
 
 
 class Journal:
@@ -489,6 +499,69 @@ class Meter:
         return {"user_s": self.user_s, "system_s": self.system_s, "max_rss_bytes": self.max_rss}
 
 
+class Held:
+    """A container that is started before its run begins.
+
+    A program in it waits to read a line from a named pipe, and then becomes the program of the run. It has opened the pipe for
+    reading as soon as the pipe can be opened for writing here.
+    """
+
+    def __init__(self, job: Job, folder: str) -> None:
+        client = with_folder(job["client"], folder)
+        self.client = client
+        self.log = os.path.join(folder, LOGS[1])
+        self.path = client["start_pipe"]
+        self.pipe: int | None = None
+        self.grace = job["limits"].get("grace_s", GRACE_S)
+        os.mkfifo(self.path, 0o600)
+        self.process = start(job, folder)
+
+    def await_ready(self, is_stopping: Callable[[], bool]) -> None:
+        """Wait until the program in the container waits for its line. Raises NotHeld, OSError."""
+        give_up = time.monotonic() + START_S
+        while not self.is_waiting() and not is_stopping():
+            self.check()
+            if time.monotonic() > give_up:
+                raise NotHeld("its container did not start within %g s" % START_S)
+            select.select((), (), (), SAMPLE_S / 10)
+
+    def is_waiting(self) -> bool:
+        try:
+            self.pipe = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as error:
+            if error.errno != errno.ENXIO:  # nobody has opened it for reading
+                raise
+        return self.pipe is not None
+
+    def check(self) -> None:
+        """Check that the container has not ended. Raises NotHeld."""
+        if has_ended(self.process.pid):
+            raise NotHeld("its container ended before the run began: " + (last_line_of(self.log) or "it printed no error"))
+
+    def begin(self) -> subprocess.Popen[bytes]:
+        """Let the program begin, and return its client. It may have ended by itself just before."""
+        if self.pipe is not None:
+            with contextlib.suppress(BrokenPipeError):
+                os.write(self.pipe, b"\n")
+        self.close()
+        return self.process
+
+    def end(self) -> None:
+        """End the container. Its program has not begun: it ends when the pipe is closed."""
+        self.close()
+        signal_group(self.process.pid, signal.SIGTERM)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(self.grace)
+        signal_group(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        end_container(self.client)
+
+    def close(self) -> None:
+        if self.pipe is not None:
+            os.close(self.pipe)
+        unlink(self.path)
+
+
 class SharedServices:
     """Services that all runs of this worker share: their conductor, which ends when one of them has ended.
 
@@ -681,10 +754,7 @@ class Container:
         self.close_pipe()
         if self.process.stdout is not None:
             self.process.stdout.close()
-        with open(self.log, "rb") as log:
-            log.seek(max(0, os.fstat(log.fileno()).st_size - HEAD_BYTES))
-            output = log.read().decode("utf-8", "replace").strip().splitlines()
-        return output[-1] if output else "status %s" % self.process.returncode
+        return last_line_of(self.log) or "status %s" % self.process.returncode
 
 
 class Worker:
@@ -861,14 +931,13 @@ class Worker:
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
         observation = self.observe(job, folder)
-        if job.get("waits"):
-            self.journal.write({"event": "ready", "execution": job["execution"]})
-            if not self.has_time_come():
-                remove(folder)
-                return
+        held = Held(job, folder) if job.get("waits") and job.get("client", {}).get("start_pipe") else None
+        if job.get("waits") and not self.await_moment(job, held):
+            remove(folder)
+            return
         began, started = time.time(), time.monotonic()
         try:
-            process = start(job, folder, observation, services)
+            process = held.begin() if held else start(job, folder, observation, services)
         except (OSError, ValueError) as error:
             if observation:  # perhaps the tracer is gone
                 self.trusts = False
@@ -879,6 +948,8 @@ class Worker:
             self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + why_not_started(error, job)))
             return
         running = Running(job, folder, process, observation)
+        if held and running.meter:
+            running.meter.since = running.started
         with self.lock:
             self.running[running.pid] = running
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
@@ -923,11 +994,30 @@ class Worker:
             remains["spare"] = True
         if observed:
             remains["observed"] = True
+        if job.get("waits") and not held and running.meter and running.meter.since is not None:
+            remains["delay_s"] = round(running.meter.since - running.started, 3)
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
-    def has_time_come(self) -> bool:
-        """Wait until the moment that the input gives. Return False if the worker was told to stop before."""
+    def await_moment(self, job: Job, held: Held | None) -> bool:
+        """Report that a run is prepared, and wait until its moment. Return False if the worker was told to stop before.
+
+        Raises NotHeld if its container has ended.
+        """
+        come = False
+        try:
+            if held:
+                held.await_ready(lambda: self.stopping)
+            self.journal.write({"event": "ready", "execution": job["execution"]})
+            come = self.has_time_come(held)
+        finally:
+            if held and not come:
+                held.end()
+        return come
+
+    def has_time_come(self, held: Held | None) -> bool:
         while not self.stopping:
+            if held:
+                held.check()
             left = SAMPLE_S if self.begin is None else self.begin - time.monotonic()
             if left <= 0:
                 return True
@@ -1454,7 +1544,16 @@ def with_folder(client: Program, folder: str) -> Program:
         "argv": [word.replace("\0", folder) for word in client["argv"]],
         "environment": {name: value.replace("\0", folder) for name, value in client["environment"].items()},
         "stop": [word.replace("\0", folder) for word in client.get("stop", ())],
+        "start_pipe": client.get("start_pipe", "").replace("\0", folder),
     }
+
+
+def last_line_of(log: str) -> str:
+    """Return the last line of a log; empty if it has none."""
+    with open(log, "rb") as file:
+        file.seek(max(0, os.fstat(file.fileno()).st_size - HEAD_BYTES))
+        lines = file.read().decode("utf-8", "replace").strip().splitlines()
+    return lines[-1] if lines else ""
 
 
 def end_container(client: Program) -> None:
@@ -2008,6 +2107,8 @@ def explain(error: BaseException) -> str:
     name = getattr(error, "filename", None)
     if isinstance(name, bytes):
         name = os.fsdecode(name)
+    if isinstance(error, NotHeld):
+        return str(error)
     reason = getattr(error, "strerror", None) or "%s: %s" % (type(error).__name__, error)
     return "%s: %s" % (name, reason) if name else reason
 

@@ -116,7 +116,7 @@ def begins(fleet: Fleet, root: Path, engine: str) -> None:
         done = projects.quick(root, *words)
         assert done.returncode in (0, 1), done.stderr  # on a busy machine, single runs fail
     found = sorted(row["delay"] for row in projects.sql(root, DELAYS))
-    show(f"common start until programs begin, {engine}: median", statistics.median(found), "ms", "-")
+    show(f"common start until programs begin, {engine}: median", statistics.median(found), "ms", "20")
     show("  the slowest of all", found[-1], "ms", "-")
 
 

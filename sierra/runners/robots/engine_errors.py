@@ -20,6 +20,6 @@ def classify(part: Part, container: HostContainer) -> None:
     with Path(part.files, RUN_STDERR).open("rb") as file:
         file.seek(max(0, Path(part.files, RUN_STDERR).stat().st_size - SHOWN))
         errors = file.read().decode("utf-8", "replace")
-    result = container.engine.classify(result_of(end), errors, container.isolation.enforced)
+    result = container.classify(result_of(end), errors)
     end["exit_code"], end["signal"] = result.exit_code, result.signal
     end["stopped"], end["error"] = result.stopped, result.error

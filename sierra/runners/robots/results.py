@@ -204,8 +204,15 @@ def _remarks(part: Part, trial: Trial) -> str | None:
     clock = clock_changes.remark(part, trial.table.clock_error)
     why = [ended["why"]] if ended.get("why") else []
     failed = [text for text in (part.lost, part.failure, part.problem) if text]
-    found = dict.fromkeys((*failed, *why, *ended.get("problems", ()), *([clock] if clock else [])))
+    late = _delay(part)
+    found = dict.fromkeys((*failed, *why, *ended.get("problems", ()), *([late] if late else []), *([clock] if clock else [])))
     return "; ".join(found) or None
+
+
+def _delay(part: Part) -> str | None:
+    """Return by how much a program began too late, because its container was not started before; None if it was."""
+    delay = part.end.get("delay_s") if part.end else None
+    return None if delay is None else f"its program began {delay:.2f} s after the common start, when its container had started"
 
 
 def notes(trial: Trial) -> Iterator[str]:
@@ -214,6 +221,8 @@ def notes(trial: Trial) -> Iterator[str]:
         ended = part.ended or {}
         for problem in ended.get("problems", ()):
             yield f"{part.name}: {problem}"
+        if late := _delay(part):
+            yield f"{part.name}: {late}"
         if clock := clock_changes.remark(part, trial.table.clock_error):
             yield f"{part.name}: {clock}, so that its stamps cannot be converted to one time axis"
 

@@ -286,7 +286,7 @@ class Robots:
             folders=placed.folders,
             limits=replace(job.limits, grace_s=self._table.grace),
             beside=robot.beside(Path(job.beside), self._beside) if job.beside else None,
-            client=robot.container.client(placed.argv, variables) if robot.container else None,
+            client=robot.container.client(placed.argv, variables, waits=True) if robot.container else None,
             observe=robot.folders() if job.observe is not None else None,
             budget=None,
             helps=None,

@@ -25,8 +25,8 @@ from sierra.runners.robots.agent_link import AgentLink, Record, Refused
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.worker import worker
 
-ARM_S = 60.0
-"""The seconds in which a robot must have its input files."""
+ARM_S = worker.START_S + 30.0
+"""The seconds in which a robot must have its input files, and must have started its container."""
 CHECK_S = 30.0
 LEAD_S = 0.25
 """The seconds from the last measurement of the clocks to the start, and in addition `ROUND_TRIPS` round trips."""
@@ -187,13 +187,17 @@ class Trial:
         """Wait until the run may begin, or is stopped. Raises Missing if a robot drops out."""
         self.waits = True
         try:
-            while not (self._may_begin() or self._stopping()):
-                self._take(POLL_S)
+            while True:
+                while not self._events.empty():
+                    self._take(POLL_S)
                 for part in self.parts:
                     self._listen(part)
                     if not part.is_open:
                         reason = part.lost or part.failure or (part.ended or {}).get("why")
                         raise Missing(f"{part.name}: was ready, but cannot start any more: {reason}")
+                if self._may_begin() or self._stopping():
+                    return
+                self._take(POLL_S)
         finally:
             self.waits = False
 

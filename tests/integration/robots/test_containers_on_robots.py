@@ -6,13 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import tarfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests import containers, projects, robots
-from tests.support.robot_fleet import Fleet
+from tests import containers, images, projects, robots
+from tests.support.robot_fleet import SUB_IDS, Fleet
 from tests.waiting import until
 
 pytestmark = [pytest.mark.integration, pytest.mark.real]
@@ -90,6 +91,8 @@ def test_both_engines_give_the_same_runs_and_bytes_and_leave_nothing(root: Path,
         root, "SELECT DISTINCT i.engine FROM executions JOIN isolations i USING (isolation) WHERE status = 'ok'"
     )
     assert {row["engine"] for row in used} == set(ENGINES)
+    late = projects.sql(root, "SELECT reason FROM robots WHERE reason IS NOT NULL")
+    assert late == [], "all programs began at the common start"
     shown = projects.quick(root, "show", batch).stdout
     assert "sees the host" not in shown
     assert left(fleet) == []
@@ -144,3 +147,25 @@ def test_a_robot_without_the_engine_is_named_before_anything_is_copied(root: Pat
     assert (refused.returncode, refused.stdout) == (3, "")
     assert refused.stderr.splitlines()[-1].startswith("sierra: rb2: neither apptainer nor singularity-ce is installed")
     assert not any((fleet.robots[name].home / FOLDER / "sources").exists() for name in fleet.names)
+
+
+def test_files_of_several_users_in_an_image_need_a_range_of_ids_on_each_robot(root: Path, fleet: Fleet, tmp_path: Path) -> None:
+    shadow = tarfile.TarInfo("etc/shadow")
+    shadow.gid = 42
+    image = images.docker_archive(tmp_path / "shadow.tar", [images.layer(("bin/", ""), ("bin/sh", "#!"), shadow)])
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("busybox.tar", "shadow.tar"))
+    assert projects.quick(root, "image", "pin", str(image)).returncode == 0
+    ranges = [fleet.folder / "etc" / name for name in SUB_IDS]
+    before = [path.read_text() for path in ranges]
+    try:
+        for path in ranges:
+            path.write_text("")
+        refused = run(root, "podman", 1)
+    finally:
+        for path, text in zip(ranges, before, strict=True):
+            path.write_text(text)
+    assert (refused.returncode, refused.stdout) == (3, "")
+    assert refused.stderr.splitlines()[-1].startswith(
+        f"sierra: rb1: podman cannot load the image {image}: the user has no range of ids in /etc/subuid"
+    )

@@ -19,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from sierra.containers import held_start
 from sierra.containers.engines import on_host
 from sierra.runners.robots.push import PROGRAMS
 from sierra.worker import robot_agent, worker
@@ -314,3 +315,73 @@ def test_a_step_of_the_wall_clock_is_noticed(tmp_path: Path, monkeypatch: pytest
     run.end("a test")
     until(lambda: run.look(time.monotonic()))
     assert run.ended()["steps"] == [pytest.approx(-137, abs=0.1)]
+
+
+CLIENT = """
+import os, sys, time
+time.sleep(0.4)
+os.execve("/bin/sh", sys.argv[1:], {"PATH": os.environ["PATH"], "SIERRA_EXECUTION": os.environ["EXECUTION"]})
+"""
+"""A client that takes long to start its container."""
+
+
+def contained(execution: str, script: str, *, held: bool = True) -> dict[str, Any]:
+    """Return a job whose client executes a script, which waits for the common start if it is held."""
+    started = held_start.waiting(("/bin/sh", "-c", script), {}) if held else ("/bin/sh", "-c", script)
+    argv = [word.replace("/run/sierra/run", "\0") for word in started]
+    order = job("", execution)
+    client: dict[str, Any] = {
+        "argv": [sys.executable, "-I", "-c", CLIENT, "sh", *argv[1:]],
+        "environment": {"PATH": os.environ["PATH"], "EXECUTION": execution},
+        "stop": ["touch", "\0/ended"],
+    }
+    return {**order, "client": {**client, "start_pipe": held_start.host_pipe()} if held else client}
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_container_is_started_before_the_common_start_if_its_program_can_wait(agent: Start, held: bool) -> None:
+    driver = agent()
+    driver.hello()
+    script = "date +%s.%N; ls -A ..; sleep 0.3; tr '\\0' '\\n' < /proc/$$/environ; exit 3"
+    driver.send("arm", attempt=driver.attempt, job=contained(driver.attempt, script, held=held))
+    driver.receive("armed")
+    time.sleep(0.2)
+    assert (driver.output.parent / "stdout").read_bytes() == b""
+    driver.go(0.2)
+    end = driver.receive("ended")["end"]
+    lines = (driver.output.parent / "stdout").read_text().splitlines()
+    assert end["exit_code"] == 3
+    assert (float(lines[0]) - end["started"] < 0.2) == held
+    assert (end["ended"] - end["started"] < 0.6) == held
+    assert ("delay_s" not in end) == held
+    if held:
+        assert lines[1:6] == ["home", "output", "stderr", "stdout", "tmp"], "the pipe is gone"
+        assert sorted(lines[6:]) == [f"PATH={os.environ['PATH']}", f"SIERRA_EXECUTION={driver.attempt}"]
+    else:
+        assert end["delay_s"] > 0.2
+
+
+def test_a_container_that_waits_is_ended_if_the_run_is_stopped(agent: Start) -> None:
+    driver = agent()
+    driver.hello()
+    driver.send("arm", attempt=driver.attempt, job=contained(driver.attempt, "touch ../begun"))
+    driver.receive("armed")
+    driver.send("stop", attempt=driver.attempt, why="tests end")
+    report = driver.receive("ended")
+    assert (report["started"], report["end"], report["why"], report["problems"]) == (False, None, "tests end", [])
+    assert driver.is_alone()
+    assert not driver.output.parent.exists()
+
+
+def test_a_container_that_ends_before_the_common_start_is_reported_before_the_run_is_armed(agent: Start) -> None:
+    driver = agent()
+    driver.hello()
+    order = contained(driver.attempt, "true")
+    order["client"]["argv"] = ["sh", "-c", "echo no such image >&2; exit 125"]
+    driver.send("arm", attempt=driver.attempt, job=order)
+    report = driver.receive("ended")
+    driver.receive("armed")
+    assert (report["started"], report["end"]) == (False, None)
+    assert report["problems"] == [
+        "its worker ended with status 3: worker: its container ended before the run began: no such image"
+    ]

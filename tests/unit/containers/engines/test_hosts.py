@@ -29,6 +29,19 @@ def containers(images: AnyImage, any_image: Image) -> on_hosts.HostContainers:
     return on_hosts.HostContainers(Apptainer(), box, images, lambda image: on_hosts.Prepared(image, Path(image.name), "", ""))
 
 
+def test_programs_wait_for_a_common_start_only_in_an_image_with_a_shell(host: OtherHost) -> None:
+    box = container_setup.settings(SPEC, IMAGE, Container(image="lab.sqfs"), Limits(), "s")
+    for shell in (True, False):
+        prepared = on_hosts.Prepared(IMAGE, Path("lab.sqfs"), "", "", shell)
+        container = on_hosts.HostContainer(box, prepared, host, NoEngine(), NoEngine().probe())
+        client = container.client(("env", "x"), {}, waits=True)
+        assert client.argv[-2:] == ("env", "x")
+        assert (len(client.argv) > 2, client.start_pipe) == (shell, "\0/.start" if shell else "")
+        assert any("/bin/sh" in note for note in container.notes) != shell
+        assert container.client(("env", "x"), {}).argv == ("env", "x")
+        assert not container.client(("env", "x"), {"a.b": ""}, waits=True).start_pipe
+
+
 @pytest.fixture
 def link(tmp_path: Path) -> LocalLink:
     return LocalLink("ada", tmp_path / "ada")
