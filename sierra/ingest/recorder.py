@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
-import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -35,13 +33,12 @@ from sierra.store.views import INVALID_TRIAL
 from sierra.util.fs import inside
 from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
+from sierra.util.kept_log import kept_of
 from sierra.worker import worker
 
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
-LOG_KEPT = 1 << 20
-"""The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
 LOG_SHOWN = 2000
 WITH_EXECUTION = ("robots", "trials")
 """Tables of which a runner reports rows that are recorded with their execution."""
@@ -374,24 +371,6 @@ def discard(folder: Path, session: SessionPaths) -> None:
 
 def _moment(seconds: float) -> datetime:
     return datetime.fromtimestamp(seconds, UTC)
-
-
-def kept_of(path: str) -> tuple[bytes, int]:
-    """Return the kept part of a log and the log's size in bytes. A link that a run put in its place is not followed."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError:
-        return b"", 0
-    with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or Path(path).parent.is_symlink():
-            return b"", 0
-        size = found.st_size
-        if size <= LOG_KEPT:
-            return file.read(), size
-        head = file.read(LOG_KEPT // 4)
-        file.seek(-3 * LOG_KEPT // 4, 2)
-        return head + b"\n[... %d bytes left out ...]\n" % (size - LOG_KEPT) + file.read(), size
 
 
 def last_words(folder: str) -> str | None:

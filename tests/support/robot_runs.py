@@ -28,6 +28,7 @@ if place in mine:
     action = mine[mine.index(place) + 1]
     if action == "deaf":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if action in ("deaf", "loud"):
         print("x" * (10 << 20), flush=True)
     if action == "writes":
         open("much.bin", "wb").write(os.urandom(8 << 20))

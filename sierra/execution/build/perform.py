@@ -25,7 +25,6 @@ from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import Recipe
 from sierra.execution.end_processes import ending
 from sierra.execution.sessions import Session
-from sierra.ingest.recorder import kept_of
 from sierra.model import Client, Limits, Purpose
 from sierra.provenance import reported_versions
 from sierra.provenance.dependency_model import Programs
@@ -36,6 +35,7 @@ from sierra.store.objects import Objects
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.util.kept_log import kept_of
 from sierra.util.lazy_logger import Log
 from sierra.util.text import one_line
 from sierra.worker import worker

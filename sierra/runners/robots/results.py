@@ -10,14 +10,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sierra.links.clock import Clock
-from sierra.runners.robots import clock_changes, observed_files
+from sierra.runners.robots import clock_changes, joint_logs, observed_files
 from sierra.runners.robots.trial import OVER, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.worker import worker
 
 INTERRUPTED = "interrupted"
-CHUNK = 1 << 20
 LATE_S = 1.0
 """The seconds that a start may be off the common one before it is noted."""
 
@@ -33,7 +32,7 @@ class Times:
 def result(trial: Trial, job: worker.Job, folder: Path, *, interrupted: bool) -> worker.End:
     """Return the result of a trial whose files are in `folder`/PLACE, and are moved to one folder of a run there.
 
-    The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots, one after the other.
+    The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots: see `joint_logs`.
     """
     started = [part for part in trial.parts if part.started]
     ends = [part.end for part in started if part.end is not None]
@@ -121,14 +120,7 @@ def _moved(parts: Iterable[Part], folder: Path) -> tuple[list[worker.OutputFile]
     output = folder / RUN_OUTPUT
     output.mkdir(parents=True)
     several = [part for part in parts if part.files is not None]
-    for name in worker.LOGS:
-        with (folder / name).open("wb") as log:
-            for part in several:
-                source = Path(str(part.files), name)
-                if source.is_file() and source.stat().st_size:
-                    log.write(f"==> {part.name} <==\n".encode())
-                    with source.open("rb") as file:
-                        shutil.copyfileobj(file, log, CHUNK)
+    joint_logs.join(several, folder)
     for part in several:
         source = Path(str(part.files), RUN_OUTPUT)
         if source.is_dir():

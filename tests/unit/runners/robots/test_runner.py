@@ -22,6 +22,7 @@ from sierra.runners.robots.fleet_table import RobotTable
 from sierra.runners.robots.runner import Robots
 from sierra.store.layout import SessionPaths
 from sierra.testing import robots as conformance
+from sierra.util.kept_log import kept_of
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
 from tests.support.robot_runs import Runs, job
@@ -52,6 +53,17 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
 
 def is_alone(number: int) -> bool:
     return not worker.marked([b"SIERRA_EXECUTION=" + f"{number:064d}".encode()])
+
+
+def test_the_log_of_each_robot_is_kept_however_much_others_print(fleet: Fleet):
+    [result] = fleet.run(job(1, "1", "loud", "2", "7", "3", "loud"))
+    content, size = kept_of(f"{result.directory}/stdout")
+    assert len(content) == size, "the recorder leaves out nothing more"
+    text = content.decode()
+    assert text.count("==> ") == 3
+    assert text.count("bytes left out") == 2
+    assert "==> ada <==\nrobot 1\nxxx" in text
+    assert text.endswith("x\n==> bob <==\nrobot 2\n"), "the log of the robot that has failed comes last"
 
 
 def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):

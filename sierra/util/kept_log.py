@@ -1,0 +1,38 @@
+"""The part of a log that is kept: all of it, or its beginning and its end."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+
+KEPT = 1 << 20
+"""The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
+
+
+def kept_of(path: str, most: int = KEPT) -> tuple[bytes, int]:
+    """Return the kept part of a log and the log's size in bytes. A link that a run put in its place is not followed."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return b"", 0
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or Path(path).parent.is_symlink():
+            return b"", 0
+        size = found.st_size
+        if size <= most:
+            return file.read(), size
+        head = file.read(most // 4)
+        file.seek(size - (most - len(head)))
+        return head + b"\n[... %d bytes left out ...]\n" % (size - most) + file.read(most), size
+
+
+def shares(sizes: Sequence[int], most: int) -> list[int]:
+    """Return how many bytes of each of several logs fit into `most` bytes: long ones share equally what short ones leave."""
+    found, left = [0] * len(sizes), most
+    for done, place in enumerate(sorted(range(len(sizes)), key=sizes.__getitem__)):
+        found[place] = min(sizes[place], left // (len(sizes) - done))
+        left -= found[place]
+    return found
