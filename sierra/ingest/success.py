@@ -55,7 +55,7 @@ def doubted(one: Judgement, doubt: Doubt) -> Judgement:
 
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:
     """Return the status of an execution by what is known immediately, and the reason if it is not successful."""
-    if result.error is not None:
+    if result.error is not None and result.stopped != Status.INTERRUPTED:
         return Status.FAILED, result.error
     if result.stopped is not None:
         return Status(result.stopped), STOPPED[Status(result.stopped)]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sierra.links.clock import Clock
 from sierra.runners.robots import clock_changes, joint_logs, observed_files
-from sierra.runners.robots.trial import OVER, Part, Trial
+from sierra.runners.robots.trial import OVER, STOPPED, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.worker import worker
@@ -29,20 +29,21 @@ class Times:
     ended: float
 
 
-def result(trial: Trial, job: worker.Job, folder: Path, *, interrupted: bool) -> worker.End:
+def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
     """Return the result of a trial whose files are in `folder`/PLACE, and are moved to one folder of a run there.
 
     The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots: see `joint_logs`.
+    A run that the user has ended may have an error, too: if a person's stop is its planned end, it has failed nevertheless.
     """
     started = [part for part in trial.parts if part.started]
     ends = [part.end for part in started if part.end is not None]
-    error = failure(trial) if not interrupted else None
+    error = failure(trial)
     observed = observed_files.merge(trial.parts, folder)
     outputs, left_out = _moved(trial.parts, folder)
     known = [times for part in started if (times := times_of(part))]
     at = trial.at_ns / 1e9
     limits = (end["stopped"] for end in ends if end["stopped"] not in (None, INTERRUPTED))
-    stopped = INTERRUPTED if interrupted else next(limits, None)
+    stopped = INTERRUPTED if trial.stopped == STOPPED else next(limits, None)
     bad = _first_failed(started) if trial.stopped != OVER else None
     whole = bool(ends) and len(ends) == len(trial.parts)
     record: worker.End = {
@@ -61,7 +62,7 @@ def result(trial: Trial, job: worker.Job, folder: Path, *, interrupted: bool) ->
         "slot": 0,
         "stopped": stopped,
         "outputs": outputs,
-        "error": error if stopped is None else None,
+        "error": error if stopped in (None, INTERRUPTED) else None,
     }
     if observed:
         record["observed"] = True
@@ -80,9 +81,9 @@ def _first_failed(parts: Iterable[Part]) -> worker.End | None:
 def failure(trial: Trial) -> str | None:
     """Return what happened to which robot, in one line; None if the run has ended well on all of them."""
     found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial.table.clock_drift))]
-    if not found and trial.stopped not in (None, OVER):
+    if not found and trial.stopped not in (None, OVER, STOPPED):
         found = [str(trial.stopped)]
-    elif found and trial.stopped is not None and trial.stopped != OVER and len(trial.parts) > 1:
+    elif found and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
         found.append("the others were stopped")
     return "; ".join(found) or None
 

@@ -39,7 +39,7 @@ from sierra.runners.robots.agent_link import LOCK, AgentLink, Record
 from sierra.runners.robots.engine_errors import classify
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
 from sierra.runners.robots.push import content_name, push_content, push_programs
-from sierra.runners.robots.trial import SETTLE_S, Part, Trial, each
+from sierra.runners.robots.trial import SETTLE_S, STOPPED, Part, Trial, each
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.json_types import RecordValue
@@ -56,7 +56,6 @@ SESSION_S = 10.0
 REJOIN_S = 0.3
 OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 NO_FLEET = 'the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml'
-STOPPED = "the runs were ended by the user"
 MakeLink = Callable[[str, RobotTable], Link]
 
 
@@ -231,7 +230,7 @@ class Robots:
             if container := self._robots[part.name].container:
                 classify(part, container)
         own = record(replace(job, members=()))
-        end = results.result(trial, own, folder, interrupted=trial.stopped == STOPPED)
+        end = results.result(trial, own, folder)
         for part in trial.parts:
             self._robots[part.name].forget_if_lost(part)
         for text in results.notes(trial):

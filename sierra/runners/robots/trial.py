@@ -40,6 +40,7 @@ SETTLE_S = 6.0
 """The seconds that an agent may take to report an end, after the grace time and the time of the stop command."""
 OVER = "the run is over"
 """The reason for the stop when the base station's program has ended successfully."""
+STOPPED = "the runs were ended by the user"
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 

@@ -1,0 +1,77 @@
+"""Tests of the result of a run on robots, from what these have reported and left."""
+
+from __future__ import annotations
+
+import queue
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.config.output_tables import Success
+from sierra.ingest.success import judge
+from sierra.links.clock import Clock
+from sierra.model import Status
+from sierra.runners.journal_reader import result_of
+from sierra.runners.robots import results
+from sierra.runners.robots.agent_link import AgentLink
+from sierra.runners.robots.fleet_table import FleetTable
+from sierra.runners.robots.trial import STOPPED, Part, Trial
+from sierra.worker import worker
+from tests.support.local_link import LocalLink
+
+JOB: Any = {"run": "ab" * 32, "execution": "cd" * 32}
+END = {
+    **JOB,
+    "started": 100.0,
+    "ended": 110.0,
+    "exit_code": 0,
+    "signal": None,
+    "stopped": "interrupted",
+    "error": None,
+    "outputs": [],
+    "user_s": 1.0,
+    "system_s": 1.0,
+    "max_rss_bytes": 1,
+}
+
+
+def trial_of(folder: Path) -> Trial:
+    """Return a trial of two robots that was ended by a person, and whose files were pulled."""
+    parts = []
+    for place, name in enumerate(("ada", "bob"), 1):
+        (folder / str(place) / "output").mkdir(parents=True)
+        for log in worker.LOGS:
+            (folder / str(place) / log).touch()
+        agent = AgentLink(name, LocalLink(name, folder / "home"), 1.0, queue.SimpleQueue())
+        ended = {"started": True, "why": STOPPED, "end": dict(END), "problems": [], "steps": []}
+        clock = Clock(0, 1000, 0)
+        parts.append(Part(place, "robot", agent, {}, JOB, clock=clock, started=True, ended=ended, files=folder / str(place)))
+    table = FleetTable(fleet={"ada": {"host": "ada"}, "bob": {"host": "bob"}}, stop=[])
+    trial = Trial("1", parts, table, queue.SimpleQueue(), stopping=lambda: None, notice=lambda text: None)
+    trial.stopped = STOPPED
+    return trial
+
+
+def test_a_run_that_a_person_ends_is_only_interrupted(tmp_path: Path):
+    end = results.result(trial_of(tmp_path), JOB, tmp_path)
+    assert (end["stopped"], end["error"]) == ("interrupted", None)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"files": None, "problem": "no space left"}, "bob has kept its outputs: no space left"),
+        ({"lost": "no answer for 7 s"}, "bob was lost: no answer for 7 s"),
+    ],
+)
+def test_outputs_that_are_missing_are_an_error_also_if_a_person_ends_the_run(tmp_path: Path, change: Any, said: str):
+    """`[trials] stop = "ends"` makes such a run a success, and it must not be one without all of its robots."""
+    trial = trial_of(tmp_path)
+    for name, value in change.items():
+        setattr(trial.parts[1], name, value)
+    end = results.result(trial, JOB, tmp_path)
+    assert (end["stopped"], end["error"]) == ("interrupted", said)
+    assert judge(result_of(end), {}, Success())[0] is Status.INTERRUPTED
+    as_planned = result_of({**end, "stopped": None})
+    assert judge(as_planned, {}, Success()) == (Status.FAILED, said)
