@@ -55,11 +55,14 @@ for name in sorted(name for name in sources if sources[name]):
         if name != "calibration" and not text:
             errors[name] = "it is empty"
         elif name == "battery":
-            found[name] = float(text.split()[0].rstrip("%"))
+            charge = float(text.split()[0].rstrip("%"))
+            if not 0 <= charge <= 100:
+                raise ValueError(charge)
+            found[name] = charge
     except OSError as error:
         errors[name] = "%s: %s" % (error.filename, error.strerror)
     except ValueError:
-        errors[name] = "%r is not a number" % text[:60]
+        errors[name] = "%r is not a charge from 0 to 100 %%" % text[:60]
     except subprocess.TimeoutExpired:
         errors[name] = "%s did not end within 10 s" % sources[name][0]
     except subprocess.CalledProcessError as error:
@@ -168,6 +171,9 @@ def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
     ended = link.run(argv)
     if ended.status != 0:
         yield Check(f"{host.name}: python", "missing", _last_words(ended).removeprefix("timeout: "), INSTALL)
+        return
+    if not ended.stdout:
+        yield Check(f"{host.name}: setup", "missing", "it ends the shell, by exit or exec", "correct setup in sierra.toml")
         return
     found = json.loads(ended.stdout.splitlines()[-1])
     version = ".".join(map(str, found["python"]))

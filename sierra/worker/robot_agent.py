@@ -542,9 +542,12 @@ class Agent:
             if status != 0:
                 raise Refused("its battery cannot be read: %s" % (words or "status %s" % status))
         try:
-            return float(words.split()[0].rstrip("%"))
+            level = float(words.split()[0].rstrip("%"))
         except (IndexError, ValueError):
             raise Refused("its battery cannot be read: %r is not a number" % words[:40]) from None
+        if not 0 <= level <= 100:  # also nan, which no limit would refuse, and volts or milliampere hours
+            raise Refused("its battery cannot be read: %r is not a charge from 0 to 100 %%" % words[:40])
+        return level
 
     def output_of(self, argv: Sequence[str]) -> tuple[int | None, str]:
         """Execute a command; return its status, None if it does not end in time, and its output or the error."""
@@ -730,6 +733,8 @@ def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, st
     if ended.returncode:
         words = " ".join(ended.stderr.decode("utf-8", "replace").split())[-TAIL_BYTES:]
         raise Refused("its setup line ended with %s: %s" % (ending(ended.returncode), words))
+    if not ended.stdout:
+        raise Refused("its setup line ended the shell (by exit or exec), so that the variables that it sets are unknown")
     pairs = (pair.partition("=") for pair in ended.stdout.decode("utf-8", "surrogateescape").split("\0") if "=" in pair)
     return {name: value for name, _, value in pairs if name not in LEFT_OUT and not name.startswith("BASH_FUNC_")}
 

@@ -279,9 +279,15 @@ def test_refusals_are_one_line(agent: Start, tmp_path: Path):
     driver = agent()
     driver.send("hello", who={}, setup="echo no such robot >&2; false")
     assert driver.receive("refused")["reason"] == "its setup line ended with status 1: no such robot"
+    driver.send("hello", who={}, setup="export SPEED=1; exit 0")
+    assert driver.receive("refused")["reason"].startswith("its setup line ended the shell (by exit or exec), so that the var")
     driver.hello(battery=str(tmp_path / "battery"), checks=[["sh", "-c", "echo no topic; exit 3"]])
     driver.send("check")
     assert driver.receive("refused")["reason"] == f"{tmp_path}/battery: No such file or directory"
+    for words in ("nan", "-1", "12000 mV"):  # the lowest charge that is allowed would let nan and millivolts pass
+        (tmp_path / "battery").write_text(words)
+        driver.send("check")
+        assert driver.receive("refused")["reason"] == f"its battery cannot be read: {words!r} is not a charge from 0 to 100 %"
     (tmp_path / "battery").write_text("81%\n")
     driver.send("check")
     checked = driver.receive("checked")
