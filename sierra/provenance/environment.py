@@ -98,12 +98,13 @@ def recorded(record: Sequence[str]) -> tuple[str, ...]:
     return (*VARIABLES, LOADED, *record)
 
 
+def is_recorded(name: str, patterns: Sequence[str]) -> bool:
+    """Return whether a variable is recorded: its name fits one of the patterns, and is not that of a secret."""
+    return any(fnmatchcase(name, pattern) for pattern in patterns) and not any(secret in name.upper() for secret in SECRET)
+
+
 def _variables(patterns: Sequence[str]) -> dict[str, str]:
-    return {
-        name: value
-        for name, value in sorted(os.environ.items())
-        if any(fnmatchcase(name, pattern) for pattern in patterns) and not any(secret in name.upper() for secret in SECRET)
-    }
+    return {name: value for name, value in sorted(os.environ.items()) if is_recorded(name, patterns)}
 
 
 @cache

@@ -68,7 +68,7 @@ class Runs:
         return runner
 
     def start(self, runner: Robots, *jobs: Job) -> None:
-        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), code=self.code), self.session)
+        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING*",), code=self.code), self.session)
 
     def run(self, *jobs: Job) -> list[Result]:
         return self.follow(self.submit(*jobs))

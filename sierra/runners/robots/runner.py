@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import ClassVar, cast
 
@@ -448,9 +447,7 @@ class Robot:
     def _describe(self, software: Software) -> None:
         """Take the row of `environments` from what the agent reported."""
         variables = {
-            name: value
-            for name, value in self.hello["variables"].items()
-            if any(fnmatchcase(name, pattern) for pattern in self._work.record)
+            name: value for name, value in self.hello["variables"].items() if environment.is_recorded(name, self._work.record)
         }
         around = {**self._work.around, "variables": ""}
         row = environment.elsewhere(around, self.hello["facts"], variables, software)

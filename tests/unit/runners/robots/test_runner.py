@@ -44,7 +44,7 @@ class Fleet(Runs):
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Fleet]:
-    made = Fleet(tmp_path, setup="export GREETING=hello", lease=1.0)
+    made = Fleet(tmp_path, setup="export GREETING=hello GREETING_TOKEN=abracadabra", lease=1.0)
     yield made
     for link in made.links.values():
         link.stall(stalled=False)
@@ -86,6 +86,7 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
         assert row["clock_remark"] is None
     environments = {row["environment"]: row for table, row in fleet.rows if table == "environments"}
     assert '"GREETING": "hello"' in environments[row["environment"]]["variables"]
+    assert "abracadabra" not in str(fleet.rows)
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
     assert [name.split("/")[2] for name in fleet.links["ada"].pushed] == ["programs", "sources"]
 
