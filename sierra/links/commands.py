@@ -17,6 +17,9 @@ from sierra.links.base import LIMIT, Ended, Folder, LinkOptions, NoSession, Over
 AT_ONCE = 1 << 14
 """The bytes of input that a command can be sent without waiting: less than the buffers of all links."""
 
+LONGEST_LINE = 64 << 20
+"""The limit on the bytes of a line that a command may send."""
+
 PAUSE_S = 0.05
 """Seconds between attempts to get a session, if sshd has no more: those of overdue commands last a little longer."""
 LEAVE_S = 0.5
@@ -74,7 +77,10 @@ class Exchange:
         if found is None:
             said = self._stream.problem() or " ".join(filter(None, (one.before for one in self._outputs.values())))
             raise Unreachable(f"{self.name}: the connection ended while a command executed{f': {said}' if said else ''}")
-        return found[0], self._outputs[found[0]].feed(found[1])
+        try:
+            return found[0], self._outputs[found[0]].feed(found[1])
+        except ValueError:
+            raise Unreachable(f"{self.name}: the end of a command comes without its exit status") from None
 
     def close(self) -> None:
         if self._open.acquire(blocking=False):  # only once
@@ -101,6 +107,8 @@ class Lines:
     def receive(self, timeout: float) -> str | None:
         end = time.monotonic() + timeout
         while b"\n" not in self._held and not self._over:
+            if len(self._held) > LONGEST_LINE:
+                raise Unreachable(f"{self._exchange.name}: sends a line of more than {LONGEST_LINE >> 20} MiB")
             try:
                 found = self._exchange.read(max(0.0, end - time.monotonic()))
             except TimeoutError:

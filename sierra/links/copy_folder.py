@@ -186,15 +186,23 @@ def _checked(host: str, entries: Any, *, hashed: bool) -> list[Entry]:
                 folders.add(path)
             case ["file", str(path), digest, int(size), bool()] if size >= 0 and _is_digest(digest, hashed=hashed):
                 pass
-            case ["link", str(path), str(to)] if remote_folder.stays_within(path, to):
+            case ["link", str(path), str(to)] if remote_folder.stays_within(path, to) and _is_name(to):
                 pass
             case _:
                 raise Missing(f"{host}: sends {_shown(repr(entry))}, which is no entry of a folder")
         parts = path.split("/")
-        if {"", ".", ".."} & set(parts) or "\0" in path or path in seen or "/".join(parts[:-1]) not in folders:
+        if {"", ".", ".."} & set(parts) or not _is_name(path) or path in seen or "/".join(parts[:-1]) not in folders:
             raise Missing(f"{host}: sends the name {_shown(path)!r}, which does not stay within the folder")
         seen.add(path)
     return list(entries)
+
+
+def _is_name(text: str) -> bool:
+    """Return whether a text stands for the bytes of a path."""
+    try:
+        return b"\0" not in remote_folder.raw(text)
+    except UnicodeEncodeError:
+        return False
 
 
 def _is_digest(digest: Any, *, hashed: bool) -> bool:

@@ -20,6 +20,8 @@ SCRIPT = (
 ALONE = f"exec </dev/null; {SCRIPT}"
 """The script for a command without input."""
 GRACE_S = 1
+DIGITS = 3
+"""The most digits of an exit status."""
 
 
 def new_mark() -> str:
@@ -52,7 +54,7 @@ class Unframed:
         return "" if self.begun else " ".join(self._held.decode(errors="replace").split())
 
     def feed(self, data: bytes) -> bytes:
-        """Return what belongs to the command, as far as that is certain."""
+        """Return what belongs to the command, as far as that is certain. Raises ValueError for a status that is no number."""
         if self.status is not None:
             return b""
         held = self._held + data
@@ -63,7 +65,7 @@ class Unframed:
                 return b""
             self.begun, held = True, rest
         payload, found, rest = held.partition(self._mark + b".")
-        if found and b"\n" in rest:
+        if found and (b"\n" in rest or len(rest) > DIGITS):
             self.status = int(rest.split(b"\n")[0])
             return payload
         if not found:

@@ -50,6 +50,8 @@ def pull(target: Path, entries: Any, contents: bytes = b"", *digests: str) -> An
         [["folder", "a"], ["folder", "a/.."]],
         [["file", "", None, 0, False]],
         [["file", "a\0b", None, 0, False]],
+        [["folder", "\ud800"]],
+        [["link", "a", "\ud800"]],
         [["file", "a", None, 0, False], ["file", "a", None, 0, False]],
         [["link", "a", "b"], ["file", "a/out", None, 0, False]],
         [["link", "a", "/etc"]],

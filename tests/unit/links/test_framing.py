@@ -50,6 +50,12 @@ def test_a_command_without_input_does_not_wait_for_its_end() -> None:
         assert shell.wait(10) == 0
 
 
+@pytest.mark.parametrize("end", [b"x\n", b"\n", b"9" * 5000])
+def test_an_end_without_a_number_is_no_status(end: bytes) -> None:
+    with pytest.raises(ValueError, match="int"):
+        Unframed(MARK.decode()).feed(MARK + b":" + MARK + b"." + end)
+
+
 def test_the_words_of_a_login_shell_are_known_if_no_command_began() -> None:
     unframed = Unframed(MARK.decode())
     assert unframed.feed(b"This account is\nnot available.\n") == b""
