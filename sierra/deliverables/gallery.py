@@ -209,6 +209,7 @@ class Gallery:
         table = f"sql {short(sha256(statement.encode()))}"
         if table not in self.frame.names:
             self.frame.derive(Definition(table, statement, "sql"))
+        if table not in self._outputs:  # another gallery may have made the table in this frame
             self._outputs |= {output.name: output for output in self.frame.outputs({table})}
         return table
 

@@ -77,6 +77,12 @@ def test_a_chart_is_refused_like_the_figure(shown: Drawing) -> None:
         explored(shown)
 
 
+def test_a_chart_of_a_statement_can_be_drawn_again(page: Page, recorded: Path) -> None:
+    keys = {"sql": "SELECT run, tick, avg(coverage) AS mean FROM swarm GROUP BY ALL", "kind": "timeseries", "column": "mean"}
+    first, again = (page.ask("chart", batch=ids(recorded)[0], name="drawn", keys=keys) for _ in range(2))
+    assert first["section"] == again["section"]
+
+
 def test_several_batches_are_drawn_together_as_by_the_command(own: Path) -> None:
     first = ids(own)[0]
     second = sierra.open(own).run("population_size=1,2", sets=[("noise", "0.5")], figures=False).batch
