@@ -22,7 +22,7 @@ from sierra.deliverables.videos import encode
 from sierra.deliverables.videos.films import Film, Members, films
 from sierra.deliverables.videos.subjects import Subject, subjects
 from sierra.deliverables.videos.survey import Survey, survey
-from sierra.deliverables.videos.tracks import aligned, frame_times, uneven
+from sierra.deliverables.videos.tracks import aligned, digits, frame_times, uneven
 from sierra.deliverables.videos.two_batches import films_of_two
 from sierra.errors import Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
@@ -282,12 +282,12 @@ def frames(prepared: Prepared, one: Ready) -> Iterator[Image]:
     words = Words(title, [panel.label for panel in film.panels], "; ".join(_small_print(prepared, one)))
     width, height = (side + side % 2 for side in video.size)
     scene = Scene((width, height), words, one.subject.painter(film, prepared.whole, one.subject.tracks))
-    unit = one.subject.unit and f" {one.subject.unit}"
+    unit, precision = one.subject.unit and f" {one.subject.unit}", digits(one.times)
     for time, states in zip(
         one.times.tolist(), aligned(one.subject.tracks, one.times, carry=video.step is not None), strict=True
     ):
         shown, numbers = zip(*(panel.state(states) for panel in film.panels), strict=True)
-        text = f"{one.subject.time.replace('_', ' ')} = {style.number(time)}{unit}{_count(film, numbers)}"
+        text = f"{one.subject.time.replace('_', ' ')} = {style.number(time, precision)}{unit}{_count(film, numbers)}"
         yield scene.frame(text, shown)
 
 

@@ -66,6 +66,16 @@ def uneven(times: Floats) -> tuple[float, float] | None:
     return None if high - low <= tolerance else (low, high)
 
 
+def digits(times: Floats) -> int:
+    """Return the number of significant digits of ascending times whose rounding is small beside their distances; at least 6."""
+    import numpy as np
+
+    if len(times) < 2:
+        return 6
+    places = np.log10(np.abs(times).max() / np.diff(times).min())
+    return int(np.clip(np.ceil(places) + 2, 6, 17))
+
+
 def aligned(tracks: Sequence[Track], times: Floats, *, carry: bool) -> Iterator[list[State | None]]:
     """Yield for each time the state of each track at this time; None if it has none.
 

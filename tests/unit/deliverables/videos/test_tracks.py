@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sierra.deliverables.videos.tracks import aligned, frame_times, uneven
+from sierra.deliverables.figures import style
+from sierra.deliverables.videos.tracks import aligned, digits, frame_times, uneven
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
@@ -47,6 +48,13 @@ def test_with_a_step_values_are_carried_but_not_beyond_the_end() -> None:
 def test_uneven_times_are_found_and_rounding_is_not_taken_for_it() -> None:
     assert uneven(np.linspace(1e6, 1e6 + 10, 101)) is None
     assert uneven(np.array([0.0, 1.0, 2.0, 4.0])) == (1.0, 2.0)
+
+
+def test_times_are_written_so_that_frames_differ() -> None:
+    for times in ([0.0], [1234567.0, 1234568.0], [0.25, 12345.5, 12345.75], [1.7e9 + 0.1, 1.7e9 + 0.2], [-0.5, 9e6]):
+        written = [style.number(time, digits(np.array(times))) for time in times]
+        assert [float(text.replace("−", "-")) for text in written] == times
+    assert digits(np.arange(1000) * 0.1) == 6
 
 
 def test_too_many_frames_and_no_frame_are_refused() -> None:
