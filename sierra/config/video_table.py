@@ -73,7 +73,10 @@ class Video(Table):
         description="time between frames, in the unit of the time that is shown; a frame shows the last values until its "
         "time; default: a frame for each time that a run wrote",
     )
-    fill: Finite | None = Field(None, description="value of cells that have no row; default: such a matrix is an error")
+    fill: Finite | None = Field(
+        None,
+        description="value of cells that have no row, also of whole rows between others; default: such a matrix is an error",
+    )
     limits: LimitsOfAxis | None = Field(
         None, description="values at the ends of the colours; default: the smallest and the largest value of all frames"
     )

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from sierra.deliverables.videos.tracks import Floats, State, Track
 
+MOST_CELLS = 10_000
+"""The largest number of rows, and of columns, that a matrix with `fill` has."""
 AT_ONCE = 200_000
 """The number of rows that one statement reads, unless a single time has more."""
 Columns = Mapping[str, "npt.NDArray[np.generic]"]
@@ -140,7 +142,10 @@ class Matrices:
         self.columns = video.columns
         i, j, value = (f"{identifier(name)}::DOUBLE" for name in video.columns)
         self.rows = [Rows(source, run, {"i": i, "j": j, "value": value}) for run in runs]
-        self.up, self.across = (self._places(source, one) for one in (i, j))
+        places = [self._places(source, one) for one in (i, j)]
+        if video.fill is not None:
+            places = [completed(found, name) for found, name in zip(places, video.columns, strict=False)]
+        self.up, self.across = places
         self.tracks = [_Matrix(rows, self, video.fill) for rows in self.rows]
 
     @property
@@ -157,6 +162,25 @@ class Matrices:
         ]
         every = np.unique(np.concatenate(found).astype(np.float64))
         return every[np.isfinite(every)]
+
+
+def completed(numbers: Floats, name: str) -> Floats:
+    """Return ascending numbers of rows or columns with those between them that lack, if they are whole.
+
+    The distance of all is the greatest common divisor of the distances, so that rows without any value are not cut out of a
+    picture. Raises UsageError if there are too many.
+    """
+    import numpy as np
+
+    if len(numbers) < 3 or not (numbers == np.round(numbers)).all() or np.abs(numbers).max() > 2**53:
+        return numbers
+    step = int(np.gcd.reduce(np.diff(numbers).astype(np.int64)))
+    count = int(numbers[-1] - numbers[0]) // step + 1
+    if count > MOST_CELLS:
+        span = f"from {numbers[0]:g} to {numbers[-1]:g}"
+        raise UsageError(f"{name}: {count} numbers {span} are too many cells; at most {MOST_CELLS} are possible")
+    every: Floats = numbers[0] + np.arange(count) * float(step)
+    return every
 
 
 class _Matrix:

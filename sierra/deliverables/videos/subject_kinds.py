@@ -5,7 +5,7 @@ Each has the tracks of the runs of a film, the notes for the viewer, and the pai
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from sierra.config.output_tables import PLACEHOLDER
@@ -17,6 +17,7 @@ from sierra.deliverables.videos.pictures import pictures
 from sierra.deliverables.videos.poses import Poses
 from sierra.deliverables.videos.sql_tracks import Grids, Matrices, Rows, Source, shown_files
 from sierra.deliverables.videos.survey import Range, Survey
+from sierra.deliverables.videos.tracks import uneven
 from sierra.errors import SierraError
 from sierra.util.text import counted
 
@@ -65,10 +66,17 @@ class CellSubject(Timed):
         limits, found = self._video.limits, survey.values
         beyond = limits is not None and found.found and (found.low < limits[0] or found.high > limits[1])
         return [
+            *(f"numbers of {name} are uneven: {names} between neighbours" for name, names in self._uneven()),
             *([f"cells without a row count as {self._video.fill:g}"] if self._video.fill is not None else []),
             *(["grey: cells without a finite value"] if survey.empty else []),
             *(["values beyond the scale have the colours of its ends"] if beyond else []),
         ]
+
+    def _uneven(self) -> Iterator[tuple[str, str]]:
+        """Yield the names of rows or columns whose numbers have different distances, but not in the picture."""
+        for name, numbers in zip(self._names, (self._grid.up, self._grid.across), strict=True):
+            if steps := uneven(numbers):
+                yield name.replace("_", " "), "{:g} to {:g}".format(*steps)
 
     def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
         from sierra.deliverables.videos.scene import MatrixPainter

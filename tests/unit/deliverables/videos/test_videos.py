@@ -18,6 +18,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos import render
 from sierra.deliverables.videos.pose_painter import PosePainter
 from sierra.deliverables.videos.scene import MatrixPainter
+from sierra.deliverables.videos.sql_tracks import completed
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
 
@@ -193,6 +194,20 @@ def test_cells_without_a_row_have_the_value_of_fill(root: Path) -> None:
     made = prepared(root, experiments="population_size=4", fill=0)
     assert (made.whole.values.low, made.whole.empty) == (0, 0)
     assert "cells without a row count as 0" in render._small_print(made, made.films[0])
+
+
+def test_rows_without_any_value_are_not_cut_out(root: Path) -> None:
+    apart = {"table": "", "sql": "SELECT run, tick, i, CASE j WHEN 2 THEN 6 ELSE j END AS j, heat FROM floor"}
+    keys = {"experiments": "population_size=1", **apart}
+    even = prepared(root, fill=0, **keys)
+    assert even.films[0].subject.layout["j"] == [0, 1, 2, 3, 4, 5, 6]
+    (uneven,) = prepared(root, **keys).films
+    assert uneven.subject.layout["j"] == [0, 1, 6]
+    assert "numbers of j are uneven: 1 to 5 between neighbours" in uneven.subject.notes(uneven.found)
+    assert completed(np.array([-4.0, 0.0, 6.0]), "i").tolist() == [-4, -2, 0, 2, 4, 6]
+    assert completed(np.array([0.1, 0.2, 0.9]), "i").tolist() == [0.1, 0.2, 0.9]
+    with pytest.raises(sierra.SierraError, match=r"i: 1000001 numbers from 0 to 1e\+06 are too many cells"):
+        completed(np.array([0, 1, 1e6]), "i")
 
 
 def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
