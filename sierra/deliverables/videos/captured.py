@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from sierra.config.output_tables import FILE_FORMAT, Output
@@ -35,6 +35,7 @@ class CapturedSubject(PictureSubject):
         self.tracks = [_track(frame, run, row) for run, row in self._rows]
         in_seconds = all(row.ticks_per_second for _, row in self._rows)
         self.time, self.unit = ("time", "s") if in_seconds else ("tick", "")
+        self.units: Mapping[str, str] = {}
         self.layout: Layout = {}
         ids = ", ".join(quote(row.execution) for _, row in self._rows)
         self.sql = f"SELECT execution, path, sha256 FROM artifacts WHERE execution IN ({ids}) ORDER BY ALL"  # noqa: S608 - quoted

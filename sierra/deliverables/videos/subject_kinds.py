@@ -31,12 +31,13 @@ Layout: TypeAlias = Mapping[str, Sequence[float] | Sequence[str]]
 
 
 class Timed:
-    """The time of a table, as frames show it."""
+    """The time of a table, as frames show it, and the units of the columns with `values`."""
 
-    def __init__(self, source: Source, gallery: Gallery) -> None:
+    def __init__(self, source: Source, gallery: Gallery, values: Sequence[str]) -> None:
         self.source = source
         self.time = source.time
         self.unit = "s" if source.per_second else gallery.unit(source.output, source.time)
+        self.units: Mapping[str, str] = {name: gallery.unit(source.output, name) for name in values}
 
 
 def _timeless(rows: Iterable[Rows]) -> list[str]:
@@ -49,15 +50,16 @@ class CellSubject(Timed):
     """Matrices as colours."""
 
     def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
-        super().__init__(source, gallery)
+        self._grid = (Matrices if video.kind == "matrix" else Grids)(source, video, film.runs)
+        super().__init__(source, gallery, self._grid.columns[2:] if video.kind == "matrix" else self._grid.columns)
         self._video = video
-        self._grid = (Matrices if video.kind == "matrix" else Grids)(self.source, video, film.runs)
         self.tracks = self._grid.tracks
         self._names = self._grid.columns[:2] if video.kind == "matrix" else ("row", "column")
         self.layout: Layout = dict(zip(self._names, (self._grid.up.tolist(), self._grid.across.tolist()), strict=True))
         self.sql = self.source.shown(self._grid.columns, film.runs)
         value = self._grid.columns[-1] if video.kind == "matrix" else self.source.output.name
-        self._value = _labelled(video.label or value, gallery.unit(self.source.output, self._grid.columns[-1]))
+        units = set(self.units.values())
+        self._value = _labelled(video.label or value, units.pop() if len(units) == 1 else "")
 
     def left_out(self) -> Sequence[str]:
         return _timeless(self._grid.rows)
@@ -105,13 +107,13 @@ class RobotSubject(Timed):
     """Poses of robots."""
 
     def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
-        super().__init__(source, gallery)
+        super().__init__(source, gallery, video.columns)
         self._video = video
         self._poses = Poses(source, video, film.runs)
         self.layout: Layout = {}
         self.tracks = self._poses.tracks
         self.sql = source.shown((*filter(None, (video.robot,)), *video.columns), film.runs)
-        x, y = (_labelled(name, gallery.unit(source.output, name)) for name in video.columns[:2])
+        x, y = (_labelled(name, self.units[name]) for name in video.columns[:2])
         self._labels = x, y
 
     def left_out(self) -> Sequence[str]:
@@ -136,14 +138,14 @@ class NetworkSubject(Timed):
     """Nodes and edges."""
 
     def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
-        super().__init__(source, gallery)
+        super().__init__(source, gallery, (*video.columns[2:], *video.place, video.node_value))
         self._video = video
         self._network = Networks(source, video, film.runs)
         self.tracks = self._network.tracks
         self.layout: Layout = {"nodes": self._network.nodes}
         self.sql = source.shown((*video.columns, *video.place, *filter(None, (video.node_value,))), film.runs)
-        self._labels = tuple(_labelled(name, gallery.unit(source.output, name)) for name in video.place)
-        self._value = _labelled(video.label or video.node_value, gallery.unit(source.output, video.node_value))
+        self._labels = tuple(_labelled(name, self.units[name]) for name in video.place)
+        self._value = _labelled(video.label or video.node_value, self.units[video.node_value])
         self._notes = [
             *([] if video.node_value else ["hollow: no edge"]),
             *(["grey: nodes without a value"] if video.node_value else []),
@@ -203,6 +205,7 @@ class PictureSubject:
         ]
         self.time = output.ticks[0] if output.ticks else "time"
         self.unit = "s" if per_second or not output.ticks else output.units.get(self.time, "")
+        self.units: Mapping[str, str] = {}
         self.layout: Layout = {}
         self.sql = shown_files(PLACEHOLDER.sub("*", output.file.removeprefix("./")), film.runs)
 

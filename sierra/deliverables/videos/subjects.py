@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -32,6 +32,8 @@ class Subject(Protocol):
     """The name of the time."""
     unit: str
     """The unit of the time; "" if there is none."""
+    units: Mapping[str, str]
+    """The units of the values that are shown, by their columns; those without one are "" or not there."""
     layout: Layout
     """The numbers of the rows and columns of matrices, by their names; the nodes of networks; others have none."""
     sql: str

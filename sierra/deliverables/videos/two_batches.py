@@ -29,17 +29,19 @@ class TwoSubjects:
     """The subjects of A and of B as one, which A's painter draws."""
 
     def __init__(self, labels: Sequence[str], sides: tuple[Subject, Subject], *, even: bool) -> None:
-        """Raises UsageError if the sides differ in times or shape. `even`: frames have times of their own."""
+        """Raises UsageError if the sides differ in times, units or shape. `even`: frames have times of their own."""
         self._sides = sides
         a, b = sides
         _check_same(labels, "times", f"{a.time} {a.unit}", f"{b.time} {b.unit}")
+        for name in a.units:
+            _check_same(labels, f"units of {name!r}", a.units[name] or "none", b.units.get(name) or "none")
         for name in a.layout:
             if a.layout[name] != b.layout[name]:
                 raise _different(labels, repr(name), _span(a.layout[name]), _span(b.layout[name]))
         if not even:
             _check_times(labels, a.tracks, b.tracks)
         self.tracks: Sequence[Track] = (*a.tracks, *b.tracks)
-        self.time, self.unit, self.layout = a.time, a.unit, a.layout
+        self.time, self.unit, self.units, self.layout = a.time, a.unit, a.units, a.layout
         self.sql = "\n\n".join(f"-- batch {label}\n{one.sql}" for label, one in zip(labels, sides, strict=True))
 
     def left_out(self) -> Sequence[str]:

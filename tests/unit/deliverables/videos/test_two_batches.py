@@ -111,6 +111,12 @@ def test_batches_that_do_not_fit_are_refused_in_one_line(root: Path, second: int
     assert "\n" not in str(caught.value)
 
 
+def test_sides_with_other_units_are_refused(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Gallery, "unit", lambda self, _, column: "K" if column == "heat" and self.planned == {0: 1} else "")
+    with pytest.raises(sierra.SierraError, match="'calm' and 'noisy' have different units of 'heat': none and K"):
+        prepared(root, 0, 2, **NARROW, step=1)
+
+
 def test_with_a_step_times_may_differ(root: Path) -> None:
     (one,) = prepared(root, 0, 2, step=1, **NARROW).films
     assert (one.times.tolist(), one.found.gaps) == ([0, 1, 2], 1)
