@@ -130,10 +130,11 @@ def _layout(edges: pa.Table, nodes: pa.Table, name: str) -> Places:
     return layout(nodes.column("node").to_pylist(), [(edge["source"], edge["target"]) for edge in edges.to_pylist()], name)
 
 
-def layout(nodes: Iterable[str], edges: Iterable[tuple[str, str]], name: str, *, apart: bool = False) -> Places:
+def layout(nodes: Iterable[str], edges: Iterable[tuple[str, str]], name: str) -> Places:
     """Return positions between -1 and 1, always the same for the same edges in the same order. Raises NotInstalled.
 
-    With `apart`, a spring layout keeps nodes apart also if the network has several parts.
+    The spring layout minimizes an energy, because networkx's other method draws each part of a network together to a point if
+    the network has several parts.
     """
     try:
         import networkx
@@ -143,7 +144,7 @@ def layout(nodes: Iterable[str], edges: Iterable[tuple[str, str]], name: str, *,
     graph.add_nodes_from(sorted(set(nodes), key=natural))
     graph.add_edges_from(edges)
     if name == "spring":
-        found = networkx.spring_layout(graph, seed=SEED, iterations=200, method="energy" if apart else "auto")
+        found = networkx.spring_layout(graph, seed=SEED, iterations=200, method="energy")
     else:
         found = {"kamada_kawai": networkx.kamada_kawai_layout, "circular": networkx.circular_layout}[name](graph)
     return {node: (float(x), float(y)) for node, (x, y) in found.items()}

@@ -95,7 +95,7 @@ class Networks:
         """Return the places of all nodes in a layout of all edges. Raises NotInstalled."""
         from sierra.deliverables.figures.network import layout
 
-        return layout(self.nodes, self.edges(), self.video.layout, apart=True)
+        return layout(self.nodes, self.edges(), self.video.layout)
 
     def edges(self) -> list[tuple[str, str]]:
         """Return the edges of all runs and times, each once, in the order of the nodes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import numpy as np
 import pytest
 
 from sierra.deliverables.figures import network
@@ -47,6 +48,14 @@ def test_positions_come_from_the_data_or_from_a_layout_that_is_always_the_same()
     for layout in ("spring", "kamada_kawai", "circular"):
         first = network._layout(edges, nodes, layout)
         assert first == network._layout(edges.slice(0).take([1, 0]), nodes.take([3, 2, 1, 0]), layout)
+
+
+def test_parts_of_a_network_without_edges_between_them_do_not_collapse() -> None:
+    """Nodes are apart by a good part of the distance that they would have on a grid."""
+    rings = [(f"{ring}-{node}", f"{ring}-{(node + 1) % 5}") for ring in range(4) for node in range(5)]
+    places = np.array(list(network.layout([*(end for edge in rings for end in edge), "alone"], rings, "spring").values()))
+    apart = np.linalg.norm(places[:, None] - places, axis=2)[~np.eye(len(places), dtype=bool)]
+    assert (len(places), np.abs(places).max() <= 1, apart.min() > 0.2) == (21, True, True)
 
 
 def test_networks_without_edges_positions_times_or_networkx_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
