@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 PART = 8 << 20
 GROUP = 32 << 20
 ROWS = 8192
+PAGE = 8
+"""The smallest number of rows in a page, which a reader has in memory as a whole. By default, a page may be a row group."""
 
 
 class Objects:
@@ -65,7 +67,7 @@ class Objects:
         table = pa.table([pa.array(column, field.type) for column, field in columns], schema)
         with disk_errors(self._path.parent):
             if self._writer is None:
-                self._writer = pq.ParquetWriter(self._path, schema, compression="zstd")
+                self._writer = pq.ParquetWriter(self._path, schema, compression="zstd", write_batch_size=PAGE)
             self._writer.write_table(table)
         self._rows, self._held = [], 0
 

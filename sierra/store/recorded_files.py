@@ -41,6 +41,8 @@ INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"
 LINES = 1 << 16
 """The number of lines of a table that are in memory at a time."""
+BATCH = 4 << 20
+"""The bytes of objects that are in memory at a time; an object that is larger is alone."""
 UNREADABLE = (OSError, ValueError)
 """The errors that pyarrow raises for a damaged file; its ArrowInvalid is a ValueError."""
 
@@ -240,7 +242,7 @@ def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
 
 
-# Objects: they are first located by their digests, then read one row group at a time.
+# Objects: they are first located by their digests, then read in the order of the file.
 
 
 def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
@@ -256,14 +258,19 @@ def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Seq
 
 
 class _Groups:
-    """Objects in several files. The row group that was read last stays in memory (at most 32 MiB)."""
+    """Objects in several files. The compressed bytes of one row group are in memory (at most 32 MiB), and a few rows of it."""
 
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = paths
         self._parts: dict[str, list[tuple[int, int, int]]] = {}
         """The location of each object's parts: file, row group, row."""
         self._file: tuple[int, pq.ParquetFile] = (-1, None)
-        self._group: tuple[tuple[int, int], pa.ChunkedArray] = ((-1, -1), None)
+        self._group: tuple[int, int] | None = None
+        """The row group that is being read; None after an error."""
+        self._batches: Iterator[pa.RecordBatch] = iter(())
+        self._first = 0
+        self._column: Sequence[pa.Scalar] = ()
+        """The place of the last batch in its row group, and its column."""
 
     def find(self, wanted: Iterable[str]) -> Callable[[str], tuple[int, int, int]]:
         """Locate these digests. Return a sort key for digests: the location of the first part."""
@@ -312,11 +319,30 @@ class _Groups:
         return self._file[1]
 
     def _read(self, place: int, group: int, row: int) -> bytes:
-        if self._group[0] != (place, group):
-            self._group = ((-1, -1), None)
-            self._group = ((place, group), self._open(place).read_row_group(group, columns=["content"]).column(0))
-        piece: bytes = self._group[1][row].as_py()
+        if self._group != (place, group) or row < self._first:
+            self._begin(place, group)
+        while row >= self._first + len(self._column):
+            self._next()
+        piece: bytes = self._column[row - self._first].as_py()
         return piece
+
+    def _begin(self, place: int, group: int) -> None:
+        """Begin to read a row group from its first row."""
+        opened = self._open(place)
+        facts = opened.metadata.row_group(group)
+        rows = max(1, BATCH * facts.num_rows // max(1, facts.total_byte_size))
+        self._batches = opened.iter_batches(batch_size=rows, row_groups=[group], columns=["content"], use_threads=False)
+        self._group, self._first, self._column = (place, group), 0, ()
+
+    def _next(self) -> None:
+        """Read the next rows. Raises one of `UNREADABLE`; then the row group is read from its first row the next time."""
+        group, self._group = self._group, None
+        self._first += len(self._column)
+        self._column = ()
+        batch = next(self._batches, None)
+        if batch is None:
+            raise OSError("the file ends too early")
+        self._group, self._column = group, batch.column(0)
 
 
 # Tables: each file of a segment is read once, in its order, and split where the rows of another file begin.

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import io
 import json
+import random
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from sierra.store import recorded_files
+from sierra.store.objects import Objects
+from sierra.store.recorded_files import ChosenExecution, Content
 from sierra.store.store import Store
 from tests import projects
 from tests.projects import make, quick
@@ -456,3 +460,22 @@ def test_columns_of_axes_are_in_the_order_of_the_query(tmp_path: Path) -> None:
         assert [*names, "runs", "succeeded", "failed"] in [line.split() for line in ran.splitlines()]
         shown = quick(folder, "show", batch_of(folder)).stdout
         assert ["ordinal", "experiment", *names, "runs", "succeeded", "failed"] in [line.split() for line in shown.splitlines()]
+
+
+@pytest.mark.parametrize("sizes", [(30_000,) * 800, (9 << 20, 100, 0, 5)])
+def test_objects_are_read_in_any_order_with_little_memory(tmp_path: Path, sizes: tuple[int, ...]) -> None:
+    """Readers have the compressed bytes of a row group in memory, which has up to 32 MiB, and only a few rows of it."""
+    generator = random.Random(1)
+    written = [generator.randbytes(size) for size in sizes]
+    objects = Objects(tmp_path / "objects.parquet")
+    digests = [objects.add(content) for content in written]
+    objects.close()
+    groups, most = recorded_files._Groups([str(tmp_path / "objects.parquet")]), 0
+    groups.find(digests)
+    begin = pa.total_allocated_bytes()
+    for place in (*range(0, len(sizes), 7), *reversed(range(max(0, len(sizes) - 20), len(sizes)))):
+        taken = ChosenExecution("", 0, 0, "", None, None, "counts")
+        file = recorded_files.Recorded(taken, "f", "file", None, digests[place], sizes[place], None, None, None)
+        assert b"".join(groups.pieces(Content(file, groups.pieces))) == written[place]
+        most = max(most, pa.total_allocated_bytes() - begin)
+    assert most < 64 << 20
