@@ -84,8 +84,8 @@ class HostContainers:
         able = engine.probe()
         if able.trouble:
             raise Missing(f"{host.name}: {able.trouble}")
-        if lacking := host.call("missing", self.box.devices):
-            raise Missing(f"{host.name}: [container] devices: {lacking[0]} does not exist there")
+        if unusable := host.call("unusable", self.box.devices, able.groups):
+            raise Missing(f"{host.name}: [container] devices: {unusable[0]}")
         return HostContainer(replace(self.box, image=prepared.image), prepared, host, engine, able)
 
 

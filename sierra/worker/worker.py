@@ -57,7 +57,7 @@ Their use of resources is measured from outside, at intervals of a twentieth of 
 the first measurement, it is unknown (null). If the client was killed, its `stop` ends the container.
 
 If a run waits for its moment, and its client has a `start_pipe`, the container is started before: see `Held`. Otherwise its
-`end` has the key `delay_s`: about how many seconds after its moment its program began, because the engine took so long.
+`end` has the key `delay_s`: how many seconds after its moment its program had begun, because the engine took so long.
 
 A `shared` container executes all runs of a slot, one after the other. It is started with the first of them, with a folder of
 its own (the NUL in its argv). This worker also runs inside the container: it takes jobs from its standard input and, with the
@@ -994,8 +994,8 @@ class Worker:
             remains["spare"] = True
         if observed:
             remains["observed"] = True
-        if job.get("waits") and not held and running.meter and running.meter.since is not None:
-            remains["delay_s"] = round(running.meter.since - running.started, 3)
+        if job.get("waits") and not held and running.meter:
+            remains["delay_s"] = wall if running.meter.since is None else running.meter.since - running.started
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
     def await_moment(self, job: Job, held: Held | None) -> bool:

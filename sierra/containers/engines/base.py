@@ -109,6 +109,8 @@ class Capabilities:
     """True if a container without network really has no network."""
     user: str = ""
     """The host's user to whom a container's processes belong."""
+    groups: bool = True
+    """True if a container's processes also belong to the other groups of this user, who may use devices by them."""
     trouble: str = ""
     """The reason why no container can be started, and the remedy; empty if containers work."""
 

@@ -29,11 +29,13 @@ from sierra.util.json_types import JsonView, as_object, as_texts
 MAX_ENTRIES = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
 """The variables whose change within a process requires a new check."""
+GROUPS = "/etc/group"
 TIMEOUT_S = 20.0
 MEMORY, CPUS, PIDS = 64 << 20, 0.5, 90
 """The limits that are requested to test whether they are enforced."""
 REPORT = r"""
 echo "user $(id -u) $(head -n 1 /proc/self/uid_map)"
+while read -r name ids; do test "$name" = Groups: && echo "groups $ids"; done < /proc/self/status
 for card in $(cut -s -d : -f 1 /proc/net/dev); do test "$card" = lo || echo "card $card"; done
 while IFS=: read -r _ kinds path; do
     case ",$kinds," in
@@ -92,7 +94,7 @@ def cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host:
 def _cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host) -> Found:
     facts = host.facts
     on = depends(host)
-    states = host.call("states", on.programs, on.files)
+    states = host.call("states", on.programs, (*on.files, GROUPS))
     named = [f"on {host.name}"] if host.name else []
     key = json.dumps([name, *named, facts.boot, facts.user, *states, *_variables(host.variables)])
     if key in _WORKS:
@@ -130,7 +132,8 @@ def _unpacked(fact: Mapping[str, JsonView]) -> Found:
     limits = frozenset(as_texts(able["enforced"]))
     version, user = str(able["version"]), str(able["user"])
     return Found(
-        Capabilities(version, able["rootless"] is True, limits, able["isolated"] is True, user), as_texts(fact["options"])
+        Capabilities(version, able["rootless"] is True, limits, able["isolated"] is True, user, able["groups"] is True),
+        as_texts(fact["options"]),
     )
 
 
@@ -191,13 +194,15 @@ def _reported(done: subprocess.CompletedProcess[str], host: Host) -> Capabilitie
     enforced = {limit for name, value in lines if name in QUOTAS for wanted, limit in [QUOTAS[name]] if value == wanted}
     if "\non\n" not in done.stdout:
         enforced.add("memory")  # killed as a whole: if only a part is killed, a script may not notice
-    user = 0
+    user, groups = 0, set[str]()
     for name, value in lines:
+        if name == "groups":
+            groups = set(value.split()) - {"0"}
         if name == "user":
             inside, first, outside, _ = map(int, value.split())
             user = outside + inside - first
     isolated = not any(name == "card" for name, _ in lines)
-    return Capabilities("", host.facts.user != 0, frozenset(enforced), isolated, host.call("user_name", user))
+    return Capabilities("", host.facts.user != 0, frozenset(enforced), isolated, host.call("user_name", user), bool(groups))
 
 
 def _variables(environment: Mapping[str, str]) -> Iterator[str]:

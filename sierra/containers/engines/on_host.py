@@ -185,9 +185,24 @@ def hashed(path: str) -> list[Any] | None:
         return None
 
 
-def missing(paths: Sequence[str]) -> list[str]:
-    """Return the paths at which there is nothing."""
-    return [path for path in paths if not os.path.exists(path)]
+def unusable(devices: Sequence[str], groups: bool) -> list[str]:
+    """Return in words why containers of this user cannot use devices. `groups`: they have the user's groups."""
+    return [words for words in (trouble_with(path, groups) for path in devices) if words]
+
+
+def trouble_with(device: str, groups: bool) -> str:
+    """Return why containers of this user cannot use a device; empty if they can. A folder of devices is only looked for."""
+    if not os.path.exists(device):
+        return "%s does not exist there" % device
+    user = os.geteuid()
+    if user == 0 or os.path.isdir(device):
+        return ""
+    if not (os.access(device, os.R_OK) or os.access(device, os.W_OK)):
+        return "%s can neither be read nor written there by %s" % (device, user_name(user))
+    status = os.stat(device)
+    if groups or user == status.st_uid or os.getegid() == status.st_gid or status.st_mode & 0o006:
+        return ""
+    return "%s is open there to %s only by a group, which containers of this engine do not have" % (device, user_name(user))
 
 
 def remove(folder: str) -> None:

@@ -203,9 +203,9 @@ def _remarks(part: Part, trial: Trial) -> str | None:
 
 
 def _delay(part: Part) -> str | None:
-    """Return by how much a program began too late, because its container was not started before; None if it was."""
+    """Return how late a program may have begun, because its container was not started before; None if it was."""
     delay = part.end.get("delay_s") if part.end else None
-    return None if delay is None else f"its program began {delay:.2f} s after the common start, when its container had started"
+    return None if delay is None else f"its program began up to {delay:.2f} s after the common start, with its container"
 
 
 def notes(trial: Trial) -> Iterator[str]:

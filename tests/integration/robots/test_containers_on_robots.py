@@ -7,13 +7,13 @@ import signal
 import subprocess
 import sys
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from tests import containers, images, projects, robots
-from tests.support.robot_fleet import SUB_IDS, Fleet
+from tests.support.robot_fleet import SUB_IDS, USER, Fleet
 from tests.waiting import until
 
 pytestmark = [pytest.mark.integration, pytest.mark.real]
@@ -169,3 +169,59 @@ def test_files_of_several_users_in_an_image_need_a_range_of_ids_on_each_robot(ro
     assert refused.stderr.splitlines()[-1].startswith(
         f"sierra: rb1: podman cannot load the image {image}: the user has no range of ids in /etc/subuid"
     )
+
+
+@pytest.fixture
+def devices(fleet: Fleet) -> Iterator[Path]:
+    """Return a folder of devices that each robot has for itself; its user may use `tty` as a member of a group."""
+    folder = Path(f"/dev/sierra-{os.getpid()}")
+    group = fleet.folder / "etc" / "group"
+    before = group.read_text()
+    group.write_text(f"{before}dial:x:5077:{USER}\n")
+    folder.mkdir()
+    makes = "mknod -m 666 null c 1 3; mknod -m 600 disk c 1 3; mknod -m 660 tty c 1 3; chgrp 5077 tty"
+    try:
+        for name in fleet.names:
+            fleet.robots[name].changed = True
+            fleet.enter(name, "sh", "-c", f"mount -t tmpfs -o mode=755 none {folder}; cd {folder}; {makes}")
+        yield folder
+    finally:
+        group.write_text(before)
+        folder.rmdir()
+
+
+def give(root: Path, **keys: object) -> None:
+    """Add keys to the table of the robots' containers."""
+    config = root / "sierra.toml"
+    lines = "".join(f"{name} = {value}\n" for name, value in keys.items())
+    config.write_text(config.read_text().replace("[targets.robots.container]\n", f"[targets.robots.container]\n{lines}"))
+
+
+def test_a_device_that_the_user_cannot_use_is_named_before_anything_is_copied(root: Path, fleet: Fleet, devices: Path) -> None:
+    fleet.enter("rb2", "rm", str(devices / "null"))
+    before = (root / "sierra.toml").read_text()
+    for engine, device, reason in (
+        ("apptainer", "null", f"rb2: [container] devices: {devices}/null does not exist there"),
+        ("apptainer", "disk", f"[container] devices: {devices}/disk can neither be read nor written there by robot"),
+        ("podman", "tty", f"[container] devices: {devices}/tty is open there to robot only by a group, which containers of"),
+    ):
+        (root / "sierra.toml").write_text(before)
+        give(root, devices=f'["{devices}/{device}"]')
+        refused = run(root, engine)
+        assert (refused.returncode, refused.stdout) == (3, "")
+        assert reason in refused.stderr.splitlines()[-1]
+    assert not any((fleet.robots[name].home / FOLDER / "sources").exists() for name in fleet.names)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("engine", "device"), [("apptainer", "tty"), ("podman", "null")])
+def test_programs_read_copies_of_mounts_and_use_devices(
+    root: Path, fleet: Fleet, devices: Path, tmp_path: Path, engine: str, device: str
+) -> None:
+    (tmp_path / "maps" / "in").mkdir(parents=True)
+    (tmp_path / "maps" / "in" / "a map").write_text("42\n")
+    give(root, devices=f'["{devices}/{device}"]', mounts=f'{{ "/maps" = "{tmp_path}/maps" }}')
+    write = f"echo 1 > {devices}/{device} && ! touch /maps/new && test $(cat '/maps/in/a map') = 42"
+    (root / "robot.sh").write_text(f"{ROBOT}{write}\n")
+    done = run(root, engine)
+    assert done.returncode == 0, done.stdout + done.stderr
