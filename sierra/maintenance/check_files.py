@@ -220,7 +220,7 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
     found.findings += findings
     if counts:
         if lost or faults:
-            found.broken[segment.name] = lost or {MANIFEST}
+            found.broken[segment.name] = lost | ({MANIFEST} if faults else set())
         found.sound.append(replace(segment, files=sound))
 
 

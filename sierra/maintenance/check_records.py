@@ -520,8 +520,17 @@ def _references(records: Records) -> Iterator[Finding]:
                 f"the {table} of executions are not recorded (their session was killed)",
                 of(records.snapshot, named),
             )
+    if named := _unless_broken(records, records.column(WITHOUT_ROBOTS)):
+        what = "the clocks, batteries and ends of the robots of executions are not recorded"
+        yield Finding(Kind.UNKNOWN, "robots", what, of(records.snapshot, named))
 
 
+WITHOUT_ROBOTS = """
+SELECT DISTINCT execution FROM executions SEMI JOIN (
+    SELECT run FROM batch_runs JOIN specs USING (spec) WHERE specs.robots IS NOT NULL
+) USING (run) ANTI JOIN robots USING (execution)
+"""
+"""SQL: the executions on robots of which no robot is recorded."""
 INPUTS = """
 SELECT DISTINCT run FROM (SELECT run, unnest([input] || other_inputs) AS sha256 FROM batch_runs) ANTI JOIN kept USING (sha256)
 """

@@ -7,6 +7,7 @@ written to a new segment, and the whole old segment is moved to `damaged/`. Save
 - An execution stays if its record, and all its artifacts, files, logs and rows, are present and give its result. Otherwise it
   is dropped, and `sierra run` executes it again.
 - It is also dropped if its segment has lost the list of imported sessions, unless another segment tells where it was made.
+- It stays, and no longer counts, if remarks on executions of its batch are lost: see `sierra.maintenance.lost_remarks`.
 - A batch stays if its id follows from its experiments and runs, and if all their inputs and its source are present. Otherwise
   the records of the batch are dropped, its executions stay, and the next run of its query reuses them.
 
@@ -25,11 +26,12 @@ from typing import NamedTuple
 
 from sierra.errors import Damaged, SierraError
 from sierra.execution import sessions
-from sierra.maintenance import check_records, fsck
+from sierra.maintenance import check_records, fsck, lost_remarks
 from sierra.maintenance.check_files import DERIVED, FIXED, NAME
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Kind
 from sierra.maintenance.fsck import Checked, Report, Tell
+from sierra.maintenance.lost_remarks import Doubtful
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
@@ -67,6 +69,8 @@ class _Loss:
 
     executions: set[str] = field(default_factory=set)
     batches: set[str] = field(default_factory=set)
+    doubtful: list[Doubtful] = field(default_factory=list)
+    """The executions that stay, and no longer count."""
     touched: list[Segment] = field(default_factory=list)
 
     @property
@@ -153,6 +157,11 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
             yield f"segments/{segment.name}: the bytes of files that became tables are lost, but their rows are not"
     if loss.executions:
         yield f"lost: {counted(len(loss.executions), 'execution')}; sierra run executes the effective ones again"
+    for batch, executions in lost_remarks.by_batch(loss.doubtful):
+        yield (
+            f"batch {short(batch)}: remarks on its executions are lost; {counted(len(executions), 'execution')} will not count "
+            "until you judge them again (sierra trial valid EXECUTION)"
+        )
     for batch in sorted(loss.batches):
         yield f"batch {short(batch)} is not complete; run its query again to record it again"
 
@@ -167,14 +176,17 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
             nonlocal loss
             checked = fsck.check(paths, root, tell)
             loss = _loss(paths, checked)
+            sound = checked.contents.sound
             for group in groups(segment for segment in loss.touched if NAME.fullmatch(segment.name)):
                 rewriting.write(group, loss.drop)
-            return {segment.name for segment in checked.contents.sound}
+            for batch, executions in lost_remarks.by_batch(loss.doubtful):
+                rewriting.new(batch).records(lost_remarks.remarks(paths.root, sound, executions, session.id))
+            return {segment.name for segment in sound}
 
         def may() -> None:
             if loss.executions - first.executions or loss.batches - first.batches:
                 raise SierraError("more was damaged during the repair; run the command again")
-            undisturbed(paths, session, loss.batches)
+            undisturbed(paths, session, loss.batches | {one.batch for one in loss.doubtful})
 
         publish(paths, session, prepare, may, keep={segment.name for segment in first.touched})
 
@@ -194,6 +206,8 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                         loss.batches |= set(finding.affected.batches)
         loss.executions |= _of_unknown_origin(paths, contents.sound, broken)
         loss.executions |= set(read.column(JUDGEMENTS, e=sorted(loss.executions)))
+        found = lost_remarks.doubtful(paths, contents.sound, broken)
+        loss.doubtful = [one for one in found if one.execution not in loss.executions]
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
         loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]

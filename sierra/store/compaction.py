@@ -117,9 +117,14 @@ class Compaction:
 
         Return the writer, for further records. A writer of nothing makes no segment.
         """
-        writer = Writer(self._folder / str(len(self._writers)), group[0].batch)
-        self._writers.append(writer)
+        writer = self.new(group[0].batch)
         write_kept(group, drop, writer)
+        return writer
+
+    def new(self, batch: str) -> Writer:
+        """Return the writer of a new segment of a batch, which replaces nothing. A writer of nothing makes no segment."""
+        writer = Writer(self._folder / str(len(self._writers)), batch)
+        self._writers.append(writer)
         return writer
 
     def publish(self) -> None:

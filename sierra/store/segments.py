@@ -47,6 +47,8 @@ FORMAT = "sierra store 4\n"
 MANIFEST = "MANIFEST"
 IMPORTED = "imported_sessions"
 """The table of the sessions that came in packages."""
+REMARKS = ("findings", "trials")
+"""The tables of remarks that take back successes of executions."""
 OUTPUT = "output."
 SUFFIX = ".parquet"
 REPLACES = "REPLACES"
@@ -77,14 +79,19 @@ class Segment:
                 yield name.removeprefix(OUTPUT).partition("~")[0], path
 
 
-def check_origin(segment: Segment) -> None:
-    """Raise Damaged if a segment has lost the list of its imported sessions: their executions would count as own ones."""
-    if "imports" not in segment.files or IMPORTED in segment.files:
-        return
-    folder = Path(segment.files["imports"]).parent
+def is_whole(segment: Segment, folder: Path) -> bool:
+    """Return True; raise Damaged if a segment has lost a file without which executions would count that do not.
+
+    These are the list of its imported sessions, and remarks on executions on robots or a segment of their own.
+    """
+    if segment.files and not segment.files.keys() & {"imports", "robots"}:
+        return True
     with contextlib.suppress(OSError):
-        if f"  {IMPORTED}.parquet\n" in (folder / MANIFEST).read_text("utf-8", "replace"):
-            raise Damaged(f"{folder}/{IMPORTED}.parquet is missing: run sierra fsck --repair")
+        recorded = (folder / segment.name / MANIFEST).read_text("utf-8", "replace")
+        for name in (IMPORTED, *REMARKS):
+            if name not in segment.files and f"  {name}{SUFFIX}\n" in recorded:
+                raise Damaged(f"{folder / segment.name / name}{SUFFIX} is missing: run sierra fsck --repair")
+    return True
 
 
 def is_first_part(path: str) -> bool:

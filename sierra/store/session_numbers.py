@@ -38,13 +38,14 @@ def _recorded(paths: StorePaths) -> int:
     highest, seen = _load(paths.numbers)
     with Store(paths.root).snapshot() as snapshot:
         new = [segment for segment in snapshot.segments if segment.name not in seen]
-        highest = max(highest, _highest(snapshot, new))
+        highest = max(highest, highest_of(snapshot, new))
     if new:
         _save(paths.numbers, highest, [segment.name for segment in snapshot.segments])
     return highest
 
 
-def _highest(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
+def highest_of(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
+    """Return the highest number in some segments; 0 if they have none."""
     files = [segment.files[table] for segment in segments for table in ORDERED if table in segment.files]
     if not files:
         return 0

@@ -24,7 +24,7 @@ from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
-from sierra.store.segments import FORMAT, Segment, Writer, check_origin, disk_errors, listed
+from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, is_whole, listed
 from sierra.store.sql_names import identifier, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes
@@ -115,11 +115,8 @@ class Store:
             shared.close()
 
     def _listed(self) -> list[Segment]:
-        beneath = [] if self._beneath is None else listed(self._beneath)
-        found = [*beneath, *listed(self.paths.segments)]
-        for segment in found:
-            check_origin(segment)
-        return found
+        folders = [folder for folder in (self._beneath, self.paths.segments) if folder is not None]
+        return [segment for folder in folders for segment in listed(folder) if is_whole(segment, folder)]
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """Return a writer for a segment in `folder`, which must be in this store's file system."""
