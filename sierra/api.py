@@ -658,6 +658,7 @@ class Project:
         tolerances: Tolerances | None = None,
         keep: bool = False,
         record: bool = True,
+        unattended: bool = False,
         observer: Observer | None = None,
         progress: bool | None = None,
     ) -> Replay:
@@ -665,15 +666,16 @@ class Project:
 
         `runs`: replay at most this number of runs of each experiment, the first ones. `tolerances`: by output and column (`*`:
         all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
-        Without `record`, nothing is written to the store, which may be read-only. `observer` receives differences from the
-        recorded environment before anything executes. Raises NotFound, and Missing if something necessary no longer exists.
+        Without `record`, nothing is written to the store, which may be read-only. `unattended`: robots may move without a
+        person, although their trials are supervised. `observer` receives differences from the recorded environment before
+        anything executes. Raises NotFound, and Missing if something necessary no longer exists, or if robots would need a person.
 
         >>> print(project.replay(summary.batch, runs=1).verdict)
         identical
         """
         from sierra.replay import replay
 
-        options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
+        options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 

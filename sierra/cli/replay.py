@@ -45,6 +45,9 @@ def replay(
         bool, typer.Option("--keep", help="Keep the restored source and the runs' folders, and print their path.")
     ] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write nothing to the store, which may be read-only.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Let robots of supervised trials move without a person, one run after the other.")
+    ] = False,
     as_json: AsJson = False,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML.")] = None,
 ) -> None:
@@ -82,6 +85,7 @@ def replay(
             tolerances=requested,
             keep=keep,
             record=not no_record,
+            unattended=yes,
             observer=None if as_json else display,
         )
     if junit is not None and not answer.interrupted:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from sierra.errors import UsageError
+from sierra.errors import Missing, UsageError
 from sierra.runners.base import Runner, RunsMembers
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -36,6 +36,15 @@ def check(runner: Runner, name: str, of: str) -> None:
         raise UsageError(
             f"{short(of)} was executed on robots, and runner {name!r} cannot execute it again; use --on robots (a replay "
             "needs robots, but not the same ones)"
+        )
+
+
+def check_attended(of: str, *, supervised: bool, unattended: bool) -> None:
+    """Raise Missing if robots would move without a person, although their trials are `supervised`."""
+    if supervised and not unattended:
+        raise Missing(
+            f"{short(of)} has supervised trials ([trials]), and a replay asks nobody before the robots move: use --yes if they "
+            "may start at once, one run after the other"
         )
 
 

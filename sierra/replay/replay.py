@@ -85,6 +85,8 @@ class ReplayOptions:
     """Sessions of earlier replays. Their successful executions count, if programs, machine and isolation are the same."""
     variation: Variation = field(default_factory=Variation)
     """The ways in which runs are executed otherwise than they were recorded."""
+    unattended: bool = False
+    """True if robots may move without a person, although their trials are supervised."""
 
     def includes(self, one: ChosenExecution) -> bool:
         """Return whether a run is replayed."""
@@ -139,6 +141,7 @@ def replay(
     takes_robots = record.of.spec.robots is not None
     if takes_robots:
         on_robots.check(runner, options.runner, record.found.id)
+        on_robots.check_attended(record.found.id, supervised=project.config.trials.supervised, unattended=options.unattended)
         record.notes.append(on_robots.note(store, [one.run for one in record.runs], judged=bool(project.config.equivalence)))
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())
