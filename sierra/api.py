@@ -668,7 +668,7 @@ class Project:
         all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
         Without `record`, nothing is written to the store, which may be read-only. `unattended`: robots may move without a
         person, although their trials are supervised. `observer` receives differences from the recorded environment before
-        anything executes. Raises NotFound, and Missing if something necessary no longer exists, or if robots would need a person.
+        anything executes. Raises NotFound, and Missing if something necessary no longer exists, or if robots need a person.
 
         >>> print(project.replay(summary.batch, runs=1).verdict)
         identical

@@ -507,9 +507,7 @@ def _references(records: Records) -> Iterator[Finding]:
     )
     if named := records.column(doubled):
         yield Finding(Kind.INCONSISTENT, "executions", "executions are recorded more than once", of(records.snapshot, named))
-    said = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
-    orphans = f"SELECT replay FROM ({said}) ANTI JOIN replays USING (replay)"
-    for (replay,) in records.each(orphans):
+    for replay in lost_replays(records):
         yield Finding(Kind.LOST, "replays", f"replay {short(replay)} is not recorded, but its verdicts are")
     for table, key in (("environments", "environment"), ("programs", "programs")):
         statement = f"SELECT execution FROM executions ANTI JOIN {table} USING ({key}) WHERE {key} <> $nothing"
@@ -523,6 +521,12 @@ def _references(records: Records) -> Iterator[Finding]:
     if named := _unless_broken(records, records.column(WITHOUT_ROBOTS)):
         what = "the clocks, batteries and ends of the robots of executions are not recorded"
         yield Finding(Kind.UNKNOWN, "robots", what, of(records.snapshot, named))
+
+
+def lost_replays(records: Records) -> list[str]:
+    """Return the replays of which only the verdicts are recorded."""
+    of_verdicts = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
+    return records.column(f"SELECT replay FROM ({of_verdicts}) ANTI JOIN replays USING (replay)")
 
 
 WITHOUT_ROBOTS = """

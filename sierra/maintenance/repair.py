@@ -8,6 +8,7 @@ written to a new segment, and the whole old segment is moved to `damaged/`. Save
   is dropped, and `sierra run` executes it again.
 - It is also dropped if its segment has lost the list of imported sessions, unless another segment tells where it was made.
 - It stays, and no longer counts, if remarks on executions of its batch are lost: see `sierra.maintenance.lost_remarks`.
+- Verdicts of a replay are dropped if the replay itself is lost.
 - A batch stays if its id follows from its experiments and runs, and if all their inputs and its source are present. Otherwise
   the records of the batch are dropped, its executions stay, and the next run of its query reuses them.
 
@@ -69,6 +70,7 @@ class _Loss:
 
     executions: set[str] = field(default_factory=set)
     batches: set[str] = field(default_factory=set)
+    replays: set[str] = field(default_factory=set)
     doubtful: list[Doubtful] = field(default_factory=list)
     """The executions that stay, and no longer count."""
     touched: list[Segment] = field(default_factory=list)
@@ -79,7 +81,9 @@ class _Loss:
         if self.executions:
             drop |= {table: {"execution": self.executions} for table in OF_EXECUTIONS}
             drop["judgements"] = {"judgement": self.executions}
-            drop["verdicts"] = {"recorded": self.executions, "execution": self.executions}
+        if self.executions or self.replays:
+            drop["verdicts"] = {"recorded": self.executions, "execution": self.executions, "replay": self.replays}
+            drop["equivalences"] = {"replay": self.replays}
         if self.batches:
             drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "batch_runs")}
         return drop
@@ -157,6 +161,8 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
             yield f"segments/{segment.name}: the bytes of files that became tables are lost, but their rows are not"
     if loss.executions:
         yield f"lost: {counted(len(loss.executions), 'execution')}; sierra run executes the effective ones again"
+    if loss.replays:
+        yield f"lost: {counted(len(loss.replays), 'replay')}; the executions stay, and their verdicts are removed"
     for batch, executions in lost_remarks.by_batch(loss.doubtful):
         yield (
             f"batch {short(batch)}: remarks on its executions are lost; {counted(len(executions), 'execution')} will not count "
@@ -206,6 +212,7 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                         loss.batches |= set(finding.affected.batches)
         loss.executions |= _of_unknown_origin(paths, contents.sound, broken)
         loss.executions |= set(read.column(JUDGEMENTS, e=sorted(loss.executions)))
+        loss.replays = set(check_records.lost_replays(read))
         found = lost_remarks.doubtful(paths, contents.sound, broken)
         loss.doubtful = [one for one in found if one.execution not in loss.executions]
         readable = [segment for segment in contents.sound if segment.name not in broken]

@@ -471,6 +471,16 @@ def test_lost_content_of_source_files_is_recorded_again_without_executing_runs(r
     assert set(content["sha256"].to_pylist()) <= set(again)
 
 
+def test_verdicts_of_a_lost_replay_are_removed_by_repair(root: Path) -> None:
+    [folder] = [path.parent for path in root.glob(".sierra/segments/*/replays.parquet")]
+    extend(folder / "replays.parquet")
+    ended = projects.quick(root, "fsck", "--repair")
+    assert (ended.returncode, ended.stderr) == (0, ""), ended.stdout
+    assert "lost: 1 replay; the executions stay, and their verdicts are removed" in ended.stdout
+    [counts] = projects.sql(root, "SELECT (SELECT count(*) FROM verdicts) AS verdicts, count(*) AS n FROM executions")
+    assert counts == {"verdicts": 0, "n": 12}
+
+
 @pytest.mark.integration
 def test_repair_reports_lost_raw_files_of_tables(root: Path) -> None:
     folder = segment_with(root, "output.swarm")
