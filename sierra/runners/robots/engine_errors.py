@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from pathlib import Path
 
 from sierra.containers.on_hosts import HostContainer
@@ -17,9 +19,10 @@ def classify(part: Part, container: HostContainer) -> None:
     end = part.end
     if end is None or end["exit_code"] == 0 or part.files is None:
         return
-    with Path(part.files, RUN_STDERR).open("rb") as file:
-        file.seek(max(0, Path(part.files, RUN_STDERR).stat().st_size - SHOWN))
-        errors = file.read().decode("utf-8", "replace")
-    result = container.classify(result_of(end), errors)
+    errors = b""
+    with contextlib.suppress(OSError), Path(part.files, RUN_STDERR).open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - SHOWN))
+        errors = file.read()
+    result = container.classify(result_of(end), errors.decode("utf-8", "replace"))
     end["exit_code"], end["signal"] = result.exit_code, result.signal
     end["stopped"], end["error"] = result.stopped, result.error

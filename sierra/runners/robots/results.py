@@ -99,7 +99,7 @@ def _trouble(part: Part, clock_drift: float | None) -> str | None:
         return f"has not begun its program: {(*found.get('problems', ()), found.get('why') or part.problem)[0]}"
     if part.ended and part.ended["why"] and part.ended["why"].startswith("lost the driver"):
         return f"{part.ended['why']}"
-    if part.problem:
+    if part.problem and part.files is None:
         return f"has kept its outputs: {part.problem}"
     return _changed(part) or clock_changes.failure(part, clock_drift)
 
@@ -109,10 +109,11 @@ def _changed(part: Part) -> str | None:
     end = part.end
     if end is None or part.files is None:
         return None
+    there = {name: path for path, name in worker.list_files(str(part.files / RUN_OUTPUT))[0]}
     for file in end["outputs"]:
-        path = part.files / RUN_OUTPUT / file["path"]
-        if not path.is_file() or worker.describe(str(path), file["path"])["sha256"] != file["sha256"]:
-            return f"has changed {file['path']} after its end"
+        name = file["path"]
+        if name not in there or worker.describe(there[name], name)["sha256"] != file["sha256"]:
+            return f"has changed {name!r} after its end"
     return None
 
 

@@ -58,6 +58,24 @@ def test_a_run_that_a_person_ends_is_only_interrupted(tmp_path: Path):
     assert (end["stopped"], end["error"]) == ("interrupted", None)
 
 
+def test_a_robot_that_is_gone_after_its_files_were_copied_is_only_remarked(tmp_path: Path):
+    trial = trial_of(tmp_path)
+    trial.stopped, trial.parts[1].problem = None, "no answer for 10 s"
+    assert results.result(trial, JOB, tmp_path)["error"] is None
+    rows = {row["robot"]: row for _, row in results.rows(trial, JOB)}
+    assert [rows[name]["reason"] for name in ("ada", "bob")] == [STOPPED, f"no answer for 10 s; {STOPPED}"]
+
+
+@pytest.mark.parametrize("path", ["/proc/kmsg", "../../2/stdout", "here.csv"])
+def test_reports_name_only_files_that_were_copied(tmp_path: Path, path: str):
+    """A file outside the folder may never end, or belong to somebody else."""
+    trial = trial_of(tmp_path)
+    report = trial.parts[1].end
+    assert report is not None
+    report["outputs"] = [worker.describe("/dev/null", path)]
+    assert results.failure(trial) == f"bob has changed {path!r} after its end"
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
