@@ -15,10 +15,11 @@ from typing import Any
 from sierra.errors import Missing, SierraError
 from sierra.links.base import Channel, Link, Overdue, Unreachable
 from sierra.links.clock import Clock, measured
+from sierra.runners.robots import agent_messages
+from sierra.runners.robots.agent_messages import Record
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
-Record = dict[str, Any]
 
 LOCK = "sierra-robot"
 """The name of the lock that a robot has once, for all of its users."""
@@ -122,11 +123,11 @@ class AgentLink:
         try:
             while (line := self._line(channel)) is not None:
                 self.heard = time.monotonic()
-                self._take(json.loads(line))
+                self._take(agent_messages.read(line))
             reason += f": {words[-1]}" if (words := channel.errors().strip().splitlines()) else ""
         except SierraError as error:
             reason = str(error)
-        except (ValueError, LookupError, TypeError, AttributeError):
+        except ValueError:
             reason = "its agent sends what is not in the protocol"
         self._lose(reason, channel)
         outgoing.put(None)
@@ -146,7 +147,8 @@ class AgentLink:
         if answer is None:
             self._events.put((self.name, record))
         else:
-            answer.set_result(record)
+            with contextlib.suppress(InvalidStateError):  # the agent was given up meanwhile
+                answer.set_result(record)
 
     def _lose(self, reason: str, channel: Channel | None = None) -> None:
         """Note why the agent is lost; the first reason counts. The threads of an earlier channel are ignored."""
@@ -155,8 +157,6 @@ class AgentLink:
         log.debug("%s: lost: %s", self.name, reason)
         self.lost = reason.removeprefix(f"{self.name}: ")
         for answer in list(self._pending.values()):
-            try:
+            with contextlib.suppress(InvalidStateError):
                 answer.set_exception(Unreachable(f"{self.name}: {self.lost}"))
-            except InvalidStateError:
-                continue
         self._events.put((self.name, {"event": "lost", "reason": self.lost}))

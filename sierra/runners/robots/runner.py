@@ -34,7 +34,8 @@ from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
 from sierra.runners.robots import fitting_programs, results
-from sierra.runners.robots.agent_link import LOCK, AgentLink, Record
+from sierra.runners.robots.agent_link import LOCK, AgentLink
+from sierra.runners.robots.agent_messages import Record
 from sierra.runners.robots.engine_errors import classify
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
 from sierra.runners.robots.push import content_name, push_content, push_programs

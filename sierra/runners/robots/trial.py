@@ -21,7 +21,8 @@ from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
 from sierra.links.clock import Clock
-from sierra.runners.robots.agent_link import AgentLink, Record, Refused
+from sierra.runners.robots.agent_link import AgentLink, Refused
+from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.worker import worker
 
@@ -339,7 +340,7 @@ class Trial:
         part.hello = hello
         for left in hello["leftovers"]:
             if left["attempt"] == self.attempt:
-                part.ended = left["report"]
+                part.ended = as_report(left["report"])
                 part.started = True
 
     def _each(self, work: Callable[[Part], Made]) -> list[Made]:

@@ -1,0 +1,188 @@
+"""The messages of an agent (`sierra.worker.robot_agent`), checked before anything of them is used or recorded.
+
+A robot may have been taken over, and its agent may be another program. What its messages say may be wrong then, but each value
+has its type, times and numbers are finite and fit into the store, and texts can be written. Nothing else is passed on.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, InstanceOf, model_validator
+
+Record = dict[str, Any]
+
+
+def _writable(text: str) -> str:
+    """Return a text in which bytes that are no text (surrogates) are shown by their numbers."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+Text = Annotated[str, AfterValidator(_writable)]
+Raw = InstanceOf[str]
+"""The name of a file or the value of a variable, which may have bytes that are no text."""
+LATEST_NS = 1 << 62
+"""The latest time of a clock in ns since 1970: in 2116."""
+Moment = Annotated[float, Field(ge=0, le=LATEST_NS / 1e9)]
+Amount = Annotated[float, Field(ge=0)]
+Size = Annotated[int, Field(ge=0, lt=1 << 63)]
+Software = dict[Text, Text | None]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class _Message(_Part):
+    event: str
+    id: int | None = None
+
+
+class Facts(_Part):
+    """See `sierra.provenance.machine.facts`."""
+
+    host: Text
+    os: Text
+    kernel: Text
+    machine: Text
+    cpu: Text
+    cpu_flags: list[Text]
+    memory: Size
+    gpus: list[Text]
+    libc: Text
+    container: Text | None
+    timezone: Text
+    cores: Size
+    limits: dict[Text, list[int | None]]
+
+
+class _Leftover(_Part):
+    attempt: Raw
+    ended: Size
+    report: dict[str, Any] | None
+    """The report of an earlier agent, perhaps of another version: see `as_report`."""
+
+
+class _Hello(_Message):
+    folder: Text
+    boot: Text
+    address: Text | None
+    facts: Facts
+    software: Software
+    home: Text
+    variables: dict[Text, Raw]
+    leftovers: list[_Leftover]
+
+
+class _Checked(_Message):
+    battery: Annotated[float, Field(ge=0, le=100)] | None
+    disk: Size
+    failed: list[Text]
+    firmware: Text | None = None
+    calibration: Text | None = None
+    software: Software | None = None
+
+
+class _Clock(_Message):
+    wall: Annotated[int, Field(ge=0, lt=LATEST_NS)]
+
+
+class OutputFile(_Part):
+    """See `sierra.worker.worker.OutputFile`."""
+
+    path: Raw
+    sha256: Text
+    bytes: Size
+    lines: Size
+    ended: bool
+    head: Text
+    quotes: Size | None = None
+    blank: Size | None = None
+    alike: bool | None = None
+
+
+class End(_Part):
+    """See `sierra.worker.worker.End`."""
+
+    run: Text
+    execution: Text
+    directory: Text
+    host: Text
+    slot: Size
+    started: Moment
+    ended: Moment
+    exit_code: Annotated[int, Field(ge=0, le=255)] | None
+    signal: Annotated[int, Field(ge=1, le=64)] | None
+    user_s: Amount | None
+    system_s: Amount | None
+    max_rss_bytes: Size | None
+    stopped: Literal["interrupted", "timeout", "memory", "cpu", "output"] | None
+    error: Text | None
+    outputs: list[OutputFile]
+    left_out: list[Raw] = Field(default_factory=list)
+    observed: bool = False
+    delay_s: float = 0.0
+
+
+class _Report(_Part):
+    started: bool
+    why: Text | None
+    end: End | None
+    problems: list[Text]
+    steps: list[float]
+
+    @model_validator(mode="after")
+    def _has_a_reason(self) -> Self:
+        if self.end is None and self.why is None and not self.problems:
+            raise ValueError("the end has neither a report nor a reason")
+        return self
+
+
+class _Ended(_Report, _Message):
+    attempt: Text
+
+
+class _Started(_Message):
+    attempt: Text
+
+
+class _Refused(_Message):
+    reason: Text
+
+
+class _Late(_Message):
+    by: float
+
+
+MODELS: dict[str, type[_Message]] = {
+    "hello": _Hello,
+    "checked": _Checked,
+    "clock": _Clock,
+    "started": _Started,
+    "ended": _Ended,
+    "refused": _Refused,
+    "late": _Late,
+    **dict.fromkeys(("armed", "gated", "removed", "beat"), _Message),
+}
+"""The messages by their events."""
+
+
+def read(line: str) -> Record:
+    """Return the message in a line. Raises ValueError for a line that is none."""
+    try:
+        record = json.loads(line)
+    except RecursionError as error:
+        raise ValueError("a message has too many levels") from error
+    model = MODELS.get(str(record.get("event"))) if isinstance(record, dict) else None
+    if model is None:
+        raise ValueError("a message is no event")
+    return model.model_validate(record).model_dump(exclude_unset=True)
+
+
+def as_report(report: Record | None) -> Record | None:
+    """Return the report on the end of a run that an earlier agent has left; None if it is not one."""
+    try:
+        return None if report is None else _Report.model_validate(report).model_dump(exclude_unset=True)
+    except ValueError:
+        return None
