@@ -20,7 +20,7 @@ patience = float(os.environ["SIERRA_ROS_PATIENCE"])
 
 
 def wait(seconds: float, until: Callable[[], object]) -> bool:
-    """Wait until a condition holds; return whether it does within these seconds of the wall clock."""
+    """Wait until a condition holds; return whether it does within these seconds."""
     end = time.monotonic() + seconds
     while not rospy.is_shutdown() and not until():
         if time.monotonic() > end:
@@ -51,17 +51,18 @@ def end_robots() -> None:
 
 if not wait(float("inf"), has_param("/sierra/started")):
     sys.exit(1)
-if not wait(patience, lambda: rospy.get_time() > 0):
+now = rospy.get_time if rospy.get_param("/use_sim_time", False) else time.monotonic  # ROS's own time jumps if a clock is set
+if not wait(patience, lambda: now() > 0):
     end("nothing has published the simulated time (/clock)", 1)
-begin = rospy.get_time()
+begin = now()
 if os.environ["SIERRA_ROS_AWAIT"]:
-    wall = time.monotonic()
+    real = time.monotonic()
     done = has_param("/sierra/finished")
-    if not wait(float("inf"), lambda: done() or min(rospy.get_time() - begin, time.monotonic() - wall) > length + patience):
+    if not wait(float("inf"), lambda: done() or min(now() - begin, time.monotonic() - real) > length + patience):
         sys.exit(1)
     if not done():
         end(f"awaited nodes have not ended {patience:g} s after the length of the run: {os.environ['SIERRA_ROS_AWAIT']}", 1)
-elif not wait(float("inf"), lambda: rospy.get_time() - begin >= length):
+elif not wait(float("inf"), lambda: now() - begin >= length):
     sys.exit(1)
 end_robots()
 end(os.environ["SIERRA_ROS_RUN"], 0)

@@ -6,7 +6,10 @@ import argparse
 import importlib.util
 import math
 import re
+import subprocess
+import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -47,6 +50,7 @@ LAUNCH2 = """\
 </launch>
 """
 OPTIONS = "length = 5.0\n"
+DRIVERS = Path(sierra.simulators.__file__).parent / "drivers"
 
 
 def make(folder: Path, options: str = OPTIONS, launch: str = LAUNCH, more: str = "", name: str = "swarm.launch") -> Path:
@@ -95,7 +99,29 @@ def test_a_run_gets_a_group_for_each_robot_and_a_node_that_ends_it(tmp_path: Pat
 def test_runs_bring_the_programs_that_start_and_end_them(tmp_path: Path) -> None:
     made = inputs(make(tmp_path / "p"), "montecarlo.C1")
     for name in ("ros_driver.py", "ros_timekeeper.py"):
-        assert made[name] == (Path(sierra.simulators.__file__).parent / "drivers" / name).read_text()
+        assert made[name] == (DRIVERS / name).read_text()
+
+
+ROSPY = """
+import time
+began = time.monotonic()
+params = {"/sierra/length": 0.8, "/sierra/started": True, "/use_sim_time": SIMULATED}
+init_node = is_shutdown = lambda name=None: None
+get_param, set_param = params.get, params.__setitem__
+def get_time():
+    return time.time() + (137.0 if time.monotonic() - began > 0.3 else 0.0)
+"""
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_the_length_of_a_run_is_in_simulated_time_or_else_that_of_no_clock_that_is_set(tmp_path: Path, simulated: bool) -> None:
+    (tmp_path / "rospy.py").write_text(ROSPY.replace("SIMULATED", str(simulated)))
+    names = {"PATIENCE": "1", "AWAIT": "", "ROBOTS": "", "RUN": "whole", "MARKER": str(tmp_path / "marker")}
+    variables = {"PYTHONPATH": str(tmp_path), **{f"SIERRA_ROS_{name}": value for name, value in names.items()}}
+    began = time.monotonic()
+    subprocess.run([sys.executable, DRIVERS / "ros_timekeeper.py"], env=variables, check=True)
+    assert (tmp_path / "marker").read_text() == "whole"
+    assert simulated or time.monotonic() - began >= 0.8
 
 
 def test_poses_come_from_the_seed_and_do_not_depend_on_the_number_of_robots(tmp_path: Path) -> None:
