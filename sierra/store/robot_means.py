@@ -5,11 +5,14 @@ base station (robot 0) does not count if other robots write the table too. If on
 is the mean: the robots that are left would be another swarm.
 
 Robots may write at different times. Then the times of a run are those of all its robots, and each robot has, from its first to
-its last time, the value of its last row. A robot that wrote two rows at one time has no single value; such a table stays as it
-is, and statistics refuse it.
+its last time, the value of its last row. Before and after that, the mean is the one of the other robots. A note counts the runs
+in which a robot is missing for more than a tenth of the time, or in all of it. A robot that wrote two rows at one time has no
+single value; such a table stays as it is, and statistics refuse it.
 """
 
 from __future__ import annotations
+
+from sierra.util.text import counted
 
 COLUMNS = ("robot", "place")
 """The columns that may have the place of the robot that wrote a row; `place` is for files with an own column `robot`."""
@@ -31,6 +34,17 @@ SELECT coalesce(max(doubled), false) AS doubled, coalesce(bool_and(robots = all_
 )
 """
 """Two facts: whether a robot has two rows at one time, and whether all robots of each run have the same times."""
+
+PARTIAL = """
+SELECT count(*) FROM (
+    SELECT count(*) < max(count(*)) OVER (PARTITION BY experiment) AS lacks,
+           min(last) - max(first) AS together, max(last) - min(first) AS whole
+    FROM (SELECT experiment, run, robot, min(t) AS first, max(t) AS last FROM ({rows}) WHERE isfinite(t) GROUP BY ALL)
+    GROUP BY experiment, run
+) WHERE lacks OR together < 0.9 * whole
+"""
+"""The number of runs that have fewer robots than other runs of their experiment, or a robot without values for a tenth of the
+time or more."""
 
 MEAN = "CASE WHEN bool_and(coalesce(isfinite(value), false)) THEN list_sum(list(value ORDER BY robot)) / count(*) END AS value"
 """Added in the order of the robots, so that the order of rows has no effect on the last digits."""
@@ -58,9 +72,11 @@ def rows(data: str, column: str, value: str, t: str) -> str:
     return ROWS.format(column=column, data=data, value=value, t=t)
 
 
-def note(table: str, *, same_times: bool) -> str:
-    """Return a note for readers of the statistics of a table."""
+def note(table: str, *, same_times: bool, partial: int) -> str:
+    """Return a note for readers of the statistics of a table. `partial` is the number of runs that `PARTIAL` counts."""
     how = "" if same_times else "; their times differ, so the last value of each robot is carried forward"
+    lack = f"; in {counted(partial, 'run')}, robots lack more than a tenth of the time, where the mean is that of the others"
     return (
-        f"output {table!r}: the value of a run is the mean of its robots at each time{how} (a derived table can have another)"
+        f"output {table!r}: the value of a run is the mean of its robots at each time{how}{lack if partial else ''} "
+        "(a derived table can have another)"
     )

@@ -496,7 +496,11 @@ class Frame:
             return ""
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         aligned = self._same_times(table, robot, time, t, "")
-        return "" if aligned is None else robot_means.note(table, same_times=aligned)
+        if aligned is None:
+            return ""
+        rows = robot_means.rows(self._rows(table, ""), robot, "NULL", t)
+        [(partial,)] = self._snapshot.run(robot_means.PARTIAL.format(rows=rows))
+        return robot_means.note(table, same_times=aligned, partial=partial)
 
     def _same_times(self, table: str, robot: str, time: str, t: str, where: str) -> bool | None:
         """Return whether the robots of each run have the same times; None if a robot has two rows at one time."""

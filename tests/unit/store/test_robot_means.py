@@ -34,6 +34,27 @@ def test_robots_with_other_times_have_their_last_value_from_their_first_to_their
 
 
 @pytest.mark.parametrize(
+    ("runs", "partial"),
+    [
+        ({"a": {1: (0, 10), 2: (0.5, 9.9)}}, 0),
+        ({"a": {1: (0, 10), 2: (0, 5)}, "b": {1: (0, 10), 2: (2, 10)}, "c": {1: (0, 10), 2: (0, 10)}}, 2),
+        ({"a": {1: (0, 10), 2: (0, 10)}, "b": {1: (0, 10)}}, 1),
+        ({"a": {1: (3, 3)}}, 0),
+    ],
+)
+def test_runs_without_a_robot_for_some_time_are_counted(runs: dict[str, dict[int, tuple[float, float]]], partial: int) -> None:
+    """`runs` has the first and the last time of each robot."""
+    connection = duckdb.connect()
+    connection.execute('CREATE TABLE data ("# experiment" INT, run TEXT, "# number" INT, robot INT, t DOUBLE, value DOUBLE)')
+    rows = [(run, robot, t) for run, robots in runs.items() for robot, times in robots.items() for t in times]
+    connection.executemany("INSERT INTO data VALUES (0, ?, 0, ?, ?, 1)", rows)
+    query = robot_means.PARTIAL.format(rows=robot_means.rows("data", "robot", "value", "t"))
+    assert connection.execute(query).fetchall() == [(partial,)]
+    said = robot_means.note("odom", same_times=False, partial=partial)
+    assert (f"; in {partial} run" in said) == (partial > 0)
+
+
+@pytest.mark.parametrize(
     ("rows", "facts"),
     [
         ([(1, 0, 1), (2, 0, 1), (1, 1, 1), (2, 1, 1)], (False, True)),
