@@ -111,6 +111,30 @@ def test_another_batch_is_chosen_by_keys_and_drawn_with_the_form(browser: Browse
         browser.run("document.querySelector('#chart button').click()")
         until(browser, "document.querySelector('#drawn img') !== null")
         assert 'kind = "box"' in browser.run("document.getElementById('toml').textContent")
+        assert "This chart shows batch" in browser.run(TEXT.format("chart-of"))
+
+
+def test_a_late_answer_about_another_batch_is_not_shown(browser: Browser, recorded: Path) -> None:
+    late = """(ask => { window.fetch = (...about) => {
+        if (!about[0].endsWith('chart')) return ask(...about);
+        window.fetch = ask;
+        return new Promise(done => { window.go = () => ask(...about).then(done) });
+    } })(window.fetch)"""
+    shown = TEXT.format("chart-of")
+    with explored(recorded) as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        first = browser.run(shown)
+        browser.run(late)
+        browser.run("document.querySelectorAll('#batches [role=option]')[1].click()")
+        until(browser, "window.go !== undefined")
+        assert browser.run("document.getElementById('drawn').childElementCount") == 0
+        browser.run("document.querySelectorAll('#batches [role=option]')[2].click()")
+        until(browser, f"{shown} && {shown} != {first!r}")
+        second, drawn = browser.run(shown), browser.run("document.getElementById('drawn').innerHTML")
+        browser.run("window.go()")
+        until(browser, "document.getElementById('stop').disabled")
+        assert (browser.run(shown), browser.run("document.getElementById('drawn').innerHTML")) == (second, drawn)
 
 
 def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None:
@@ -128,15 +152,22 @@ def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None
 
 
 def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_path: Path) -> None:
-    root = projects.make(tmp_path / "project")
+    figure = '\n[figures.declared]\ntable = "swarm"\ncolumn = "coverage"\ncenter = "median"\ntitle = "Its own title"\n'
+    root = projects.make(tmp_path / "project", projects.CONFIG + figure)
     stores.ask(root, "population_size=1,2", runs=2)
     with explored(root, "--write") as url:
         browser.open(url)
         until(browser, DRAWN)
+        assert "The form does not show its keys title." in browser.run(TEXT.format("chart-of"))
+        browser.run("document.querySelector('#chart [name=name]').value = 'another'")
+        browser.run("document.querySelector('#chart [name=log_y]').checked = true")
+        browser.run("document.querySelector('#chart button').click()")
+        until(browser, "document.getElementById('toml').textContent.includes('log_y')")
         browser.run("document.getElementById('declaration').open = true")
         browser.run("document.getElementById('write').click()")
         until(browser, "document.getElementById('written').textContent.startsWith('Written.')")
-        assert len(sierra.open(root).config.figures) == 1
+        first, second = sierra.open(root).config.figures.values()
+        assert (second.title, second.center, second.log_y) == (first.title, "median", True)
         sierra.open(root).run("population_size=3", runs=1, figures=False)
         until(browser, "document.querySelectorAll('#batches [role=option]').length == 2")
         until(browser, "document.getElementById('status').textContent.includes('new records')")

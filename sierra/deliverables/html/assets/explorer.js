@@ -6,9 +6,12 @@
   const token = location.hash.slice(1);
   const of = (id) => document.getElementById(id);
   const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
+  const FIELDS = ["x", "series", "facet", "where", "center", "band"];
+  const SUBJECT = ["table", "sql", "kind", "column", "log_y"];
+  const DEFAULTS = { center: "mean", band: "ci" };
   const EVERY = 5000;
   const PAUSE = 150;
-  const page = { batches: [], first: 0, found: 0, batch: null, together: new Map(), tables: {}, outputs: [], variables: [], state: "", asking: 0, drawn: null };
+  const page = { batches: [], first: 0, found: 0, batch: null, together: new Map(), tables: {}, outputs: [], variables: [], state: "", asking: 0, drawing: 0, answering: 0, drawn: null, chosen: null };
 
   async function ask(name, content = {}) {
     page.asking += name === "state" ? 0 : 1;
@@ -30,13 +33,14 @@
     }
   }
 
-  // Do something, and show its error at a place of the page.
-  async function guarded(place, work) {
+  // Do something, and show its error at a place of the page. What is not wanted any more when it is done is null.
+  async function guarded(place, work, wanted = () => true) {
     place.textContent = "";
     try {
-      return await work();
+      const found = await work();
+      return wanted() ? found : null;
     } catch (error) {
-      place.textContent = error.message;
+      if (wanted()) place.textContent = error.message;
       return null;
     }
   }
@@ -108,14 +112,16 @@
     const listed = page.batches.find((other) => other.batch === batch);
     if (listed) describe(listed, 0);
     closeReport();
+    clearDrawn();
     of("figures").replaceChildren(document.createTextNode("Looking for figures …"));
     of("batch-notes").replaceChildren();
     of("videos").replaceChildren();
+    const wanted = () => page.batch === batch;
     const [found, tables] = await Promise.all([
-      guarded(of("batch-error"), () => ask("batch", { batch })),
-      guarded(of("sql-error"), () => ask("tables", { batch })),
+      guarded(of("batch-error"), () => ask("batch", { batch }), wanted),
+      guarded(of("sql-error"), () => ask("tables", { batch }), wanted),
     ]);
-    if (page.batch !== batch) return;
+    if (!wanted()) return;
     if (tables) listTables(tables);
     of("figures").replaceChildren();
     if (!found) return;
@@ -155,10 +161,10 @@
   }
 
   async function report() {
-    const button = of("report");
+    const [button, batch] = [of("report"), page.batch];
     button.disabled = true;
     say("Making the report …");
-    const found = await guarded(of("batch-error"), () => ask("report", { batch: page.batch }));
+    const found = await guarded(of("batch-error"), () => ask("report", { batch }), () => page.batch === batch);
     button.disabled = false;
     say(found ? "The report is below." : "");
     if (!found) return;
@@ -273,14 +279,22 @@
 
   function keysOfForm() {
     const field = form();
-    const keys = field.table.value ? { table: field.table.value } : { sql: of("statement").value };
+    const keys = { ...kept(), ...(field.table.value ? { table: field.table.value } : { sql: of("statement").value }) };
     keys.kind = field.kind.value;
     const columns = field.column.value.split(",").map((one) => one.trim()).filter(Boolean);
     if (columns.length) keys.column = columns.length === 1 ? columns[0] : columns;
-    for (const name of ["x", "series", "facet", "where", "center", "band"]) if (field[name].value) keys[name] = field[name].value;
+    for (const name of FIELDS) {
+      if (field[name].value) keys[name] = field[name].value;
+      else if (field[name].selectedIndex >= 0) delete keys[name];
+    }
     if (field.log_y.checked) keys.log_y = true;
     return keys;
   }
+
+  const subject = () => JSON.stringify(["table", "kind", "column"].map((name) => form()[name].value));
+
+  // The keys of the chosen figure that the form cannot show. They hold as long as it shows the same columns in the same way.
+  const kept = () => (page.chosen?.subject === subject() ? page.chosen.kept : {});
 
   function toForm(name, keys) {
     const field = form();
@@ -289,9 +303,11 @@
     if (keys.sql !== undefined) { field.table.value = ""; of("statement").value = keys.sql; }
     field.kind.value = keys.kind ?? "timeseries";
     field.column.value = [].concat(keys.column ?? []).join(", ");
-    for (const key of ["x", "series", "facet", "where", "center", "band"]) field[key].value = keys[key] ?? "";
+    for (const key of FIELDS) field[key].value = keys[key] === DEFAULTS[key] ? "" : keys[key] ?? "";
     field.log_y.checked = keys.log_y === true;
     listColumns();
+    const shown = (key) => SUBJECT.includes(key) || (FIELDS.includes(key) && (field[key].value || DEFAULTS[key]) === keys[key]);
+    page.chosen = { subject: subject(), kept: Object.fromEntries(Object.entries(keys).filter(([key]) => !shown(key))) };
   }
 
   async function draw(name, keys, batches = [page.batch]) {
@@ -299,17 +315,35 @@
     const [batch, ...others] = batches;
     const place = of(others.length ? "together-error" : "chart-error");
     const found = await drawn(place, () => ask("chart", { batch, name, keys, others }));
-    if (found) of("chart-of").textContent = others.length ? `This chart shows ${batches.length} batches.` : "";
+    if (!found) return;
+    const more = Object.keys(page.chosen.kept).join(", ");
+    const also = more && ` The form does not show its keys ${more}.`;
+    of("chart-of").textContent = `This chart shows ${others.length ? `${batches.length} batches` : `batch ${batch.slice(0, 10)}`}.${also}`;
+  }
+
+  function clearDrawn() {
+    page.drawing += 1;
+    page.chosen = null;
+    of("drawn").replaceChildren();
+    of("declaration").hidden = true;
+    for (const id of ["chart-of", "chart-error", "together-error"]) of(id).textContent = "";
   }
 
   // Show what the server has drawn, and the lines that declare it.
   async function drawn(place, work) {
+    const mine = ++page.drawing;
+    const wanted = () => mine === page.drawing;
     of("drawn").toggleAttribute("data-stale", true);
     of("chart-of").textContent = "";
     const before = performance.now();
-    const found = await guarded(place, work);
+    const found = await guarded(place, work, wanted);
+    if (!wanted()) return null;
     of("drawn").toggleAttribute("data-stale", false);
-    if (!found) return null;
+    if (!found) {
+      of("drawn").replaceChildren();
+      of("declaration").hidden = true;
+      return null;
+    }
     const { name, keys, file, kind } = found;
     page.drawn = { name, keys, file, kind };
     of("drawn").innerHTML = found.section;
@@ -335,13 +369,16 @@
   async function answer() {
     of("words").hidden = true;
     const within = of("within").checked && page.batch ? page.batch : null;
+    const mine = ++page.answering;
     const before = performance.now();
-    const found = await guarded(of("sql-error"), () => ask("query", { statement: of("statement").value, batch: within }));
+    const statement = of("statement").value;
+    const found = await guarded(of("sql-error"), () => ask("query", { statement, batch: within }), () => mine === page.answering);
+    if (mine !== page.answering) return;
+    of("result").replaceChildren();
     if (!found) return;
     const took = ((performance.now() - before) / 1000).toFixed(2);
     const place = of("result");
-    place.replaceChildren();
-    const count = `${found.more ? "the first " : ""}${found.rows.length.toLocaleString()} rows`;
+    const count = `${found.more ? "the first " : ""}${found.rows.length.toLocaleString()} rows of ${within ? `batch ${within.slice(0, 10)}` : "all batches"}`;
     const line = make("p", place, { class: "note" });
     make("span", line, { role: "status" }, `${count}, ${took} s `);
     const button = make("button", line, { type: "button" }, "Copy as CSV");
