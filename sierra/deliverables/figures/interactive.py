@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.typing import ColorType, LineStyleType
 
 from sierra.deliverables import html
-from sierra.deliverables.figures import axis_limits, bands, facets, formats, style, timeseries
+from sierra.deliverables.figures import axis_limits, bands, facets, formats, style, thinning, timeseries
 from sierra.deliverables.figures.style import Look
 from sierra.deliverables.html import Chart, ChartAxis, Content, Series, tables
 from sierra.deliverables.html.tables import Table
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
 
 POINTS = 5000
-"""The largest number of points of a series, and of rows of a table that is not that of a chart."""
+"""The largest number of points of a series that is not thinned, and of rows of a table that is not that of a chart."""
 DARK = "#14181d"
 """The dark background of pages: see `page.css`."""
 CONTRAST = 4.0
@@ -84,7 +84,7 @@ def over_time(drawing: Drawing) -> list[Chart]:
     panels = []
     for values in timeseries.others(drawing):
         own = [ordinal for ordinal in ordered if timeseries.rest_of(drawing, ordinal) == values]
-        lines = [_Line(*entries[timeseries.value_of(drawing, ordinal)], _some(slices[ordinal])) for ordinal in own]
+        lines = [_Line(*entries[timeseries.value_of(drawing, ordinal)], _some(drawing, slices[ordinal])) for ordinal in own]
         if lines:
             panels.append(_Panel(style.point(drawing.axes[1:], drawing.cells[own[0]]), lines))
     form: Literal["lines", "points"] = "lines" if any(part.stop - part.start > 1 for part in slices.values()) else "points"
@@ -193,17 +193,21 @@ def _luminance(colour: ColorType) -> float:
     return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
 
 
-def _some(rows: slice) -> list[int]:
-    """Return the numbers of at most `POINTS` rows: every k-th, and the last."""
-    every = -(-(rows.stop - rows.start) // POINTS)
-    kept = range(rows.start, rows.stop, every)
-    return [*kept[: POINTS - 1], rows.stop - 1] if kept[-1] != rows.stop - 1 else list(kept)
+def _some(drawing: Drawing, rows: slice) -> list[int]:
+    """Return the numbers of the rows of a series in its chart: all, or those of a long series that `thinning` keeps."""
+    places = np.arange(rows.start, rows.stop)
+    if len(places) > POINTS:
+        (table,) = drawing.tables.values()
+        t, *lines = (style.column(table, name)[rows] for name in ("t", *bands.columns(drawing.figure)))
+        places = places[thinning.kept(t, *lines, log=drawing.figure.log_x)]
+    found: list[int] = places.tolist()
+    return found
 
 
 def _thinned(charts: Sequence[Chart]) -> list[str]:
     """Return what charts leave out to be fast."""
     notes = dict.fromkeys(chart.table.note for chart in charts if chart.table.note)
-    return [f"of each series, every k-th point and the last are shown, at most {POINTS:,}: {note}" for note in notes]
+    return [f"of each 1/{thinning.PARTS:,} of the x axis, the extremes are shown: {note}" for note in notes]
 
 
 def _limits(drawing: Drawing, *, panels: int) -> tuple[float, float] | None:

@@ -125,15 +125,17 @@ def test_a_chart_over_a_variable_has_its_groups_and_panels() -> None:
     assert (names["x"]["names"], names["joined"]) == (["low", "high"], False)
 
 
-def test_a_long_series_is_thinned_to_5000_points_and_the_page_says_so() -> None:
+def test_a_long_series_is_thinned_without_losing_a_peak_and_the_page_says_so() -> None:
     rows = 2 * POINTS + 7
-    found = page(drawing("timeseries", (NAMES,), {"energy": table(2, rows)}))
+    peak = [0.0] * 7777 + [1e6] + [0.0] * (2 * rows - 7778)
+    found = page(drawing("timeseries", (NAMES,), {"energy": table(2, rows, mean_high=peak)}))
     (data,), (chart,) = found.data()["tables"], found.data()["charts"]
     times = data["columns"][data["headers"].index("time [s]")]
     for series in chart["series"]:
         start, stop = series["rows"]
-        assert POINTS // 2 < stop - start <= POINTS
+        assert POINTS // 5 < stop - start <= POINTS
         assert (times[start], times[stop - 1]) == (0, rows - 1)
+    assert max(data["columns"][chart["columns"]["high"]]) == 1e6
     left_out = 2 * rows - len(times)
     assert any(f"{left_out:,} of {2 * rows:,} rows are left out" in text for _, text in found.texts)
     exact = page(drawing("timeseries", (NAMES,), {"energy": table(2, POINTS)})).data()
