@@ -13,7 +13,8 @@ from sierra.util.hashing import short
 from sierra.util.text import counted, few
 
 TRIALS = """
-SELECT e.run, m.number, t.marked, t.operator, t.arena, t.order_rule, t.valid, t.stopped, e.status, t.reason, t.note
+SELECT e.run, m.number, t.marked, t.operator, t.arena, t.order_rule, t.valid, t.stopped, e.status, t.reason, t.note,
+       t.execution IN (SELECT execution FROM effective WHERE batch = $b) AS counts
 FROM trials t JOIN executions e USING (execution)
 JOIN (SELECT run, min((ordinal, number)) AS at, arg_min(number, (ordinal, number)) AS number FROM batch_runs WHERE batch = $b
       GROUP BY run) m USING (run)
@@ -36,6 +37,7 @@ class _Trial(NamedTuple):
     status: str
     reason: str | None
     note: str | None
+    counts: bool
 
     @property
     def invalid(self) -> bool:
@@ -44,7 +46,7 @@ class _Trial(NamedTuple):
     @property
     def is_remarkable(self) -> bool:
         """True if a reader must know of it: it does not count, was stopped, did not succeed, or has a note."""
-        return self.invalid or bool(self.stopped) or bool(self.note) or self.status != "ok"
+        return not self.counts or bool(self.stopped) or bool(self.note)
 
 
 def section(state: BatchState) -> Section | None:
@@ -71,7 +73,7 @@ def _lines(state: BatchState, found: Sequence[_Trial]) -> Iterator[Markup]:
 
 
 def _row(one: _Trial) -> tuple[str | int | None, ...]:
-    counts = "no" if one.invalid or one.status != "ok" else "yes"
+    counts = "yes" if one.counts else "no"
     decided = f"{one.marked:%Y-%m-%d %H:%M}"
     stopped = "yes" if one.stopped else ""
     return (short(one.run), one.number, one.status, decided, one.operator, counts, stopped, one.reason, one.note)

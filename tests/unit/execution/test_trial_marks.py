@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 import sierra
+from sierra.config.project_file import load
+from sierra.deliverables.report import batch_state
+from sierra.deliverables.report.trials import section
 from sierra.errors import NotFound, UsageError
 from tests import projects, stores
 
@@ -51,6 +55,18 @@ def test_the_last_mark_counts_and_earlier_ones_stay(root: Path) -> None:
     ]
     assert projects.sql(root, "SELECT valid, note FROM trials") == [{"valid": True, "note": "at noon"}]
     assert projects.sql(root, "SELECT count(*) AS runs FROM effective") == [{"runs": 2}]
+
+
+def test_a_report_says_which_trials_count(root: Path) -> None:
+    project = sierra.open(root)
+    first, other = (row["execution"] for row in projects.sql(root, "SELECT execution FROM effective ORDER BY run"))
+    project.mark_trial(first, valid=False, reason="wet floor")
+    project.run("population_size=2", figures=False)
+    project.mark_trial(first, valid=True)  # but a later execution counts
+    project.mark_trial(other, note="at noon")
+    found = section(batch_state.read(load(root), project.store, project.batch()))
+    assert found is not None
+    assert re.findall(r"<td[^>]*>(yes|no)</td>", found.body) == ["no", "yes"]
 
 
 def test_marks_without_a_reason_or_an_execution_are_refused(root: Path) -> None:
