@@ -29,6 +29,8 @@ OF_KINDS = {
     "node_value": ("network",),
 }
 """The keys that only some kinds have."""
+FASTEST_GIF = 50
+"""The most frames per second of a GIF: its times are in 1/100 s, and browsers show frames of 1/100 s for 1/10 s."""
 Side = Annotated[int, Field(ge=160, le=4096)]
 
 
@@ -95,7 +97,7 @@ class Video(Table):
     title: str = Field("", description="title above the frames; default: none")
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
     size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
-    fps: Annotated[float, Field(ge=0.1, le=120)] = Field(25.0, description="frames per second")
+    fps: Annotated[float, Field(ge=0.1, le=120)] = Field(25.0, description="frames per second; a `gif` has at most 50")
     formats: Annotated[
         tuple[Format, ...], Field(min_length=1, json_schema_extra={"uniqueItems": True}), AfterValidator(_once)
     ] = Field(("mp4",), description="formats of the files: `mp4` (H.264), `webm` (VP9), `gif`")
@@ -117,6 +119,8 @@ class Video(Table):
             raise ValueError('"xlim" and "ylim" of a network need "place"')
         if self.kind == "network" and not self.node_value and {"palette", "limits", "label"} & self.model_fields_set:
             raise ValueError('"palette", "limits" and "label" of a network need "node_value"')
+        if "gif" in self.formats and self.fps > FASTEST_GIF:
+            raise ValueError(f"a gif has at most {FASTEST_GIF} frames per second; browsers show faster ones slowly")
         least, most = COLUMNS[self.kind]
         if not least <= len(self.columns) <= most:
             wanted = str(least) if least == most else f"{least} to {most}"
