@@ -3,8 +3,8 @@
 The folder of a test decides its tier. A mark on a test, a parameter or a file moves it to a later tier: `integration` if it
 needs a cluster, containers or many processes, or more than about 0.7 seconds; `nightly` if it takes too long for each change.
 
-Of a test with many cases, `make integration` runs the first and the last, and `make nightly` the others: they take most of
-the time, and rarely fail alone. The mark `each_case` keeps all of them in `make integration`.
+Of a test with many cases, `make integration` runs the first, and `make nightly` the others: they take most of the time, and
+rarely fail alone. The mark `each_case` keeps all of them in `make integration`, where they test different rules.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def add_marks(items: Iterable[pytest.Item]) -> None:
         if _has(item, INTEGRATION) and not _has(item, NIGHTLY) and not _has(item, EACH_CASE):
             cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for alike in cases.values():
-        for item in alike[1:-1]:
+        for item in alike[1:]:
             item.add_marker(NIGHTLY)
 
 

@@ -27,6 +27,8 @@ TUTORIAL = DOCS / "tutorial.md"
 PLUGINS = DOCS / "how-to" / "plugins.md"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md"))]
+EACH_TIME = {"README", "tutorial", "compare", "figures", "outputs", "packages", "plugins", "replay", "runs-on-robots", "sql"}
+"""Pages whose commands are executed for each change; those of the others are executed at night."""
 FENCE = re.compile(r"(?ms)^```(?P<kind>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^```$")
 COMMENT = re.compile(r"<!-- (?P<key>not executed|not loaded|exit code): (?P<value>[^\n]+) -->\n\Z")
 SHELL = re.compile(r"[|<>&;$`*#\\]")
@@ -127,7 +129,11 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.integration
 @pytest.mark.each_case
-@pytest.mark.parametrize("page", EXECUTED, ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [page if page.stem in EACH_TIME else pytest.param(page, marks=pytest.mark.nightly) for page in EXECUTED],
+    ids=name_of,
+)
 def test_commands_of_a_page_print_the_shown_output(
     page: Path, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
