@@ -46,6 +46,7 @@ def test_a_batch_on_slurm_has_the_same_results_as_a_local_one(tmp_path: Path, sl
     assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
 
 
+@pytest.mark.nightly
 def test_a_study_waits_for_the_batch_of_each_look(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
     rule = ("--until", "ci(coverage) < 3", "--runs", "3", "--max-runs", "8")
@@ -95,6 +96,7 @@ def test_attempts_record_node_resources_and_state(tmp_path: Path, slurm: Slurm) 
     assert rows(sierra.open(root), same) == [{"n": 8}]
 
 
+@pytest.mark.nightly
 def test_runs_see_the_devices_of_their_slot(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$ROCR_VISIBLE_DEVICES\\n" > swarm.csv; sleep 1')
     config = made.folder / "sierra.toml"
@@ -163,6 +165,7 @@ def test_a_batch_of_a_submitter_that_died_before_submission_is_completed(gated: 
     is_whole(gated.project)
 
 
+@pytest.mark.nightly
 def test_two_sessions_with_the_same_query_execute_it_once(gated: Gated) -> None:
     first = gated.ask()
     gated.until_begun(3)
@@ -279,6 +282,7 @@ def test_two_copies_of_an_array_task_give_one_result_and_a_comparison(gated: Gat
     assert "executed twice" in told
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("requeued", [3, *at_night([0])])
 def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated, requeued: int) -> None:
     """A busy SLURM may requeue the running array tasks when its controller is back.
@@ -403,6 +407,7 @@ def test_jobs_that_succeed_without_executing_runs_are_an_error(gated: Gated) -> 
     is_whole(gated.project)
 
 
+@pytest.mark.nightly
 def test_a_probe_without_output_ends_the_session_before_any_run(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + 'python = "true"\n')

@@ -98,6 +98,7 @@ def test_the_first_and_last_run_are_timed_to_distribute_the_others(
     assert "are executed first" not in again.stderr
 
 
+@pytest.mark.nightly
 def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate()
     project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
@@ -164,6 +165,7 @@ def test_first_runs_without_a_free_node_are_not_waited_for(
     is_whole(waiting)
 
 
+@pytest.mark.nightly
 def test_the_other_runs_are_submitted_when_the_user_detaches(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
@@ -275,6 +277,7 @@ def test_first_runs_that_lose_their_node_are_executed_again(waiting: Simulated, 
     assert waiting.executed().total() == RUNS + 1
 
 
+@pytest.mark.nightly
 def test_a_dry_run_reports_first_runs(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate()
     told = project.quick(*ASKED, "-n", "--explain")

@@ -108,6 +108,7 @@ def test_attach_follows_a_detached_batch_to_its_end(waiting: Waiting) -> None:
     assert waiting.project.executed().total() == 6
 
 
+@pytest.mark.nightly
 def test_a_part_of_a_batch_is_detached_attached_and_completed(waiting: Waiting) -> None:
     left = waiting.submit(*QUERY, "--only", "size>=2")
     assert left["runs"] == 4
@@ -122,6 +123,7 @@ def test_a_part_of_a_batch_is_detached_attached_and_completed(waiting: Waiting) 
     assert [json.loads(rest.stdout)[name] for name in ("executed", "reused", "missing")] == [2, 4, 0]
 
 
+@pytest.mark.nightly
 def test_a_target_on_a_cluster_is_detached_and_recorded_with_its_name(waiting: Waiting) -> None:
     config = waiting.project.folder / "sierra.toml"
     config.write_text(config.read_text() + '[targets.field]\nrunner = "slurm"\nlimits.wall = 500\n')
@@ -174,6 +176,7 @@ def test_status_shows_progress_and_records_finished_runs(waiting: Waiting) -> No
     assert "has no jobs on a cluster; sierra status lists cluster jobs, sierra ls lists recorded batches" in late.stderr
 
 
+@pytest.mark.nightly
 def test_status_without_cluster_jobs_is_not_an_error(waiting: Waiting) -> None:
     done = waiting.project.quick("status")
     assert (done.returncode, done.stdout) == (0, "no cluster jobs\n")
@@ -365,6 +368,7 @@ def test_a_dry_run_estimates_from_the_times_of_earlier_runs(waiting: Waiting) ->
     assert "#SBATCH --array=0-2" in later
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("cluster", ["slurm", "pbs"])
 def test_a_dry_run_works_without_a_scheduler_and_reports_unknown_limits(tmp_path: Path, cluster: str) -> None:
     root = projects.make(tmp_path / "project")
@@ -381,12 +385,14 @@ def test_a_dry_run_works_without_a_scheduler_and_reports_unknown_limits(tmp_path
 # invalid requests
 
 
+@pytest.mark.nightly
 def test_local_runs_cannot_be_detached(tmp_path: Path) -> None:
     done = projects.quick(projects.make(tmp_path / "project"), "run", "population_size.Log8", "--detach")
     assert done.returncode == 2
     assert "'local'" in done.stderr
 
 
+@pytest.mark.nightly
 def test_the_error_for_an_unknown_runner_names_the_known_ones(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + '[runners.big]\nscheduler = "slurm"\n')
     for more in ((), ("--dry-run",)):

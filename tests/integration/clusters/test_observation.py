@@ -105,6 +105,7 @@ def test_executions_on_a_cluster_count_while_the_files_that_they_used_are_unchan
     assert sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 1}]
 
 
+@pytest.mark.nightly
 def test_executions_on_a_cluster_count_for_another_source_if_they_did_not_use_what_differs(
     tmp_path: Path, slurm: Slurm, require: Callable[..., str]
 ) -> None:
@@ -123,6 +124,7 @@ def test_executions_on_a_cluster_count_for_another_source_if_they_did_not_use_wh
     assert run(root, "--on", "slurm")["executed"] == 4
 
 
+@pytest.mark.nightly
 def test_a_node_without_strace_says_so(tmp_path: Path, slurm: Slurm) -> None:
     (tmp_path / "empty").mkdir()
     python = tmp_path / "python"
@@ -168,6 +170,7 @@ def observed(gated: Gated) -> int:
     return int(found["n"])
 
 
+@pytest.mark.nightly
 def test_what_a_node_observed_is_recorded_by_the_process_that_takes_the_session_over(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -179,6 +182,7 @@ def test_what_a_node_observed_is_recorded_by_the_process_that_takes_the_session_
     assert len(sql(gated.root, SETS)) == 1
 
 
+@pytest.mark.nightly
 def test_runs_that_a_node_observed_when_it_lost_power_are_observed_again(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_told(3)

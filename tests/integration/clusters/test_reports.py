@@ -47,6 +47,7 @@ def test_status_shows_the_schedulers_reason_for_queued_array_tasks(waiting: Wait
     assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.quick("status").stdout)
 
 
+@pytest.mark.nightly
 def test_reasons_are_shortened_and_the_most_frequent_are_first() -> None:
     comment = "Not Running: Insufficient amount of resource: ncpus (R: 48 A: 12 T: 4096) on any of the hosts"
     reasons = ["Priority", comment, "Resources", comment, "", "Licenses"]
@@ -68,6 +69,7 @@ def test_progress_messages_say_why_array_tasks_are_queued(waiting: Waiting) -> N
     assert re.fullmatch(r"0/6 runs, [13] array tasks? queued \(BeginTime\)\n", said)
 
 
+@pytest.mark.nightly
 def test_why_ls_show_and_dry_runs_report_runs_on_a_cluster(waiting: Waiting) -> None:
     left = waiting.submit()
     waiting.project.until_executed(6)
@@ -116,6 +118,7 @@ def test_a_dry_run_reports_a_probe_only_if_one_is_needed(
 # after the batch is recorded
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("detached", [False, True])
 def test_the_recorded_number_of_slots_is_that_of_the_submission(waiting: Waiting, detached: bool) -> None:
     waiting.open()

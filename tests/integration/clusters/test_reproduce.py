@@ -14,6 +14,7 @@ from tests.unit.packages.test_reproduction import SQL, claim, packed
 pytestmark = pytest.mark.real
 
 
+@pytest.mark.nightly
 def test_a_package_is_reproduced_on_a_cluster_of_the_user(
     tmp_path: Path, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
 ) -> None:

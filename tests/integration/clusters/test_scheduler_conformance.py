@@ -21,6 +21,7 @@ from tests.users import a_user, called_as
 pytestmark = pytest.mark.real
 
 
+@pytest.mark.each_case
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
 def test_shipped_schedulers_conform_over_slurm(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
     runners.check(schedulers.find(name)(ClusterTable()), tmp_path)

@@ -239,6 +239,7 @@ def test_requested_and_enforced_limits_are_recorded(tmp_path: Path, busybox: Pat
     assert row["rootless"] == (os.geteuid() != 0)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("isolation", ["run", pytest.param("worker", marks=pytest.mark.nightly)])
 def test_a_run_is_tried_in_its_image(tmp_path: Path, python: Path, isolation: str) -> None:
     talking = "echo hello\n" + containers.SIMULATOR

@@ -59,6 +59,7 @@ def rows(folder: Path, statement: str) -> list[dict[str, Any]]:
     return answer
 
 
+@pytest.mark.each_case
 def test_products_are_built_in_the_image_and_again_by_a_replay(root: Path) -> None:
     assert "4 executed" in says(root, *RUN)
     assert (root / "build/sim").read_text().splitlines()[-1] == "# /run/sierra/project /run/sierra/run/home"
@@ -103,6 +104,7 @@ def test_a_time_limit_ends_the_container(root: Path) -> None:
     assert containers.left(root) == []
 
 
+@pytest.mark.nightly
 def test_runs_in_an_image_can_be_replayed_on_the_host_with_a_program_that_is_built_there(root: Path) -> None:
     says(root, *RUN)
     [batch] = rows(root, "FROM batches")

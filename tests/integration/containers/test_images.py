@@ -252,6 +252,7 @@ def test_identifying_an_unchanged_image_does_not_start_podman(
         images.verify(project.root, images.pinned(project.root, tag))
 
 
+@pytest.mark.nightly
 def test_merged_layers_equal_the_file_system_of_podman(project: Project, storages: Storages, tmp_path: Path) -> None:
     path = made.docker_archive(tmp_path / "sim.tar", LAYERS)
     identity = project.import_image(path).image.id.removeprefix("sha256:")

@@ -84,6 +84,7 @@ if [ -n "$2" ]; then mkdir "$2"; for tick in 0 1 2; do printf 'P1 1 1 %s' $((tic
 """
 
 
+@pytest.mark.nightly
 def test_runs_in_an_image_are_captured_in_it(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     with (folder / "sim.sh").open("a") as simulator:
@@ -153,6 +154,7 @@ def isolated(isolation: str) -> dict[str, Any]:
     }
 
 
+@pytest.mark.each_case
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", "s3cret")
@@ -176,6 +178,7 @@ def test_runs_in_containers_are_not_observed_and_a_note_says_so(tmp_path: Path, 
     assert json.loads(counted.stdout) == [{"n": 0}]
 
 
+@pytest.mark.nightly
 def test_runs_do_not_share_a_container_of_an_image_without_python(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, 'isolation = "worker"')
     assert "each run gets its own container" in says(folder, *RUN)
@@ -223,6 +226,7 @@ ENDED = {
 """The status, exit status and signal of each run (for the eighth, the memory limit)."""
 
 
+@pytest.mark.each_case
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Path, isolation: str) -> None:
     mark = f"61.{os.getpid()}"
@@ -462,6 +466,7 @@ def test_a_mount_is_read_only_and_changes_of_its_content_execute_runs_again(tmp_
     assert "/data" in says(folder, *RUN, "--runs", "3", code=3)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("engine", ["podman", "apptainer"])
 def test_another_file_system_below_the_project_is_read_only(
     tmp_path: Path, busybox: Path, engine: str, require: Callable[..., str]
@@ -505,6 +510,7 @@ def test_a_path_out_of_the_project_is_refused_in_a_container(tmp_path: Path, bus
     assert "[container] mounts" in says(folder, *RUN, code=2)
 
 
+@pytest.mark.nightly
 def test_variables_of_an_image_are_used_literally_and_checked_against_the_lock(tmp_path: Path) -> None:
     shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", ""), ("bin/env -> busybox", "")]
     layer = images.layer(*((name, "") for name in containers.FOLDERS), *shell)
@@ -534,6 +540,7 @@ def test_a_volume_of_an_image_is_read_only(tmp_path: Path, engine: str, require:
     assert rows(folder, "SELECT DISTINCT kept FROM swarm") == [{"kept": 0}]
 
 
+@pytest.mark.nightly
 def test_volumes_that_podman_gives_to_all_containers_are_refused(
     tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -566,6 +573,7 @@ def test_a_batch_is_replayed_in_its_image_and_on_a_host_with_the_same_programs(t
     assert rows(folder, "SELECT count(*) AS n FROM isolations") == [{"n": 1}]
 
 
+@pytest.mark.nightly
 def test_a_replay_on_a_host_with_other_programs_names_them(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     says(folder, *RUN)
@@ -577,6 +585,7 @@ def test_a_replay_on_a_host_with_other_programs_names_them(tmp_path: Path, busyb
     assert rows(folder, "SELECT engine, verdict FROM replays") == [{"engine": "none", "verdict": "identical"}]
 
 
+@pytest.mark.nightly
 def test_a_missing_image_is_named(tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     archive = shutil.copy(busybox, tmp_path / "image.tar")
     folder = containers.make(tmp_path / "project", archive)
@@ -585,12 +594,14 @@ def test_a_missing_image_is_named(tmp_path: Path, busybox: Path, monkeypatch: py
     assert str(archive) in says(folder, *RUN, code=3)
 
 
+@pytest.mark.nightly
 def test_a_missing_podman_is_reported_in_one_line(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     done = sierra(folder, *RUN, environment={"PATH": str(tmp_path)})
     assert (done.returncode, "podman" in done.stderr, len(done.stderr.splitlines())) == (3, True, 1), done.stderr
 
 
+@pytest.mark.nightly
 def test_two_concurrent_sessions_share_the_runs(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, simulator=containers.SIMULATOR + "sleep 0.5\n")
     words = [str(SIERRA), "run", "population_size=1,2,3,4", "--no-figures", "-j2", "--json"]
@@ -601,6 +612,7 @@ def test_two_concurrent_sessions_share_the_runs(tmp_path: Path, busybox: Path) -
     assert containers.left(folder) == []
 
 
+@pytest.mark.nightly
 def test_fsck_finds_a_batch_in_an_image_sound(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     says(folder, *RUN)
@@ -616,6 +628,7 @@ def test_a_missing_device_is_reported_before_any_run_executes(tmp_path: Path, bu
     assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
 
 
+@pytest.mark.nightly
 def test_a_run_is_tried_in_its_image_without_a_record(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, simulator="echo hello\n" + containers.SIMULATOR)
     said = says(folder, "try", "population_size=2")
@@ -625,6 +638,7 @@ def test_a_run_is_tried_in_its_image_without_a_record(tmp_path: Path, busybox: P
     assert containers.left(folder) == []
 
 
+@pytest.mark.nightly
 def test_commands_of_inputs_have_the_paths_in_the_image(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     assert "start the container yourself" in says(folder, "inputs", "population_size=2", "--to", "../inputs")

@@ -161,6 +161,7 @@ def test_show_highlights_ignored_limits(root: Path, batches: Mapping[str, str]) 
     assert (isolation["limits_watched"], isolation["limits_ignored"]) == ({"memory": 64_000_000}, {"cpus": 1.0})
 
 
+@pytest.mark.nightly
 def test_show_displays_the_host_access_of_runs(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "show", execution(root, batches["reaching"]))
     assert "mount /maps, network" in text
@@ -196,6 +197,7 @@ def test_images_are_compared_by_their_content(root: Path, batches: Mapping[str, 
     assert found["image", "files"]["line"].endswith("2 differ: usr/lib/libm.so, var/lib/dpkg/status")
 
 
+@pytest.mark.nightly
 def test_isolations_are_compared_by_enforced_and_ignored_limits(root: Path, batches: Mapping[str, str]) -> None:
     found = differences(root, batches["old"], batches["new"])
     told = {name: one["line"] for (kind, name), one in found.items() if kind == "isolation"}
@@ -294,6 +296,7 @@ def wrong(root: Path) -> set[Kind]:
     return {finding.kind for finding in sierra.open(root).fsck().findings if not finding.kind.fine}
 
 
+@pytest.mark.nightly
 def test_fsck_finds_the_records_of_containers_sound(root: Path) -> None:
     assert "sound: " in succeed(root, "fsck")
     assert said(root, "fsck")["findings"] == []

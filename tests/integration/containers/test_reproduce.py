@@ -45,6 +45,7 @@ def test_a_container_of_a_package_reaches_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("reached"))
 
 
+@pytest.mark.nightly
 def test_the_image_of_a_package_is_used_if_this_machine_does_not_have_it(tmp_path: Path) -> None:
     layer = images.layer(
         *((one, "") for one in containers.FOLDERS),

@@ -202,7 +202,7 @@ def test_apptainer_failures_are_reported_in_one_line_with_a_remedy(complaint: st
     assert "\n" not in trouble
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_apptainer_works_without_a_writable_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:

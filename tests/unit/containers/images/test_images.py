@@ -555,7 +555,7 @@ def bytes_read() -> int:
     return int(line.split()[1])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_verification_does_not_read_unchanged_image_files_again(project: Project) -> None:
     path = made.docker_archive(project.root / "sim.tar", [made.layer(("big", os.urandom(30_000_000)))])
     os.utime(path)

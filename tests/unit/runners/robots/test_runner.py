@@ -265,7 +265,7 @@ def hold(fleet: Fleet) -> Robots:
     return runner
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_run_that_is_held_back_begins_soon_after_the_word(fleet: Fleet):
     runner = hold(fleet)
     time.sleep(fleet.table.lease + 0.2)

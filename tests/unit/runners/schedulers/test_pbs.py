@@ -781,7 +781,7 @@ def test_array_tasks_over_slurm_are_reported_and_cancelled(wrapper: clusters.Slu
     until(ended(scheduler))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_the_wrappers_qstat_is_parsed_and_its_qdel_cancels_the_job(
     wrapper: clusters.Slurm, ask: Callable[..., Request]

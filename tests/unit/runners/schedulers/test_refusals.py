@@ -124,7 +124,7 @@ def test_refusals_of_slurm_name_the_requested_settings_and_the_sites_resources(
     assert SITE in line or "closed" in table
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_status_reports_the_same_for_a_detached_batch(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\ncpus = 99\n")
     assert projects.sierra(root, "run", "noise=1", "--on", "slurm", "--detach").returncode == 0

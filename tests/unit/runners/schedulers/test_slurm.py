@@ -287,7 +287,7 @@ def test_an_answer_without_a_job_is_reported_as_unknown(
         scheduler().submit(request_of())
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_waiting_for_an_answer_of_sbatch_ends_after_a_time_limit(
     sbatch: Callable[[str], None], request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -308,7 +308,7 @@ def test_a_host_without_slurm_is_reported(monkeypatch: pytest.MonkeyPatch, reque
 # with a cluster
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_the_version_of_slurm_is_returned(slurm: clusters.Slurm) -> None:
     word, number = scheduler().version().split()
@@ -340,7 +340,7 @@ def test_array_tasks_execute_with_their_index(slurm: clusters.Slurm, request_of:
         assert log.read_text() == f"{request.folder} {task.element}\ntrouble\n"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_one_array_task_is_submitted_as_an_array(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "$@"', 3)
@@ -360,7 +360,7 @@ def test_jobs_get_the_requested_resources(slurm: clusters.Slurm, request_of: Cal
     assert "Requeue=1" in told
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_directives_add_options_but_never_change_name_or_output(
     slurm: clusters.Slurm, request_of: Callable[..., Request]
@@ -374,7 +374,7 @@ def test_directives_add_options_but_never_change_name_or_output(
     assert "nowhere" not in told
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_modules_are_loaded_before_the_command_executes(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("echo began")
@@ -414,7 +414,7 @@ def test_the_callers_environment_is_not_exported(
     assert not [name for name in seen.keys() - known if not name.startswith(slurms)]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_the_callers_variables_for_slurm_do_not_affect_jobs(
     slurm: clusters.Slurm, request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
@@ -528,7 +528,7 @@ def test_jobs_that_can_never_begin_are_stuck(
     assert [task.reason.startswith(reason) for task in seen if task.state == State.STUCK]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_jobs_held_by_an_administrator_are_stuck_and_jobs_held_by_the_user_wait(
     slurm: clusters.Slurm, request_of: Callable[..., Request]
@@ -546,7 +546,7 @@ def test_jobs_held_by_an_administrator_are_stuck_and_jobs_held_by_the_user_wait(
     assert "held" in task.reason.lower()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_a_dependent_job_waits_for_the_other(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     first = scheduler().submit(request_of("sleep 1", name="sierra-first"))
@@ -555,7 +555,7 @@ def test_a_dependent_job_waits_for_the_other(slurm: clusters.Slurm, request_of: 
     assert {task.reason for task in seen} == {"COMPLETED"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_a_job_that_depends_on_a_failed_job_never_begins(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     folder = request_of().folder
@@ -625,7 +625,7 @@ def test_slurm_forgets_jobs_that_ended_long_ago(small: clusters.Slurm, request_o
     until(scheduler(), request.name, lambda seen: not seen, seconds=200)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.real
 def test_jobs_held_after_a_failed_launch_are_stuck(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     shutil.rmtree(small.root / "spool.n1")
