@@ -534,6 +534,7 @@ def test_no_run_succeeds_if_a_shared_service_is_never_ready(tmp_path: Path) -> N
     assert not alive(mark)
 
 
+@pytest.mark.nightly
 def test_a_shared_service_ends_when_sierra_is_killed(tmp_path: Path) -> None:
     mark = str(32109 + os.getpid())
     root = shared(

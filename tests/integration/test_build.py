@@ -129,6 +129,7 @@ def test_a_library_that_no_pattern_matches_is_noted(root: Path) -> None:
     assert (note in run(root)) is (root / "CMakeLists.txt").exists()
 
 
+@pytest.mark.nightly
 def test_a_mistake_in_the_code_is_shown_with_its_line(root: Path) -> None:
     (root / "core.c").write_text(LIBRARY + "int y\n")
     told = run(root, code=1)

@@ -134,6 +134,7 @@ def test_a_batch_that_is_still_running_is_followed(tmp_path: Path) -> None:
         running.wait(120)
 
 
+@pytest.mark.nightly
 def test_a_missing_browser_is_reported_on_a_terminal(recorded: Path) -> None:
     lonely = {"PATH": "/nonexistent", "BROWSER": "/nonexistent/browser", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
     with Terminal(recorded, str(projects.SIERRA), "explore", environment=lonely) as terminal:
@@ -142,6 +143,7 @@ def test_a_missing_browser_is_reported_on_a_terminal(recorded: Path) -> None:
         assert terminal.end() == 0
 
 
+@pytest.mark.nightly
 def test_a_browser_in_the_terminal_gets_the_page(recorded: Path, tmp_path: Path) -> None:
     """Such a browser returns only when it is closed; the page must be served meanwhile."""
     page, browser = tmp_path / "page.html", tmp_path / "browser"

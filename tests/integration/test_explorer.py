@@ -137,6 +137,7 @@ def test_a_late_answer_about_another_batch_is_not_shown(browser: Browser, record
         assert (browser.run(shown), browser.run("document.getElementById('drawn').innerHTML")) == (second, drawn)
 
 
+@pytest.mark.nightly
 def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
         browser.open(url)
@@ -222,6 +223,7 @@ def test_batches_are_drawn_together_and_reported(browser: Browser, recorded: Pat
         assert [line for line in browser.console if "400" not in line] == []
 
 
+@pytest.mark.nightly
 def test_ten_thousand_batches_are_turned_and_filtered(browser: Browser, tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project")
     many_batches.make(root, 10_000)

@@ -68,6 +68,7 @@ def test_a_run_over_its_time_limit_leaves_no_gzserver(demo: Path) -> None:
     assert not [words for words in commands if str(demo).encode() in words and b"gzserver" in words]
 
 
+@pytest.mark.nightly
 def test_a_missing_gzserver_is_named(demo: Path) -> None:
     with (demo / "sierra.toml").open("a") as file:
         file.write('server = "gzserver-of-nobody"\n')

@@ -136,6 +136,7 @@ def test_an_interrupted_session_keeps_finished_runs(simulate: Simulate, number: 
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
 
 
+@pytest.mark.nightly
 def test_a_session_whose_terminal_is_closed_keeps_finished_runs(simulate: Simulate) -> None:
     project = simulate(held(12))
     terminal, theirs = pty.openpty()
@@ -150,6 +151,7 @@ def test_a_session_whose_terminal_is_closed_keeps_finished_runs(simulate: Simula
     assert 6 <= counted["good"] == counted["n"] < RUNS
 
 
+@pytest.mark.nightly
 def test_a_second_interrupt_ends_the_session_without_grace_time(simulate: Simulate) -> None:
     said = 'touch "${0%/*}/../asked"'
     project = simulate(f"""trap '{said}' TERM; {said.replace("asked", "deaf")}; for n in 1 2 3; do sleep 60 & wait; done""")
@@ -197,6 +199,7 @@ def test_failed_runs_are_recorded_and_the_other_runs_continue(simulate: Simulate
     assert sorted(project.executed().values()) == [1] * 6 + [2] * 3
 
 
+@pytest.mark.nightly
 def test_the_first_failure_ends_the_batch_with_fail_fast(simulate: Simulate) -> None:
     project = simulate('grep -q size=.1 "$1" && { sleep 0.2; exit 1; }\nsleep 600')
     done = project.quick("run", "size=1,2", "--runs", "3", "-j", "4", "--fail-fast", "--no-figures")
@@ -220,6 +223,7 @@ def test_a_killed_worker_is_reported_in_one_line(simulate: Simulate) -> None:
     assert_complete(project)
 
 
+@pytest.mark.nightly
 def test_a_worker_that_gets_sigterm_is_replaced(simulate: Simulate) -> None:
     project = simulate(held(12))
     sierra = project.start(*ASKED)

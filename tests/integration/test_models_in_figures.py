@@ -80,6 +80,7 @@ def test_all_kinds_that_draw_models_show_them(root: Path) -> None:
     assert {file: file.read_bytes() for file in before} == before
 
 
+@pytest.mark.nightly
 def test_times_in_seconds_are_those_of_the_data(root: Path) -> None:
     config = projects.CONFIG + SCENARIOS + MODELS + FIGURES
     (root / "sierra.toml").write_text(config + "[outputs.swarm]\nfile = 'swarm.csv'\ntime = 'tick'\nticks_per_second = 2\n")

@@ -88,6 +88,7 @@ def test_a_chart_over_time_is_drawn_and_shows_values_where_the_pointer_is(
     assert set(series(browser, tmp_path).values()) == {True}
 
 
+@pytest.mark.nightly
 def test_a_series_can_be_hidden_and_shown_again(browser: Browser, tmp_path: Path) -> None:
     opened(browser, drawing(), tmp_path)
     assert series(browser, tmp_path)["2"]
@@ -101,6 +102,7 @@ def test_a_series_can_be_hidden_and_shown_again(browser: Browser, tmp_path: Path
     assert series(browser, tmp_path)["2"]
 
 
+@pytest.mark.nightly
 def test_a_part_of_time_can_be_chosen_with_the_pointer_and_everything_with_a_key(browser: Browser, tmp_path: Path) -> None:
     opened(browser, drawing("timeseries", (SIZES, NAMES)), tmp_path)
     whole = picture(browser)
@@ -144,6 +146,7 @@ def test_text_of_others_is_only_text(browser: Browser, tmp_path: Path) -> None:
     assert str(HOSTILE.values[0]) in said(browser)
 
 
+@pytest.mark.nightly
 def test_the_data_can_be_copied(browser: Browser, tmp_path: Path) -> None:
     opened(browser, drawing("summary", (NAMES,)), tmp_path)
     browser.run("navigator.clipboard.writeText = async text => { window.copied = text }")
@@ -157,6 +160,7 @@ def test_the_data_can_be_copied(browser: Browser, tmp_path: Path) -> None:
     assert browser.run("document.querySelector('[role=status]').textContent") == "Copied."
 
 
+@pytest.mark.nightly
 def test_a_page_that_may_not_use_the_clipboard_shows_the_text(browser: Browser, tmp_path: Path) -> None:
     opened(browser, drawing("box"), tmp_path)
     browser.run("navigator.clipboard.writeText = () => Promise.reject(new Error('not allowed'))")

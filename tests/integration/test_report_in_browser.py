@@ -90,6 +90,7 @@ def test_texts_of_others_do_nothing_in_a_browser(browser: Browser, report: Path)
     assert "<script>" in browser.run("document.querySelector('.readout').innerText + document.title + document.body.innerText")
 
 
+@pytest.mark.nightly
 def test_a_report_can_be_used_with_the_keyboard_alone(browser: Browser, report: Path) -> None:
     opened(browser, report)
     browser.press("Tab")
@@ -108,6 +109,7 @@ def test_a_report_can_be_used_with_the_keyboard_alone(browser: Browser, report: 
     assert browser.run(names) == 0
 
 
+@pytest.mark.nightly
 def test_commands_and_sql_can_be_copied(browser: Browser, report: Path) -> None:
     opened(browser, report)
     browser.run("navigator.clipboard.writeText = async text => { window.copied = text }")

@@ -131,6 +131,7 @@ def test_nothing_is_left_of_a_run_whose_program_is_killed(demo: Path) -> None:
     assert pids(demo) == []
 
 
+@pytest.mark.nightly
 def test_nothing_is_left_of_a_sierra_that_is_killed_with_its_worker(demo: Path) -> None:
     edited(demo, "length = 1.0", "length = 60.0")
     process = projects.start(demo, "run", "population_size=1", "--runs", "1", "--no-figures", start_new_session=True)

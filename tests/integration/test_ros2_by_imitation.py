@@ -116,6 +116,7 @@ def test_a_run_fails_with_its_reason(
     assert end_of(process) == (1, message)
 
 
+@pytest.mark.nightly
 def test_awaited_nodes_and_the_simulated_time_end_a_run(tmp_path: Path, programs: dict[str, str]) -> None:
     begin = time.monotonic()
     awaited = start(

@@ -77,6 +77,7 @@ def place(tmp_path: Path) -> Place:
     return Place(tmp_path, Random(1), " two  blanks ")
 
 
+@pytest.mark.each_case
 @pytest.mark.parametrize("point", [*KILLED[1::12], *at_night(set(KILLED) - set(KILLED[1::12]))])
 def test_a_kill_at_any_point_of_a_run_loses_no_results(place: Place, wanted: Wanted, point: str) -> None:
     assert "not reached" not in steps.fault_at_a_point(place, wanted, point, "kill")

@@ -108,6 +108,7 @@ def test_a_static_program_has_no_loader(bench: Bench, require: Callable[..., str
     assert seen.trace.executed == (str(bench.place / "static"),)
 
 
+@pytest.mark.nightly
 def test_many_opened_files_are_all_seen(bench: Bench) -> None:
     (bench.place / "many").mkdir()
     for number in range(10_000):
@@ -137,6 +138,7 @@ def test_a_file_that_is_removed_and_made_again_is_written_and_not_read(bench: Be
     assert str(data) not in seen.trace.read + seen.trace.removed
 
 
+@pytest.mark.nightly
 def test_a_file_that_is_opened_to_be_changed_is_read_and_written(bench: Bench) -> None:
     data = bench.file("data")
     body = "close(open(argv[1], O_RDWR | O_CREAT, 0600)); close(open(argv[2], O_RDWR | O_CREAT | O_TRUNC, 0600));"

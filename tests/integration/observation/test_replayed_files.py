@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests import projects, stores
+from tests.tiers import at_night
 
 SIMULATOR = """\
 import os, sys, time
@@ -43,7 +44,8 @@ def replay(root: Path, batch: str) -> tuple[int, dict[str, Any]]:
     return done.returncode, json.loads(done.stdout)
 
 
-@pytest.mark.parametrize(("observe", "same"), [("all", True), ("none", None), ("first", None)])
+@pytest.mark.each_case
+@pytest.mark.parametrize(("observe", "same"), [("all", True), ("first", None), *at_night([("none", None)])])
 def test_the_same_files_are_only_said_where_they_were_observed(make: Make, observe: str, *, same: bool | None) -> None:
     root = make(observe, "noise")
     batch = stores.ask(root, "population_size=1,2")
@@ -67,6 +69,7 @@ def test_a_changed_file_is_named_before_chance_is_blamed(make: Make, observe: st
     assert replay(root, batch)[1]["same_files"] is False
 
 
+@pytest.mark.nightly
 def test_a_file_that_has_come_since_is_named(make: Make) -> None:
     root = make("all", "one")
     batch = stores.ask(root, "population_size=1")
@@ -86,12 +89,14 @@ def test_a_name_that_has_come_into_a_listed_folder_leaves_the_files_in_doubt(mak
     assert "may be found elsewhere" in projects.quick(root, "replay", batch).stdout
 
 
+@pytest.mark.nightly
 def test_an_identical_replay_with_the_same_files_has_no_notes(make: Make) -> None:
     root = make("all", "one")
     code, answer = replay(root, stores.ask(root, "population_size=1"))
     assert (code, answer["verdict"], answer["notes"], answer["same_files"]) == (0, "identical", [], True)
 
 
+@pytest.mark.nightly
 def test_changed_source_is_restored_and_is_no_difference(make: Make) -> None:
     root = make("all", "one")
     batch = stores.ask(root, "population_size=1")

@@ -118,6 +118,7 @@ def test_removing_the_first_batch_keeps_what_the_second_reuses(root: Path) -> No
     assert projects.run(root, QUERY)[0]["executed"] == 0
 
 
+@pytest.mark.nightly
 def test_removing_an_execution_executes_each_run_that_reused_it_again(root: Path) -> None:
     projects.run(root, QUERY)
     (root / "unused.py").write_text("2")

@@ -89,6 +89,7 @@ def test_more_runs_are_never_mixed_with_those_of_another_plug_in(simulator: Path
     assert {(row["mean"], row["sd"]) for row in shown} == {(300, 0)}
 
 
+@pytest.mark.nightly
 def test_a_plug_in_that_was_rebuilt_without_a_change_executes_nothing(simulator: Path, rebuild: Callable[[int], Path]) -> None:
     projects.run(simulator, QUERY)
     rebuild(1)
@@ -110,6 +111,7 @@ def test_an_edited_file_of_an_installed_package_executes_all_runs_again(tmp_path
     assert projects.sql(root, VALUES) == [{"value": 300}]
 
 
+@pytest.mark.nightly
 def test_a_script_that_the_input_names_by_its_absolute_path_is_noticed(tmp_path: Path, require: Callable[..., str]) -> None:
     require("strace")
     script = tmp_path / "scripts" / "controller.lua"
@@ -130,6 +132,7 @@ def test_a_script_that_the_input_names_by_its_absolute_path_is_noticed(tmp_path:
     assert projects.sql(root, VALUES) == [{"value": 300}]
 
 
+@pytest.mark.nightly
 def test_products_that_a_build_makes_again_execute_nothing_if_they_are_the_same(
     tmp_path: Path, build: Callable[..., Path]
 ) -> None:
@@ -186,6 +189,7 @@ def test_a_library_that_the_loader_finds_elsewhere_executes_all_runs_again(
     assert projects.sql(root, VALUES) == [{"value": 300}]
 
 
+@pytest.mark.nightly
 def test_a_replay_names_the_plug_in_and_not_chance(simulator: Path, rebuild: Callable[[int], Path]) -> None:
     batch = projects.run(simulator, QUERY)[0]["batch"]
     rebuild(300)

@@ -85,6 +85,7 @@ def test_the_same_environment_in_another_folder_reuses_all_runs(root: Path) -> N
     assert run(root, "two/deeper")["executed"] == 0
 
 
+@pytest.mark.nightly
 def test_the_same_environment_in_another_folder_has_the_same_set_of_files(root: Path) -> None:
     run(root, "one")
     install(root.parent / "two" / "deeper")
@@ -94,6 +95,7 @@ def test_the_same_environment_in_another_folder_has_the_same_set_of_files(root: 
     assert sql(root, f"SELECT path FROM files_read WHERE path LIKE '{machine}'") == []
 
 
+@pytest.mark.nightly
 def test_the_distributions_that_an_execution_used_are_recorded(root: Path) -> None:
     unused = root.parent / "one" / "bin" / "unused"
     unused.write_text("")
@@ -109,6 +111,7 @@ def test_a_changed_package_executes_all_runs_again(root: Path) -> None:
     assert sql(root, "SELECT DISTINCT value FROM swarm JOIN effective USING (execution)") == [{"value": 2}]
 
 
+@pytest.mark.nightly
 def test_a_script_with_another_first_line_executes_all_runs_again(root: Path) -> None:
     run(root, "one")
     script = root.parent / "one" / "bin" / "swarms"
@@ -117,6 +120,7 @@ def test_a_script_with_another_first_line_executes_all_runs_again(root: Path) ->
     assert run(root, "one")["executed"] == (4 if used else 0)
 
 
+@pytest.mark.nightly
 def test_runs_without_the_environment_execute_again_or_fail(root: Path) -> None:
     run(root, "one")
     shutil.rmtree(root.parent / "one")

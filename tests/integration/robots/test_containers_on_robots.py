@@ -122,6 +122,7 @@ def test_nothing_of_a_container_outlives_its_driver(root: Path, fleet: Fleet, en
     assert "rb1: removed what an earlier run had left" in done.stderr
 
 
+@pytest.mark.nightly
 def test_a_container_of_a_robot_that_was_switched_off_is_removed_by_the_next_run(root: Path, fleet: Fleet) -> None:
     (root / "robot.sh").write_text(DEAF)
     query = ("run", "population_size=1", "--runs", "1", "--target", "robots", "--no-figures", "--engine", "podman")

@@ -121,6 +121,7 @@ def test_a_robot_that_is_lost_in_the_middle_stops_the_others(runs: Runs, fleet: 
     assert [one.error for one in runs.run(job(2))] == [None]
 
 
+@pytest.mark.nightly
 def test_a_short_silence_is_survived(runs: Runs, fleet: Fleet):
     runs.table = runs.table.model_copy(update={"lease": 5.0})
     runner = runs.submit(job(1, "1", "0", "2", "nap", "3", "nap"))
@@ -197,6 +198,7 @@ def test_a_disk_that_is_full_in_the_middle_fails_the_run(runs: Runs, fleet: Flee
     assert [one.error for one in runs.run(job(2))] == [None]
 
 
+@pytest.mark.nightly
 def test_a_full_disk_of_this_machine_fails_the_run(runs: Runs):
     folder = runs.session.root
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", folder], check=True)
@@ -211,12 +213,14 @@ def test_a_full_disk_of_this_machine_fails_the_run(runs: Runs):
     assert [one.error for one in runs.run(job(2))] == [None]
 
 
+@pytest.mark.nightly
 def test_a_slow_network_is_used(runs: Runs, fleet: Fleet):
     fleet.slow("rb2")
     runs.table = runs.table.model_copy(update={"lease": 5.0, "clock_error": 1.0})
     assert [one.error for one in runs.run(job(1))] == [None]
 
 
+@pytest.mark.each_case
 @pytest.mark.parametrize("limit", [None, 10.0])
 def test_a_step_of_the_clock_is_a_remark_or_a_failure(runs: Runs, fleet: Fleet, limit: float | None):
     runs.table = runs.table.model_copy(update={"clock_drift": limit})

@@ -71,6 +71,7 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
     assert {name.partition(":")[0] for name in checks(project, "second", code=3)} == {"second"}
 
 
+@pytest.mark.nightly
 def test_hosts_need_names_or_a_fleet(project: Path) -> None:
     for words, said in (((), "there is no fleet"), (("rb1", "--link", "carrier-pigeon"), "unknown link")):
         done = projects.quick(project, "doctor", "--hosts", *words)

@@ -54,6 +54,7 @@ def test_a_driver_that_ends_at_a_step_leaves_nothing_that_moves(project: Path, f
     assert projects.quick(project, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_robots_stop_when_their_driver_is_stopped(project: Path, fleet: Fleet):
     with drive(project) as process:
         all_busy(fleet, process)

@@ -90,6 +90,7 @@ def test_a_full_disk_of_this_machine_loses_no_record(
     assert projects.quick(project, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_a_locked_store_and_two_sessions_of_sshd_are_enough(project: Path, fleet: Fleet) -> None:
     for name in fleet.names:
         fleet.configure(name, "MaxSessions 2")

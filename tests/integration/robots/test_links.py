@@ -105,6 +105,7 @@ def test_it_is_a_link(kind: str, claim: Callable[[links.Trial], None], fleet: Fl
     links.call(claim, links.Trial(lambda host: MAKERS[kind](host, fleet), Robot(fleet, fleet.names[0]), tmp_path))
 
 
+@pytest.mark.each_case
 @pytest.mark.parametrize("kind", MAKERS)
 def test_hosts_on_the_way_are_checked_too(kind: str, fleet: Fleet) -> None:
     jump, name, _ = fleet.names

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import time
 
+import pytest
+
 from tests.support.robot_fleet import REPOSITORY, Fleet, Proxy
 
 
@@ -27,6 +29,7 @@ def test_robots_are_separate_machines(fleet: Fleet) -> None:
     assert ssh(fleet, one, "ls ~").stdout == ""
 
 
+@pytest.mark.nightly
 def test_faults_of_disks_clocks_and_logins_are_real(fleet: Fleet) -> None:
     one, other, third = fleet.names
     fleet.fill_disk(one)
@@ -45,6 +48,7 @@ def test_faults_of_disks_clocks_and_logins_are_real(fleet: Fleet) -> None:
     assert "No ED25519 host key is known" in ssh(fleet, third, ":").stderr
 
 
+@pytest.mark.nightly
 def test_a_proxy_delays_stalls_and_cuts(fleet: Fleet) -> None:
     name = fleet.names[0]
     with Proxy(fleet.robots[name].address, delay=0.05) as proxy:

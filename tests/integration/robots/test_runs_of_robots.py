@@ -92,6 +92,7 @@ def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, s
         assert trial["note"] == "fine"
 
 
+@pytest.mark.nightly
 def test_changed_rules_are_applied_to_recorded_files_of_each_robot(copied: tuple[Path, str]) -> None:
     root, _ = copied
     config = (root / "sierra.toml").read_text()
@@ -104,6 +105,7 @@ def test_changed_rules_are_applied_to_recorded_files_of_each_robot(copied: tuple
     ]
 
 
+@pytest.mark.nightly
 def test_removing_a_batch_removes_its_robots_and_marks(copied: tuple[Path, str]) -> None:
     root, fleet = copied
     run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' LIMIT 1")[0]["run"]
@@ -115,6 +117,7 @@ def test_removing_a_batch_removes_its_robots_and_marks(copied: tuple[Path, str])
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_files_with_a_column_robot_get_the_place_under_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robots.register(monkeypatch)
     root = robots.project(tmp_path / "p")

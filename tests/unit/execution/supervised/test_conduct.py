@@ -190,7 +190,7 @@ def test_a_failed_trial_stays_failed_or_is_repeated(tmp_path: Path) -> None:
     assert {row["status"] for row in projects.sql(root, ROWS)} == {"failed"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_fail_fast_does_not_count_a_trial_that_is_repeated(root: Path) -> None:
     summary = sierra.open(root).run(
         "population_size=1,2", runs=1, figures=False, fail_fast=True, supervisor=Script(FELL, VALID, VALID)
