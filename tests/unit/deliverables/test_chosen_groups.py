@@ -83,7 +83,7 @@ def test_chosen_controllers_whose_runs_failed_are_reported(batch: Path) -> None:
     assert "no row of output 'swarm' belongs to a run of the chosen groups" in draw(batch, 'controllers = ["plain"]')[1]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_batch_with_one_controller_is_drawn_if_it_is_chosen(batch: Path) -> None:
     assert draw(batch, 'controllers = ["depth0.DPO"]', query="population_size=2")[0]
     _, line = draw(batch, 'controllers = ["plain"]', query="population_size=2")

@@ -102,12 +102,14 @@ def test_values_that_differ_in_late_digits_are_different_groups(tmp_path: Path) 
     assert pairs[0]["difference"] == pytest.approx(4)
 
 
+@pytest.mark.nightly
 def test_the_unit_of_a_derived_table_is_said(compared: tuple[Path, str, str]) -> None:
     root, quiet, _ = compared
     found = answer(root, quiet[:8], "--by", "population_size", "--table", "peaks", "--column", "peak")
     assert found["text"].startswith("The final value of peak [m] was compared")
 
 
+@pytest.mark.nightly
 def test_a_variable_with_one_value_is_no_factor(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", CONFIG.replace("[variables]", '[variables]\nsize = "/arena/@size"'))
     sierra.open(root).run("population_size=1,2", "noise=0.1,0.2", "size=10", runs=3, figures=False)
@@ -134,6 +136,7 @@ def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, s
     assert [(root / file).read_bytes() for file in files] == before, "the same data give the same bytes"
 
 
+@pytest.mark.nightly
 def test_formats_for_papers_have_the_table_the_text_and_the_figure(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     root = stores.copy(compared[0], tmp_path / "project")
     words = ("compare", f"a_1={compared[1][:8]}", f"b&={compared[2][:8]}", "--format")
@@ -161,6 +164,7 @@ def test_formats_for_papers_have_the_table_the_text_and_the_figure(compared: tup
     assert "![" not in markdown
 
 
+@pytest.mark.nightly
 def test_a_table_of_another_format_is_nothing_but_the_table(compared: tuple[Path, str, str]) -> None:
     root, quiet, noisy = compared
     words = ("compare", quiet[:8], noisy[:8], "--no-figure")
@@ -169,6 +173,7 @@ def test_a_table_of_another_format_is_nothing_but_the_table(compared: tuple[Path
     assert rows[0].endswith("p,p_adjusted,verdict")
 
 
+@pytest.mark.nightly
 def test_declared_comparisons_have_names(compared: tuple[Path, str, str]) -> None:
     root, quiet, _ = compared
     found = answer(root, "sizes", quiet[:8])
@@ -180,6 +185,7 @@ def test_declared_comparisons_have_names(compared: tuple[Path, str, str]) -> Non
     assert (code, "a batch cannot be compared with itself" in said) == (2, True)
 
 
+@pytest.mark.nightly
 def test_the_python_api_returns_the_same(compared: tuple[Path, str, str]) -> None:
     root, quiet, noisy = compared
     found = sierra.open(root).compare(quiet, noisy, measure="mean", margin=100)
@@ -265,6 +271,7 @@ def test_a_pilot_says_how_many_runs_are_needed(compared: tuple[Path, str, str]) 
     assert shown.endswith(f"for final coverage ± 1: --runs {found[0]['safe_runs']}\n")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [

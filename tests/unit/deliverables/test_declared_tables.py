@@ -124,6 +124,7 @@ def test_notes_and_n_are_those_of_the_rows_that_are_shown(drawn: tuple[Path, str
     assert "n is too small for the 95 % interval of median in 1 row" in text
 
 
+@pytest.mark.nightly
 def test_batches_are_side_by_side_in_the_order_given(drawn: tuple[Path, str, str], tmp_path: Path) -> None:
     root = stores.copy(drawn[0], tmp_path / "project")
     _, first, second = drawn
@@ -142,6 +143,7 @@ def test_batches_are_side_by_side_in_the_order_given(drawn: tuple[Path, str, str
     assert (said.returncode, said.stdout.count("follows from the store")) == (0, 6)
 
 
+@pytest.mark.nightly
 def test_sums_of_a_statement_are_the_same_each_time(drawn: tuple[Path, str, str]) -> None:
     root, first, second = drawn
     project = sierra.open(root)

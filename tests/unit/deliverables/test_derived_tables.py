@@ -124,7 +124,7 @@ def test_other_figures_are_drawn_if_a_table_cannot_be_made(recorded: Path, tmp_p
     assert svg.read_bytes() == before
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_figure_can_have_its_own_statement_and_its_files_contain_all_sql(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     figure = "[figures.{}]\nkind = 'summary'\ncolumn = 'm'\nsql = '{}'\n"
@@ -185,7 +185,7 @@ with open("walk.jsonl", "w") as file:
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_columns_without_a_figure_are_named_with_what_to_write(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", simulator=NOTED)
     batch = projects.run(root, "population_size=1")[0]["batch"]

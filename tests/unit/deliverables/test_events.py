@@ -53,7 +53,7 @@ def test_a_run_counts_by_the_mean_of_its_events(root: Path) -> None:
     assert last[0]["mean"] != pytest.approx(expected["mean"]), "the last event is used if it is asked for"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_table_without_any_row_is_noted(root: Path) -> None:
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace("//trip", "//trp"))

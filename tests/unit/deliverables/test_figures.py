@@ -138,7 +138,7 @@ def test_figures_are_identical_across_processes_dates_and_time_zones() -> None:
     assert drawn.stdout == f"{[sha256(data).hexdigest() for kind in KINDS for _, data in figures.rendered(drawing(kind))]}\n"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_matplotlib_settings_of_the_user_are_neither_used_nor_changed() -> None:
     import matplotlib as mpl
 
@@ -240,7 +240,7 @@ def test_text_neither_overlaps_nor_leaves_the_figure(kind: str, title: str) -> N
         assert not any(one.overlaps(other) for one in around for other in boxes)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_thirty_numeric_values_get_a_colour_bar_and_thirty_names_get_a_legend() -> None:
     many = Axis("max_speed", tuple(k / 10 for k in range(30)), unit="m/s")
     lines = said(drawing(axes=(many,))).splitlines()
@@ -344,7 +344,7 @@ def test_intervals_of_few_runs_do_not_set_the_axis_range_and_the_cut_is_noted() 
     assert figures.rendered(shown) == figures.rendered(shown)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_intervals_that_fit_or_belong_to_most_runs_are_not_cut_off() -> None:
     for tables in (ragged(n=6), ragged(reach=10.0), {"energy": table(4, 20)}):
         shown = drawing(tables=tables)
@@ -493,7 +493,7 @@ def test_invalid_or_ineffective_keys_of_figures_are_refused(keys: Mapping[str, A
         project_file.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_figure_paths_are_printed_relative_but_are_absolute_in_json(simulate: Callable[..., Any]) -> None:
     project = simulate()
     project.quick("run", "size=1,2", "--runs", "2", "--no-figures")

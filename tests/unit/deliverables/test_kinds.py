@@ -152,7 +152,7 @@ def test_wrong_keys_of_an_added_kind_are_refused_before_anything_executes(
         assert "Traceback" not in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_doctor_and_schema_list_the_keys_of_an_added_kind(dots: Path) -> None:
     assert "figure dots" in projects.quick(dots, "doctor").stdout
     assert "#most = 5" in projects.quick(dots, "schema", "--toml").stdout
@@ -235,7 +235,7 @@ def test_a_condition_that_cannot_be_used_is_one_line(batch: Path, where: str, co
     assert complaint in refusal(batch, *COVERAGE, 'kind = "box"', f'where = "{where}"')
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_sizes_are_those_of_templates_of_papers(batch: Path) -> None:
     for size, inches in (('"acm-column"', 3.33), ('"ieee-page"', 7.16), ("[4.0, 3.0]", 4.0)):
         with Image.open(draw(batch, *COVERAGE, 'kind = "summary"', f"size = {size}")) as image:

@@ -61,7 +61,7 @@ def test_final_value_is_that_of_the_last_file_if_files_continue_in_time(tmp_path
     assert {Path(file).stem for file in summary.figures} == {"floor_heat_summary", "floor_heat_timeseries"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_statistics_work_if_the_glob_matches_one_file_per_run(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.floor]\nfile = "floor-12*.csv"\n'
     project = _project(tmp_path / "p", rows=3, config=config)
@@ -69,7 +69,7 @@ def test_statistics_work_if_the_glob_matches_one_file_per_run(tmp_path: Path) ->
     assert project.statistics(summary.batch, "floor", "heat").column("mean").to_pylist() == [1202.0]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_are_listed_in_numeric_order(tmp_path: Path) -> None:
     project = _project(tmp_path / "p")
     summary = project.run("population_size=1", runs=1, figures=False)
@@ -108,7 +108,7 @@ for name in ("robot[0].csv", "robot0.csv"):
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_file_names_with_brackets_are_matched_literally(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.one]\nfile = "robot[0].csv"\n'
     project = _project(tmp_path / "p", config=config, script=LITERAL)
@@ -124,7 +124,7 @@ def test_file_names_with_brackets_are_matched_literally(tmp_path: Path) -> None:
 METRIC = '[equivalence.heat]\ntable = "floor"\ncolumn = "heat"\nmargin = 1\n'
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_missing_column_of_an_equivalence_metric_is_reported(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", config=DECLARED + METRIC.replace('"heat"', '"haet"'))
     summary = project.run("population_size=1", figures=False)

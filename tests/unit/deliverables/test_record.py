@@ -122,7 +122,7 @@ def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: 
     assert (code, said.count("is not the file that SIERRA made")) == (1, 1)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_of_formats_that_are_no_longer_drawn_can_be_removed(drawn: Path) -> None:
     sierra.open(drawn).figures(formats=["svg"])
     for ending in ("png", "pdf"):
@@ -134,7 +134,7 @@ def test_files_of_formats_that_are_no_longer_drawn_can_be_removed(drawn: Path) -
     assert check(drawn)[0] == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_sierra_toml_declares_formats(drawn: Path) -> None:
     config = drawn / "sierra.toml"
     text = 'figure_formats = ["svg", "html"]\n' + config.read_text() + '[figures.a]\ncolumn = "coverage"\n'

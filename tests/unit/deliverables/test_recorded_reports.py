@@ -117,6 +117,7 @@ def test_a_package_has_a_report_and_the_videos(project: tuple[Path, str], tmp_pa
     assert projects.quick(tmp_path, "open", "one.zip", "video", "other").returncode == 2
 
 
+@pytest.mark.nightly
 def test_the_report_and_the_videos_can_be_left_out_of_a_package(project: tuple[Path, str], tmp_path: Path) -> None:
     root, batch = project
     words = ("package", batch, "-o", "../one.zip", "--no-report", "--no-videos", "--yes")

@@ -197,7 +197,7 @@ def test_a_report_of_all_batches_begins_with_a_list(recorded: Path, tmp_path: Pa
     assert "How do results vary if only the seeds differ?" not in found.text
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_report_of_very_many_batches_is_their_list(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.deliverables.report.make.AT_MOST", 2)
     found, notes = reported_by(recorded, "--all", to=tmp_path / "all.html")
@@ -255,7 +255,7 @@ def test_a_report_that_is_interrupted_leaves_the_one_before(tmp_path: Path, monk
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"report.html": before}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_report_whose_writer_is_killed_is_as_before_and_nothing_of_it_stays(tmp_path: Path) -> None:
     before = files.OURS + b'0.1.0">'
     file = tmp_path / "report.html"

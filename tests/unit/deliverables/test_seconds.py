@@ -43,7 +43,7 @@ def test_each_experiment_has_its_own_ticks_per_second(tmp_path: Path) -> None:
     assert "1.75" in shown
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_times_until_a_threshold_stay_ticks_and_nothing_else_is_said(tmp_path: Path) -> None:
     keys = 'kind = "survival"\ncolumn = "coverage"\nmeasure = "time_to"\nthreshold = 3\n'
     config = f"{CONFIG}ticks_per_second = 10\n[figures.swarm_coverage_timeseries]\n{keys}"
@@ -52,14 +52,14 @@ def test_times_until_a_threshold_stay_ticks_and_nothing_else_is_said(tmp_path: P
     assert not any("second" in text for text in shown)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_without_the_key_ticks_stay_ticks(tmp_path: Path) -> None:
     shown = texts(tmp_path / "p", CONFIG, "population_size=1,2")
     assert "tick" in shown
     assert not any("second" in text for text in shown)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_key_executes_nothing_again(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", CONFIG, template=TEMPLATE)
     projects.run(folder, "population_size=1")
@@ -88,7 +88,7 @@ def test_runs_that_differ_are_reported(tmp_path: Path) -> None:
     assert "runs of an experiment have 1 and 2" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_path_needs_one_template(tmp_path: Path) -> None:
     several = CONFIG.replace('template = "arena.xml"', 'templates = { arena = "arena.xml" }').replace('= "//', '= "arena://')
     several = several.replace("{input}", "{input.arena}")

@@ -239,7 +239,7 @@ def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
     assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(-1000, 1000), min_size=1, max_size=40))
 def test_whiskers_end_at_values_that_were_observed(values: list[int]) -> None:
@@ -641,7 +641,7 @@ def test_the_stats_command_prints_a_table_with_the_values_of_the_axes(simulated:
     assert b"list_avg" in table.schema.metadata[b"sierra:sql"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_stats_command_supports_all_measures_and_rows_per_time(simulated: Any) -> None:
     def ask(*options: str) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = json.loads(simulated.quick("stats", "swarm", "v", "--json", *options).stdout)
@@ -677,7 +677,7 @@ def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) 
         assert complaint in asked.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_statistics_in_python_accept_times_and_contain_the_note(simulated: Any) -> None:
     project = sierra.open(simulated.folder)
     table = project.statistics(None, "swarm", "v", measure=None, times="carry")
@@ -743,7 +743,7 @@ def test_counts_that_are_0_or_1_get_wilsons_interval_only_if_they_are_declared(s
     assert "[outputs.swarm] rates: no column 'sone'; did you mean 'some'?" in wrong.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_axis_named_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
     project = simulate()
     config = project.folder / "sierra.toml"

@@ -39,7 +39,7 @@ def test_components_equal_those_of_scikit_learn() -> None:
     assert found.explained == pytest.approx(known.explained_variance_ratio_)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_neighbours_of_t_sne_are_those_of_the_same_group() -> None:
     table = embedding.standardised(clusters(5))
     found = embedding.tsne(table, 5.0)

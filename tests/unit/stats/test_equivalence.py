@@ -56,7 +56,7 @@ def test_the_power_of_three_pairs_is_exact_and_not_the_central_approximation() -
     assert equivalence.power(3.0, student_t.quantile(0.95, 2), 2) == pytest.approx(0.436, abs=5e-4)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_simulated_equivalence_of_three_pairs_is_as_frequent_as_the_power() -> None:
     draw, t = random.Random(3), student_t.quantile(0.95, 2)
     samples = [[draw.gauss(0, 1) for _ in range(3)] for _ in range(4000)]

@@ -70,7 +70,7 @@ def test_the_p_values_are_those_of_the_comparison(paired: bool) -> None:
     assert (pilot.test, found) == (pair.test, pytest.approx(pair.p))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_what_cannot_be_found_has_no_number_of_runs() -> None:
     assert power.of_one_group(NORMAL, 1e-6).runs(0.8, 0.05) is None
     same = np.full(5, 3.0)

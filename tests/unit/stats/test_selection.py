@@ -222,7 +222,7 @@ printf 't,first,name,together\n1,5,6,7\n2,8,9,1\n' > swarm.csv
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_columns_may_have_any_name(simulate: Callable[..., Any]) -> None:
     project = simulate(NAMED)
     assert project.quick("run", "size=1", "--runs", "2", "--no-figures").returncode == 0

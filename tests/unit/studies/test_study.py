@@ -126,6 +126,7 @@ def test_the_record_tells_its_study_and_is_replayed_checked_and_removed(
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_equal_values_have_no_interval_to_believe(tmp_path: Path) -> None:
     """The interval of order statistics is an exception: it takes the spread of the runs for nothing."""
     root = projects.make(tmp_path / "project", template=projects.TEMPLATE.replace("<noise>0.1", "<noise>0"))
@@ -167,6 +168,7 @@ def test_a_project_that_changes_between_looks_ends_the_study(studied: tuple[Path
         project.study(plan, until="ci(coverage) < 0.1", max_runs=9, observer=Editor(), figures=False)
 
 
+@pytest.mark.nightly
 def test_what_cannot_be_a_study_is_refused_in_one_line(studied: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     root = stores.copy(studied[0], tmp_path / "project")
     rule = ("--max-runs", "9", "--until")
@@ -183,6 +185,7 @@ def test_what_cannot_be_a_study_is_refused_in_one_line(studied: tuple[Path, dict
         sierra.open(root).show("ffffffffffff")
 
 
+@pytest.mark.nightly
 def test_a_dry_run_shows_the_schedule_and_executes_nothing(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project")
     done = projects.quick(root, "run", *QUERY, *RULE, "--dry-run")

@@ -180,7 +180,7 @@ def test_the_command_prints_a_table_and_writes_junit(recorded: Path, tmp_path: P
     assert (done.returncode, done.stderr) == (2, "sierra: sierra.toml declares no [claims.NAME]\n")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_batches_of_claims_and_their_ground_are_known_to_callers(recorded: Path) -> None:
     (recorded / "sierra.toml").write_text(
         CONFIG + claim("one", 'sql = "SELECT true"') + claim("two", 'sql = "SELECT true"', query="noise=1,2")

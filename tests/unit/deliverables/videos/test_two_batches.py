@@ -17,7 +17,7 @@ from sierra.deliverables.videos import render
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
 
-pytestmark = [pytest.mark.integration, pytest.mark.each_case]
+pytestmark = pytest.mark.integration
 SIMULATOR = """\
 import sys
 
@@ -117,6 +117,7 @@ def test_sides_with_other_units_are_refused(root: Path, monkeypatch: pytest.Monk
         prepared(root, 0, 2, **NARROW, step=1)
 
 
+@pytest.mark.nightly
 def test_with_a_step_times_may_differ(root: Path) -> None:
     (one,) = prepared(root, 0, 2, step=1, **NARROW).films
     assert (one.times.tolist(), one.found.gaps) == ([0, 1, 2], 1)
