@@ -80,7 +80,7 @@ def test_an_unknown_name_of_a_category_is_refused(folder: Path) -> None:
     assert "unknown controller 'depth0.XYZ'; known are depth0.CRW, depth0.DPO-2" in said
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_numbers_in_a_scenarios_name_are_values_in_its_changes(folder: Path) -> None:
     (made,) = inputs(folder, "population_size=2", "--scenario", "Low.10x5")
     assert made["size"] == "10;10"
@@ -88,7 +88,7 @@ def test_numbers_in_a_scenarios_name_are_values_in_its_changes(folder: Path) -> 
     assert made["size"] == "0.5;10"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_scenarios_with_numbers_can_be_an_axis(folder: Path) -> None:
     made = inputs(folder, "scenario=Low.10x5,Plain,Low.3x3", "--controller", "depth0.CRW")
     assert [row["size"] for row in made] == ["10;10", "1", "3;6"]

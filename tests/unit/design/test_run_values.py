@@ -75,7 +75,7 @@ def test_a_value_is_one_word_unless_the_argument_has_several(tmp_path: Path) -> 
     assert words[1:3] == ["--kind", "a x-y.z"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_arguments_follow_the_command_if_it_has_no_place_for_them(tmp_path: Path) -> None:
     root = make(tmp_path / "p", CONFIG.replace(" {arguments}", ""))
     run(root, "population_size=1", "max_speed=3")
@@ -107,7 +107,7 @@ def test_a_replay_executes_the_recorded_values(tmp_path: Path) -> None:
     assert "2 identical" in done.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_show_has_the_command_of_the_run(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=4", "max_speed=0.5")
@@ -118,7 +118,7 @@ def test_show_has_the_command_of_the_run(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_values_and_a_template_can_be_mixed(tmp_path: Path) -> None:
     root = make(
         tmp_path / "p",
@@ -138,14 +138,14 @@ def test_values_and_a_template_can_be_mixed(tmp_path: Path) -> None:
     assert quick(root, "fsck").returncode == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_names_of_controllers_can_be_in_the_command(tmp_path: Path) -> None:
     root = make(tmp_path / "p", 'command = "python3 sim.py {controller} {seed}"\nruns = 1\n')
     run(root, "controller=calm,wild")
     assert [words[0] for words, *_ in told(root)] == ["calm", "wild"]  # type: ignore[index]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_braces_of_a_value_stay_as_they_are(tmp_path: Path) -> None:
     config = 'command = "python3 sim.py {label} {seed} {{label}} {Other}"\nruns = 1\n[per_run]\nlabel = ["{seed} \'x; y"]\n'
     root = make(tmp_path / "p", config)

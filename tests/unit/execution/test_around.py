@@ -138,7 +138,7 @@ def test_the_explanation_names_what_changed_around_the_command(tmp_path: Path) -
     assert re.search("(?m)^  after +true again$", projects.quick(root, "show", second).stdout)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_variable_may_be_used_by_a_command_around_the_run_only(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", before='after = "touch made-{speed}"\n')
     config = folder / "sierra.toml"

@@ -76,7 +76,7 @@ def test_bag_becomes_several_tables_and_a_cut_one_fails_the_run(tmp_path: Path) 
     assert "needs --to" in quick(here, "files", str(run["run"]), "--recover").stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_topics_of_a_bag_are_proposed_and_declared(tmp_path: Path) -> None:
     config = projects.CONFIG.replace("runs = 2", "runs = 1")
     image = Recorded("/tb0/camera", "sensor_msgs/msg/Image", 9, {"data": [1, 2]})

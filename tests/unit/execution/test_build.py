@@ -204,7 +204,7 @@ def test_another_command_flag_or_compiler_builds_again_and_executes_with_the_oth
     assert rows(root, "SELECT flags FROM builds ORDER BY lamport DESC LIMIT 1") == [{"flags": '{"CFLAGS": "-O3"}'}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_ids_do_not_depend_on_products(root: Path) -> None:
     preview = json.loads(run(root, *QUERY, "--dry-run", "--json").stdout)
     assert not (root / "build").exists()
@@ -392,7 +392,7 @@ def test_a_clean_commit_is_built_where_changes_are_refused(root: Path) -> None:
     assert built(root) == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_two_sessions_at_once_build_once(tmp_path: Path) -> None:
     root = make(
         tmp_path / "project",

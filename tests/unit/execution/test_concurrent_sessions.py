@@ -55,7 +55,7 @@ def test_eight_sessions_of_one_query_share_the_runs_even_without_a_store(simulat
     assert project.sql("SELECT count(*) AS n FROM experiments") == [{"n": 4}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_eight_sessions_of_overlapping_queries_share_their_common_runs(simulate: Simulate) -> None:
     project = simulate()
     some = [
@@ -131,7 +131,7 @@ def test_runs_that_fail_in_a_concurrent_session_are_not_executed_again(simulate:
     assert all("6 failed" in end.stdout for end in ends)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_summary_counts_runs_of_concurrent_sessions_apart_from_earlier_ones(simulate: Simulate) -> None:
     project = simulate(held(1))
     assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 0

@@ -84,7 +84,7 @@ def test_runs_are_expected_to_take_as_long_as_runs_with_the_same_values(simulate
     assert expected_durations.expected(plan, None, new) is None
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_durations_with_other_settings_count_only_if_there_are_none_with_these(simulate: Callable[..., Simulated]) -> None:
     made = simulate(SLEEPS.format("speed"))
     project = sierra.open(made.folder)

@@ -64,7 +64,7 @@ def test_paths_are_filled_in_and_not_in_ids(tmp_path: Path, kind: str) -> None:
     assert "2 identical" in done.stdout, done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_variable_of_that_name_keeps_its_meaning(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     config = (root / "sierra.toml").read_text().replace("map = {", "output = {").replace("{project}/maps/{map}.txt", "{output}")
@@ -105,7 +105,7 @@ def test_a_project_in_a_folder_with_an_unusual_name_is_refused_before_a_run_read
     assert "move the project to a folder with a plain name" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_blank_in_the_path_of_the_project_is_harmless(tmp_path: Path) -> None:
     root = make(tmp_path / "my project", "yaml")
     run(root, "population_size=1", "map=one")

@@ -40,7 +40,7 @@ def test_first_runs_say_what_was_read_and_what_was_not_and_later_ones_do_not(tmp
     assert json.loads(quick(tmp_path, *QUERY, "--runs", "4", "--json").stdout)["outputs"] is None
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_new_shape_of_a_table_is_said_again(tmp_path: Path) -> None:
     project(tmp_path)
     assert TABLE in quick(tmp_path, *QUERY).stdout
@@ -66,7 +66,7 @@ def test_outputs_shows_the_tables_of_a_batch_or_query_from_the_store(tmp_path: P
     assert "has not been run" in ended.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_declared_keys_of_a_file_that_is_no_table_make_one(tmp_path: Path) -> None:
     project(tmp_path, FILES)
     assert quick(tmp_path, *QUERY).returncode == 0
@@ -115,7 +115,7 @@ def test_write_adds_the_tables_changes_nothing_else_and_nothing_executes_again(t
     assert (tmp_path / "sierra.toml").read_text() == after
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_table_that_only_some_runs_wrote_is_declared_as_not_required(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.rare]\nfile = "rare.csv"\nrequired = false\n'
     project(tmp_path, 'if count == 2:\n    open("two.csv", "w").write("a\\n1\\n")\n', config)
@@ -178,7 +178,7 @@ def test_the_proposed_pattern_has_a_place_for_each_number_that_differs(
     assert f'file = "{file}"' in quick(tmp_path, "try").stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_numbers_that_differ_only_between_the_first_and_the_last_name_are_found_too(tmp_path: Path) -> None:
     more = "import os\nos.mkdir('x')\nfor a, b in ((1, 5), (2, 3), (9, 5)): open(f'x/{a}-{b}.csv', 'w').write('a\\n1\\n')\n"
     project(tmp_path, more)
@@ -200,7 +200,7 @@ def test_inline_table_is_refused_with_the_lines_to_write(tmp_path: Path, written
     assert (tmp_path / "sierra.toml").read_bytes() == before
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_settings_in_pyproject_get_the_tables_too(tmp_path: Path) -> None:
     project(tmp_path)
     (tmp_path / "sierra.toml").unlink()
@@ -213,7 +213,7 @@ def test_settings_in_pyproject_get_the_tables_too(tmp_path: Path) -> None:
     assert json.loads(quick(tmp_path, *QUERY, "--json").stdout)["executed"] == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_declaration_that_was_removed_is_not_written_without_its_keys(tmp_path: Path) -> None:
     more = "import json\njson.dump([{'a': 1}], open('r.json', 'w'))\nos = __import__('os'); os.remove('swarm.csv')\n"
     config = projects.CONFIG + '[outputs.r]\nfile = "r.json"\nformat = "json"\n'

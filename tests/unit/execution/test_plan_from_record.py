@@ -55,7 +55,7 @@ def test_failed_runs_of_a_batch_are_executed_with_the_recorded_code_and_inputs(h
     assert not list(root.glob(".sierra/work/*/source"))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_dry_run_counts_the_runs_to_execute_and_a_complete_batch_executes_none(half: tuple[Path, str]) -> None:
     root, batch = half
     told = json.loads(projects.quick(root, "run", batch[:8], "-n", "--json").stdout)
@@ -85,7 +85,7 @@ def test_runs_unknown_ids_and_changed_options_are_refused_for_a_recorded_batch(h
         assert (ended.returncode, said in ended.stderr, ended.stderr.count("\n")) == (2, True, 1)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_named_query_takes_precedence_over_a_batch_id(tmp_path: Path) -> None:
     config = projects.CONFIG + '[queries]\ncafe = { criteria = "population_size=1" }\n'
     root = projects.make(tmp_path / "project", config)

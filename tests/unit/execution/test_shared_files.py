@@ -87,7 +87,7 @@ def test_contents_are_part_of_the_identity_and_stored_once(tmp_path: Path) -> No
     assert sql(root, copies)[0]["n"] == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_their_change_is_the_reason_for_new_runs(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=1")

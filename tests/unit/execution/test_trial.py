@@ -60,7 +60,7 @@ def test_a_try_leaves_the_store_as_it_was_and_never_counts(project: Path) -> Non
     assert [row["run"] for row in sql(project, "SELECT run FROM runs WHERE population_size = 2")] == [found["run"]]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_chosen_experiment_and_seed_are_executed(project: Path) -> None:
     found = tried(project, "population_size.Log8", "--experiment", "3", "--seed", "7")
     assert (found["values"], found["seed"]) == ({"population_size": 8}, 7)
@@ -85,7 +85,7 @@ def test_what_the_program_prints_is_printed(tmp_path: Path) -> None:
     assert "stdout: 12 bytes, stderr: 10 bytes" in done.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_output_is_printed_while_the_run_executes(tmp_path: Path) -> None:
     waiting = "import pathlib, time\nprint('begun', flush=True)\nwhile not pathlib.Path('go').exists(): time.sleep(0.01)\n"
     project = make(tmp_path / "project", simulator=waiting)
@@ -124,14 +124,14 @@ def test_a_table_that_no_reader_reads_is_a_failure(tmp_path: Path) -> None:
     assert "swarm.csv" in found["reason"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_that_would_be_no_table_are_named_with_the_reason(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SIMULATOR + "open('notes.log', 'w').write('x')\n")
     done = quick(project, "try")
     assert "not a table: notes.log: no reader takes .log files\n" in done.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_tables_in_subfolders_are_named_with_the_lines_that_declare_them(tmp_path: Path) -> None:
     folders = "import os\nos.mkdir('floor')\nfor n in range(3): open(f'floor/f-{n}.csv', 'w').write('a\\n1\\n')\n"
     project = make(tmp_path / "project", simulator=SIMULATOR + folders)
@@ -140,7 +140,7 @@ def test_tables_in_subfolders_are_named_with_the_lines_that_declare_them(tmp_pat
     assert f"not a table: floor/f-0.csv and 2 other files: {said}\n" in done.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_that_are_written_elsewhere_are_named(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SIMULATOR + "open('../poses.csv', 'w').write('x')\n")
     found = tried(project)
@@ -148,7 +148,7 @@ def test_files_that_are_written_elsewhere_are_named(tmp_path: Path) -> None:
     assert any("runs wrote files beside their input" in text for text in found["notes"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_of_the_project_that_an_observed_run_read_are_named(tmp_path: Path, tracer: str) -> None:
     project = make(
         tmp_path / "project", simulator=SIMULATOR.replace("import sys", f"import sys\nopen('{tmp_path}/project/map')")
@@ -176,7 +176,7 @@ def test_an_interrupted_try_ends_the_run_and_leaves_its_folder(tmp_path: Path) -
     assert not (project / ".sierra/try/store").exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_two_tries_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator="import time\nopen('begun', 'w')\ntime.sleep(1000)\n")
     with start(project, "try") as first:
@@ -190,7 +190,7 @@ def test_two_tries_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) ->
         first.communicate()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_next_try_replaces_what_a_killed_one_has_left(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator="import time\nopen('begun', 'w')\ntime.sleep(1000)\n")
     with start(project, "try") as first:
@@ -221,7 +221,7 @@ def test_a_program_that_is_not_there_is_an_error_before_anything_executes(projec
     assert not (project / RUN).exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_commit_is_tried_if_changes_are_ignored(project: Path) -> None:
     (project / "sierra.toml").write_text('[source]\ndirty = "ignore"\n'.join((CONFIG, "")))
     commit(project)
@@ -229,7 +229,7 @@ def test_the_commit_is_tried_if_changes_are_ignored(project: Path) -> None:
     assert tried(project)["status"] == "ok"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_limit_ends_the_run(tmp_path: Path) -> None:
     simulator = "import time\nopen('begun', 'w')\ntime.sleep(1000)\n"
     project = make(tmp_path / "project", CONFIG + "[limits]\nwall = 1\n", simulator=simulator)
@@ -238,7 +238,7 @@ def test_a_limit_ends_the_run(tmp_path: Path) -> None:
     assert (project / RUN / "output" / "begun").exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_file_that_the_template_names_is_looked_for_where_runs_look(tmp_path: Path) -> None:
     simulator = "import sys\nopen(open(sys.argv[1]).read().split('map=\"')[1].split('\"')[0])\n"
     project = make(tmp_path / "project", simulator=simulator, template='<a map="maps/one.png"><random seed="0"/></a>')

@@ -126,7 +126,7 @@ def test_inputs_in_the_project_are_reported_because_they_count_as_code(project: 
     assert "is in the project: its files count as code, and make all runs new, unless git ignores them" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_beside_the_inputs_and_values_of_the_command_are_written(tmp_path: Path) -> None:
     config = 'files = ["maps"]\n' + CONFIG.replace("{input}", "{input} {population_size}")
     project = make(tmp_path / "project", config, simulator="import sys\nprint(open('../maps/a').read(), sys.argv[2])\n")

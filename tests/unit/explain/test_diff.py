@@ -103,7 +103,7 @@ def test_changed_code_is_reported_with_its_patch_and_the_changed_results(make_ei
     assert {"query", "command", "programs", "inputs", "seed", "environment", "rules"} <= set(said["same"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changed_code_with_equal_results_reports_results_as_the_same(make_either: Make) -> None:
     root = make_either()
     before = ask(root)
@@ -147,7 +147,7 @@ def test_commits_in_between_and_uncommitted_changes_are_reported(tmp_path: Path)
     assert source["line"].endswith("; 1 commit ahead, with uncommitted changes")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_other_commit_with_the_same_files_is_reported_after_relevant_differences(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
@@ -174,7 +174,7 @@ def test_difference_is_reported_without_patch_if_git_lost_the_code(tmp_path: Pat
     assert any("neither in git nor in the store" in line for line in source["details"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_query_difference_is_reported_before_the_input_difference(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -202,14 +202,14 @@ def test_batches_without_common_experiments_do_not_report_equal_results(make: Ma
     assert any("no experiment is in both" in note for note in said["notes"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_axis_with_a_single_value_does_not_prevent_comparison_of_experiments(make: Make) -> None:
     root = make()
     said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=1,2", "noise=0.3"))
     assert lines(said, "inputs") == ["input: //noise: 0.1 → 0.3 (in all 4 runs)"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_two_experiments_and_two_runs_can_be_compared(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -225,7 +225,7 @@ def test_two_experiments_and_two_runs_can_be_compared(make: Make) -> None:
     assert batch
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changed_base_seed_is_reported(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -235,7 +235,7 @@ def test_changed_base_seed_is_reported(make: Make) -> None:
     assert "base seed: 0 → 7" in lines(said, "seed")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_template_change_without_effect_is_reported_as_formatting_only(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -265,7 +265,7 @@ def test_changed_program_between_two_executions_is_reported(tmp_path: Path, requ
     assert diff(root, one["run"], other["execution"])["differences"] == []
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changed_status_of_a_run_is_reported(make: Make) -> None:
     root = make("import sys, pathlib\nsys.exit(pathlib.Path(sys.argv[1]).read_text().count('count=\"2\"'))\n")
     batch = ask(root)
@@ -274,7 +274,7 @@ def test_changed_status_of_a_run_is_reported(make: Make) -> None:
     assert batch
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changed_ingest_rules_are_reported_by_key(make: Make) -> None:
     root = make()
     before = ask(root, "population_size=1")
@@ -294,7 +294,7 @@ def test_replay_equals_its_record_except_for_volatile_content(make_either: Make)
     assert "log.txt: only volatile lines differ" in said["notes"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changed_host_is_the_last_environment_difference(tmp_path: Path, require: Callable[..., str]) -> None:
     unshare = require("unshare")
     alone = subprocess.run([unshare, "-r", "--uts", "hostname", "elsewhere"], capture_output=True, check=False)
@@ -311,7 +311,7 @@ def test_changed_host_is_the_last_environment_difference(tmp_path: Path, require
     assert lines(said, "environment")[-1].endswith(" → elsewhere")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_equal_batches_are_reported_with_the_list_of_compared_kinds(make: Make, require: Callable[..., str]) -> None:
     require("strace")
     root = make()
@@ -329,7 +329,7 @@ def test_items_that_cannot_be_compared_are_a_usage_error(make: Make) -> None:
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_long_patch_is_shortened_unless_patch_is_given(make: Make) -> None:
     root = make()
     before = ask(root)

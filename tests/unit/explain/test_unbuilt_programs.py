@@ -50,7 +50,7 @@ def test_code_that_changed_alone_is_noted_each_time(root: Path) -> None:
     assert notes(root, "--dry-run", "--explain") == [line]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_program_that_was_built_again_is_not_noted(root: Path) -> None:
     notes(root)
     (root / "sim.c").write_text("int main() { return 1; }\n")
@@ -59,7 +59,7 @@ def test_a_program_that_was_built_again_is_not_noted(root: Path) -> None:
     assert notes(root) == []
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_times_and_other_files_are_no_evidence(root: Path) -> None:
     notes(root)
     os.utime(root / "sim.c", (2**31, 2**31))
@@ -67,7 +67,7 @@ def test_times_and_other_files_are_no_evidence(root: Path) -> None:
     assert notes(root) == []
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_project_with_build_gets_no_note(root: Path) -> None:
     build = '[build]\ncommand = "sh -c \'mkdir -p build && cp /bin/sh build/sim\'"\nproduces = ["build/sim"]\n'
     (root / "sierra.toml").write_text(CONFIG + build)

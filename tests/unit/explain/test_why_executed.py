@@ -83,7 +83,7 @@ def test_changed_file_is_the_reason_for_new_runs(root: Path) -> None:
     assert again[2].startswith(f"(sierra run {before[:10]} ")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_grown_batch_shows_which_sessions_executed_its_runs(root: Path) -> None:
     small = ask(root)
     large = ask(root, runs=3)
@@ -142,7 +142,7 @@ def test_successful_execution_with_older_programs_is_stale(outside: tuple[Path, 
     assert standing["reason"].startswith("stale: the last successful execution differs from the batch's last session: sim: ")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changed_ingest_rules_are_reported_as_a_reevaluation(root: Path) -> None:
     batch = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')
@@ -162,7 +162,7 @@ def test_changed_ingest_rules_are_the_reason_for_another_execution_without_raw_f
     assert causes(why(root, batch))[1].startswith("evaluated by other rules before: [outputs] and [success]: ")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_later_finding_is_the_reason_for_another_execution(root: Path) -> None:
     few = [seeds.seed(0, number, "") for number in range(2)]
     text = f"'1e5' if seed in {few} else '3ab'"
@@ -200,7 +200,7 @@ def test_query_that_cannot_be_repeated_is_reported_with_the_reason(root: Path) -
     assert "arena.xml" in line
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_prediction_repeats_the_set_options_of_the_batch(root: Path) -> None:
     batch = ask(root, sets=[("//random[@seed]/following-sibling::noise", "0.5")])
     assert why(root, batch)["next_run"] == ["4 runs: reused"]

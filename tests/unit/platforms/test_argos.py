@@ -811,7 +811,7 @@ changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turn
     assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_other_axes_combine_with_the_platforms_own(tmp_path: Path) -> None:
     rows = seen(argos_project(tmp_path / "p"), "population_size.Log2", "length=30,60", "arena=10x10,20x20")
     assert {(row["robots"], row["length"], row["x"]) for row in rows} == {
@@ -872,7 +872,7 @@ def test_walls_follow_the_arena_whoever_changes_it(tmp_path: Path, words: tuple[
     assert all(row["walls"] == 4 for row in rows)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_what_follows_is_the_same_as_with_the_option(tmp_path: Path) -> None:
     by_option = prepared(arena="20x8")
     resized = projects.make(tmp_path / "p", CONFIG.replace('arena = "10x10"', "") + SIZED, simulator=COPY)
@@ -1172,7 +1172,7 @@ def test_engines_with_other_properties_are_not_copied(engine: str) -> None:
         followed(instead('<dynamics2d id="dyn2d"/>', engine), physics_engines=2)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_engines_follow_growing_arenas_and_not_those_of_single_runs(tmp_path: Path) -> None:
     config = CONFIG.replace('arena = "10x10"', 'arena = "10x10"\nphysics_engines = 2')
     rows = seen(argos_project(tmp_path / "p", config), "population_constant_density.1p0.I10.C2")

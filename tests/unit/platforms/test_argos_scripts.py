@@ -107,7 +107,7 @@ def test_a_path_that_runs_do_not_find_is_refused(root: Path) -> None:
     assert "runs do not find the script 'lua/run.lua' of a Lua controller; set it to '../lua/run.lua'" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_script_in_the_folder_of_the_project_needs_no_copy(root: Path) -> None:
     configure(root, 'files = ["lua"]\n', 'changes = [{ set = "//params/@script", value = "{project}/lua/run.lua" }]\n')
     projects.run(root, "population_size=1")

@@ -94,7 +94,7 @@ def test_executing_a_recorded_batch_with_a_rebuilt_library_is_reported(tmp_path:
     assert re.search(r"other programs before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @compiled
 def test_a_replay_names_a_program_that_is_not_built(tmp_path: Path) -> None:
     root = made(tmp_path / "p")
@@ -104,7 +104,7 @@ def test_a_replay_names_a_program_that_is_not_built(tmp_path: Path) -> None:
     assert f"{root}/build/sim does not exist; runs need it, and the recorded source does not contain it" in err
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_replay_with_a_virtual_environment_of_the_project_imports_its_packages(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", projects.CONFIG.replace("python3", ".venv/bin/python"))
     (root / ".gitignore").write_text(".venv/\n")
@@ -120,7 +120,7 @@ def test_a_replay_with_a_virtual_environment_of_the_project_imports_its_packages
     assert (packages / "installed.py").exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_program_next_to_the_project_is_found_relative_to_the_project(tmp_path: Path) -> None:
     config = projects.CONFIG.replace("python3 sim.py", "python3 ../shared/sim.py")
     root = projects.make(tmp_path / "repository" / "experiments", config)

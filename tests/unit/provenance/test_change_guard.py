@@ -41,7 +41,7 @@ def test_runs_that_may_have_used_changed_code_are_never_effective(simulate: Call
     assert project.sql("SELECT count(*) AS runs, max(v) AS v FROM swarm WHERE t = 2") == [{"runs": 8, "v": 4}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_error_for_notes_that_change_meanwhile_says_how_to_exclude_them(simulate: Callable[..., Any]) -> None:
     project = simulate(held(1))
     (project.folder / "notes.txt").write_text("before")
@@ -136,7 +136,7 @@ def test_a_replay_fails_if_a_program_is_replaced_meanwhile(simulate: Callable[..
     assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_output_redirected_into_the_project_is_refused_unless_git_ignores_it(simulate: Callable[..., Any]) -> None:
     project = simulate(PRINTS)
     ask = (projects.SIERRA, "run", "size=1", "--runs", "3", "--no-figures")

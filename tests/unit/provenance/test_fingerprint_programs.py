@@ -116,7 +116,7 @@ def test_the_compiled_program_of_a_packaged_script_is_recorded(built: Built, tmp
     assert {"sim: program", "libcore.so"} <= {one.name for one in found.all}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_variables_that_the_env_command_sets_are_used_to_find_libraries(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", f"env LD_LIBRARY_PATH={built.library.parent} {built.program}")
     assert project.run("n=1", figures=False).failed == 0
@@ -420,7 +420,7 @@ pathlib.Path("out.csv").write_text(included.read_text())
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_note_for_a_failed_relative_include_says_how_to_reach_it(tmp_path: Path) -> None:
     project = make(tmp_path / "p", "python3 sim.py {input}", template='<e seed="0" n="0"><include file="parts/arm.xml"/></e>')
     (project.root / "sim.py").write_text(INCLUDES)
@@ -439,7 +439,7 @@ def test_a_note_for_a_failed_relative_include_says_how_to_reach_it(tmp_path: Pat
     assert not [note for note in mended.notes if "relative path" in note]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_relative_include_is_noted_only_if_failed_runs_mention_it(tmp_path: Path) -> None:
     template = '<e seed="0" n="0"><include file="arm.xml"/><other>no/such.xml</other></e>'
     project = make(tmp_path / "p", "sh sim.sh {input}", template=template)
@@ -451,7 +451,7 @@ def test_a_relative_include_is_noted_only_if_failed_runs_mention_it(tmp_path: Pa
     assert ["'arm.xml'" in note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == [True]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_referenced_file_that_is_too_large_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(referenced_files, "MAX_SIZE", 3)
     (tmp_path / "map.pgm").write_text("four")
@@ -503,7 +503,7 @@ def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_show_displays_the_environment_and_programs_of_batches_and_executions(tmp_path: Path) -> None:
     """The text is a summary, the JSON is complete."""
     project = make(tmp_path / "p", "true")

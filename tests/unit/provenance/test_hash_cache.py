@@ -65,7 +65,7 @@ def test_a_damaged_cache_is_ignored(tmp_path: Path, cache: Path, content: str) -
     assert hashed(tmp_path / "file") == hashlib.sha256(LARGE).hexdigest()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_hashing_works_without_a_cache_folder(tmp_path: Path, cache: Path) -> None:
     (tmp_path / "cache").write_text("a file where the folder should be")
     path = rested(tmp_path / "file", LARGE)

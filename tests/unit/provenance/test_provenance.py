@@ -364,7 +364,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     assert "the source has changed: sim.sh" in new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(tmp_path: Path) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")

@@ -106,7 +106,7 @@ def test_a_program_that_does_something_else_has_no_version(
     assert time.monotonic() - began < 50
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_slow_program_may_report_its_version(script: Callable[[str], Path]) -> None:
     assert said(script("sleep 2; echo 1.0")) == "1.0"
 

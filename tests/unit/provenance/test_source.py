@@ -787,7 +787,7 @@ def test_a_missing_file_outside_submodules_is_named(nested: Path, git: Git, tmp_
         restored(code, tmp_path / "clone", tmp_path / "out")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_source_command_pushes_and_fetches_sources(repository: Path, git: Git, tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"))
     git("init", "-q", "--bare", str(tmp_path / "bare"))

@@ -104,7 +104,7 @@ def test_statistics_of_a_part_have_no_experiment_without_runs(tmp_path: Path) ->
     assert sql(folder, "SELECT DISTINCT population_size AS p FROM swarm") == [{"p": 4}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_summary_names_the_part(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     done = quick(folder, "run", "population_size.Log8", "--only", "population_size>4", "--no-figures")

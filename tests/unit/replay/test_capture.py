@@ -156,7 +156,7 @@ def test_frames_without_another_output_are_not_taken_for_what_was_measured(root:
     )
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_rendering_may_be_turned_on_in_the_input(root: Path) -> None:
     """The simulator finds its argument in the input; the recorded input stays as it is."""
     code = SIMULATOR.replace("sys.argv[2]) if len(sys.argv) > 2 else None", '"frames") if "<render/>" in arena else None')
@@ -197,7 +197,7 @@ def test_a_display_needs_xvfb(root: Path, monkeypatch: pytest.MonkeyPatch, tmp_p
         sierra.open(root).capture()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_captures_are_removed_with_the_measured_executions(root: Path) -> None:
     _, answer = captured(root)
     project = sierra.open(root)

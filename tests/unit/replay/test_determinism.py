@@ -32,7 +32,7 @@ def test_ls_and_show_report_runs_whose_output_changed_in_a_replay(tmp_path: Path
     assert "nondeterminism:" in projects.quick(project.root, "show", first).stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_equal_outputs_and_declared_differences_are_not_reported(tmp_path: Path) -> None:
     project = make(tmp_path, projects.SIMULATOR)
     project.replay(project.run("population_size=1", figures=False).batch)
@@ -72,6 +72,7 @@ def test_changed_programs_are_not_reported_as_nondeterminism(tmp_path: Path) -> 
 
 
 @pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("simulator", "said"),
     [
@@ -93,7 +94,7 @@ def test_a_probe_executes_one_run_twice_before_the_batch_and_reports_the_result(
     assert not json.loads(projects.quick(project.root, "run", "population_size=1,2", "--json", "--no-figures").stdout)["notes"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_probe_of_a_failed_run_reports_nothing(tmp_path: Path) -> None:
     project = make(tmp_path, "raise SystemExit(3)", PROBE)
     summary = project.run("population_size=1,2", figures=False)

@@ -45,7 +45,7 @@ def test_clocks_are_named_and_the_proposed_line_makes_the_replay_equal(tmp_path:
     assert "column " not in again.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_numbers_that_differ_beside_clocks_are_said_and_declared_columns_stay_volatile(tmp_path: Path) -> None:
     config = '[outputs.swarm]\nfile = "swarm.csv"\nvolatile = ["stamp"]\n'
     root = project(tmp_path, "random.random()", config)

@@ -108,7 +108,7 @@ def test_a_declared_tolerance_is_applied_and_the_greatest_difference_is_reported
     assert all(0 < output["max_rel"] < 1e-12 for output in said["outputs"] if output["verdict"] == "within tolerance")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_date_differs_until_it_is_declared_volatile(make: Make) -> None:
     root = make(STAMPED, '[outputs.log]\nfile = "log.txt"\n')
     batch = ask(root)
@@ -136,7 +136,7 @@ def test_a_changed_program_is_reported_before_the_verdict_and_a_missing_one_is_a
     assert "was not found" in ended.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_another_machine_is_reported_before_the_verdict(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     root = make()
     batch = ask(root)
@@ -207,7 +207,7 @@ def test_an_invalid_tolerance_is_refused(make: Make, text: str) -> None:
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_tolerance_of_an_unknown_output_is_refused_before_any_run_executes(make: Make) -> None:
     root = make()
     ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
@@ -215,7 +215,7 @@ def test_a_tolerance_of_an_unknown_output_is_refused_before_any_run_executes(mak
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -231,7 +231,7 @@ def test_a_tolerance_of_an_unknown_column_is_refused_with_a_suggestion(make: Mak
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_declared_columns_that_are_missing_are_reported(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -251,7 +251,7 @@ def test_a_volatile_column_that_differs_is_named(make: Make) -> None:
     assert whys == {"only volatile columns differ: 'coverage'"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_rows_in_another_order_differ_until_the_output_is_declared_unordered(make: Make) -> None:
     root = make(UNORDERED, DECLARED)
     batch = ask(root)
@@ -262,7 +262,7 @@ def test_rows_in_another_order_differ_until_the_output_is_declared_unordered(mak
     assert {one["reason"] for one in said["outputs"] if one["verdict"] == "equal"} == {"the same rows in another order"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_time_of_the_first_difference_and_its_growth_are_reported(make: Make) -> None:
     grows = projects.SIMULATOR.replace("count * tick", "(tick > 2) * tick * __import__('time').time_ns() % 7919 + count * tick")
     root = make(grows, DECLARED)
@@ -289,7 +289,7 @@ def test_stochastic_runs_are_equivalent_if_a_declared_metric_is_equivalent(make:
     assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_differ_if_the_margin_is_too_narrow_and_the_power_is_reported(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")
     batch = ask(root)
@@ -313,7 +313,7 @@ def test_equivalence_needs_whole_experiments_and_never_hides_failed_runs(make: M
     assert replay(root, batch)[1]["verdict"] == "failed"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_metric_of_a_missing_column_is_reported_and_not_evaluated(make: Make) -> None:
     root = make(STOCHASTIC, DECLARED + METRIC.replace('"coverage"', '"x"') + "margin = 0.5\n")
     code, said = replay(root, ask(root))
@@ -333,7 +333,7 @@ def test_a_metric_without_a_value_in_the_replay_is_reported(make: Make, tmp_path
     assert any("[equivalence]" in note and "the replay has no values to compare" in note for note in said["notes"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_verdicts_are_written_as_junit_on_request(make: Make, tmp_path: Path) -> None:
     root = make(NOISY)
     batch = ask(root)
@@ -349,7 +349,7 @@ def test_verdicts_are_written_as_junit_on_request(make: Make, tmp_path: Path) ->
     assert (ended.returncode, "does not exist" in ended.stderr) == (3, True)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_option_keeps_the_restored_source_and_the_folders_of_runs(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
@@ -359,7 +359,7 @@ def test_an_option_keeps_the_restored_source_and_the_folders_of_runs(make_either
     assert ask(root) == batch, "what is kept is no part of the project's source"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_options_choose_the_runner_and_the_engine_of_a_replay(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -447,7 +447,7 @@ def test_integers_and_floats_are_compared_exactly_and_booleans_are_not_numbers()
     assert of(pa.array([None], pa.bool_()), pa.array([None], pa.int64())) is Verdict.EQUAL
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_experiment_of_several_batches_is_replayed_with_its_values(make: Make) -> None:
     root = make()
     for query in ("population_size=4", "population_size=1,2,4", "population_size=4,5"):
@@ -486,7 +486,7 @@ def test_a_changed_program_that_git_ignores_and_that_is_not_kept_is_used_and_rep
     assert (code, said["notes"][0].startswith("different programs: {project}/build/sim: ")) == (1, True)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_replay_uses_the_python_environment_of_the_project(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3", ".venv/bin/python"))
     venv.create(root / ".venv", symlinks=True)
@@ -581,7 +581,7 @@ def test_an_input_path_outside_the_folder_in_a_hostile_store_is_refused(make: Ma
     assert {*root.parent.rglob("*"), index} - {logs, *logs.glob("*.log")} == before - {logs, *logs.glob("*.log")}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_copied_into_a_restored_source_stay_in_it(make: Make, tmp_path: Path) -> None:
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared" / "map.csv").write_text("x")

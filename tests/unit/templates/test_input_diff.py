@@ -56,7 +56,7 @@ def test_external_files_are_not_loaded_and_entities_not_expanded() -> None:
     assert told("<a/>", hostile) in ([("//a", "changed", "", "&x;")], [("in.xml", "writing", None, None)])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_comparing_large_files_that_differ_everywhere_is_fast() -> None:
     boxes = [[f'<box><body position="{n * k}"/></box>' for n in range(1, 3000)] for k in (1, 2)]
     texts = [f"<a>{''.join(each)}</a>" for each in boxes]

@@ -59,7 +59,7 @@ def test_templates_that_name_each_other_are_changed_together(tmp_path: Path) -> 
     assert "2 identical" in done.stdout, done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_one_named_template_needs_no_prefix_and_is_input(tmp_path: Path) -> None:
     root = make(tmp_path / "p", 'templates = { only = "config/params.json" }\ncommand = "python3 sim.py {input}"\nruns = 1\n'
                 'seed = "/seed"\n[variables]\nmax_speed = "only:/speed"\n')  # fmt: skip

@@ -873,7 +873,7 @@ def test_a_path_whose_evaluation_takes_too_long_is_refused(path: str, monkeypatc
     assert str(caught.value).startswith(f"{path} takes more than 1 s of computing time in template.xml; use a path")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_command_line_names_a_slow_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.templates.xpath_time_limit.LIMIT_S", 1)
     wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"

@@ -641,7 +641,7 @@ def test_links_instead_of_files_of_a_run_are_not_followed(folder: Folder, tmp_pa
     assert list(folder.scratch.iterdir()) == []
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_large_outputs_and_odd_names_are_packed_completely(folder: Folder, tmp_path: Path) -> None:
     named = "printf x > \"$(printf 'a\\nb\\377')\""
     code = f"head -c 50000000 /dev/urandom > big; sha256sum big; {named}; head -c 2000000 /dev/zero >&2"

@@ -327,7 +327,7 @@ def test_a_run_that_ignores_sigterm_after_its_time_limit_is_killed(
     assert 2.4 <= end["ended"] - end["started"] < 30
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_grace_time_applies_to_a_child_whose_shell_has_ended(execute: Callable[..., dict[str, Any]]) -> None:
     child = """
 import signal, sys, time
@@ -370,7 +370,7 @@ def test_files_beyond_the_output_limit_are_not_read(execute: Callable[..., dict[
     assert [file["path"] for file in end["outputs"]] == ["a", "c"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_stopped_program_can_handle_sigterm(execute: Callable[..., dict[str, Any]]) -> None:
     script = "trap 'echo saved > x; exit 4' TERM; kill -STOP $$; sleep 60"
     end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 60}))
@@ -406,7 +406,7 @@ def test_a_stalled_run_is_reported_once_each_time_it_stalls(
     assert worker.events("end")[0].get("observed", False) is observed
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_observed_run_that_waits_for_its_tracer_is_not_reported_as_stalled(
     start: Callable[..., Worker], require: Callable[..., str]
 ) -> None:
@@ -560,7 +560,7 @@ def test_processes_that_cleared_their_environment_end_with_the_worker(
 # ---------------------------------------------------------------- the end of the worker, or of its starter
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_closed_pipe_stops_runs_even_with_a_full_queue(start: Callable[..., Worker], mark: str) -> None:
     worker = start(2)
     worker.send(*(shell("exec sleep 60", name=str(n)) for n in range(40)))
@@ -650,7 +650,7 @@ def test_sigterm_stops_runs_and_starts_no_more(start: Callable[..., Worker], mar
     assert marked(mark) == []
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_second_sigterm_leaves_no_grace_time(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(python(ASKED, limits={"grace_s": 60}))

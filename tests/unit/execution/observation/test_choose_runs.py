@@ -51,7 +51,7 @@ def test_the_first_run_of_each_experiment_and_the_whole_sample_are_observed_if_t
     assert len(seen) > 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_without_a_budget_only_the_first_run_is_observed(tmp_path: Path, require: Callable[..., str]) -> None:
     require("strace")
     runs, _, seen, _ = batch_of(tmp_path, "observe_budget = 0")
