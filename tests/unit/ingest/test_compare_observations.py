@@ -70,22 +70,22 @@ def test_a_run_that_reads_a_file_that_its_siblings_do_not_read_is_reported(said:
     assert text.count("note:") == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_that_use_the_same_files_are_not_reported(said: Callable[[str], tuple[str, Path]]) -> None:
     assert said('open(here + "/extra").read()')[0] == ""
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_that_differ_between_experiments_are_not_reported(said: Callable[[str], tuple[str, Path]]) -> None:
     assert said('open(here + f"/{count}.txt").read()')[0] == ""
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_files_of_one_kind_that_the_seed_chooses_are_not_reported(said: Callable[[str], tuple[str, Path]]) -> None:
     assert said('open(here + f"/{order}.txt").read()')[0] == ""
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_choice_that_not_every_run_makes_is_reported(said: Callable[[str], tuple[str, Path]]) -> None:
     text, root = said('if order < 2: open(here + f"/{order}.txt").read()')
     assert DIFFERS + f"{root.parent}/simulator/0.txt (by 1 of 3" in text

@@ -36,7 +36,7 @@ def test_the_rows_of_a_document_are_proposed(tmp_path: Path, document: object, k
     )
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize("document", [{"coverage": 0.5, "path": [1, 2, 3]}, {"a.b": [{"c": 1}]}])
 def test_no_rows_are_proposed_for_a_document_without_a_list_of_objects(tmp_path: Path, document: object) -> None:
     folder = project(tmp_path / "project", document)
@@ -55,7 +55,7 @@ def test_write_declares_the_rows_of_a_document(tmp_path: Path) -> None:
     assert sql(folder, 'SELECT count(*) AS n, sum("robots.id") AS ids FROM result') == [{"n": 16, "ids": 8}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_table_with_a_list_of_objects_in_a_text_gets_one_hint(tmp_path: Path) -> None:
     declared = CONFIG + '[outputs.result]\nfile = "result.json"\nformat = "json"\n'
     folder = project(tmp_path / "project", {"n": 1, "results": {"steps": STEPS}}, declared)
@@ -64,7 +64,7 @@ def test_a_table_with_a_list_of_objects_in_a_text_gets_one_hint(tmp_path: Path) 
     assert said.count(hint) == said.count("results.steps' of") == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_lines_of_json_with_a_list_of_objects_get_one_hint(tmp_path: Path) -> None:
     lines = "".join(json.dumps(step) + "\n" for step in STEPS)
     folder = make(tmp_path / "project", simulator=f"open('steps.jsonl', 'w').write({lines!r})\n")

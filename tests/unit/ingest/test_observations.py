@@ -127,7 +127,7 @@ def test_observation_changes_neither_ids_nor_outputs(root: Path, tmp_path: Path)
     assert [row["result"] for row in sql(root, same)] == [row["result"] for row in sql(plain, same)]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_show_counts_the_files_of_an_execution(root: Path) -> None:
     run(root, "--runs", "1")
     [execution, _] = sql(root, "SELECT execution FROM executions")
@@ -138,7 +138,7 @@ def test_show_counts_the_files_of_an_execution(root: Path) -> None:
     assert shown["used"] in projects.quick(root, "show", execution["execution"]).stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_doctor_says_how_files_can_be_observed(root: Path) -> None:
     assert "observation of files: all files that runs use, by strace" in projects.quick(root, "doctor").stdout
     with (root / "sierra.toml").open("a") as file:
@@ -147,7 +147,7 @@ def test_doctor_says_how_files_can_be_observed(root: Path) -> None:
     assert said in projects.quick(root, "doctor").stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_rm_removes_what_was_observed(root: Path) -> None:
     run(root)
     [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
@@ -206,7 +206,7 @@ def test_a_run_whose_tracer_is_killed_is_executed_unobserved(root: Path) -> None
     assert {row["method"] for row in sql(root, "SELECT method FROM observations")} == {"none"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_limits_apply_to_observed_runs(root: Path) -> None:
     (root / "sim.py").write_text("import time\ntime.sleep(60)\n")
     config = root / "sierra.toml"

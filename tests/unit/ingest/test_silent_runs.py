@@ -24,7 +24,7 @@ def test_a_batch_says_once_that_its_runs_wrote_no_file(tmp_path: Path) -> None:
     assert "wrote no file" not in quick(project, *QUERY).stderr  # nothing was executed
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_try_says_that_the_run_wrote_no_file(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SILENT)
     done = quick(project, "try")
@@ -32,7 +32,7 @@ def test_a_try_says_that_the_run_wrote_no_file(tmp_path: Path) -> None:
     assert SAID.format("1 run", "its program") in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_silent_program_is_named_as_silent(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator="pass\n")
     found = json.loads(quick(project, "try", "--json").stdout)

@@ -39,7 +39,7 @@ def test_column_that_increases_alike_in_all_runs_is_the_time_and_is_reported(tmp
     assert ended.stderr.count("is used as the time") == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_declared_or_conventionally_named_time_column_is_used_without_a_report(tmp_path: Path) -> None:
     root = asked(tmp_path / "called", projects.SIMULATOR)
     assert times(root)[0] == {0, 1, 2, 3, 4}
@@ -49,7 +49,7 @@ def test_declared_or_conventionally_named_time_column_is_used_without_a_report(t
     assert "is used as" not in times(declared)[1]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_time_column_is_found_in_runs_of_different_lengths(tmp_path: Path) -> None:
     ragged = '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n'
     found, told = times(asked(tmp_path, TIMESTEP.replace("range(5)", "range(3 + seed % 3)"), ragged))

@@ -154,7 +154,7 @@ def test_duplicate_segments_are_named(root: Path, name: str) -> None:
     assert any(path.startswith(("segments/" + double.name, "segments/" + segment.name)) for path in told)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_stray_files_are_named_and_unfinished_files_are_not_damage(root: Path) -> None:
     (root / ".sierra" / "segments" / "notes.txt").write_text("")
     (root / ".sierra" / "segments" / "link").symlink_to("/tmp")
@@ -277,7 +277,7 @@ def test_missing_table_is_found_even_if_the_manifest_does_not_list_it(root: Path
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_missing_table_is_found_in_each_of_several_segments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine records many segments: a table that one of them lacks is found missing."""
     monkeypatch.setattr(recorder, "PENDING_RUNS", 1)
@@ -379,14 +379,14 @@ def test_standard_files_of_the_store_are_rewritten_by_repair(recorded: Path, roo
     assert stores.state(root) == stores.state(recorded)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_manifest_is_restored_by_repair(recorded: Path, root: Path) -> None:
     truncate(segment_with(root, "executions") / "MANIFEST")
     assert len(repaired(root)) == 1
     assert stores.state(root) == stores.state(recorded)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_stray_files_are_moved_aside_by_repair(root: Path) -> None:
     (segment_with(root, "executions") / "more").write_text("mine")
     shutil.copytree(segment_with(root, "executions"), root / ".sierra" / "segments" / "copy")
@@ -421,7 +421,7 @@ def test_only_lost_executions_are_executed_again_after_repair(root: Path, tables
     assert fsck(root).sound
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_damaged_ingest_rules_cause_no_loss_of_executions(
     simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -457,7 +457,7 @@ def test_damaged_batch_descriptions_are_recorded_again_without_executing_runs(ro
     assert fsck(root).sound
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_lost_content_of_source_files_is_recorded_again_without_executing_runs(root: Path) -> None:
     folder = segment_with(root, "blobs")
     content = pq.read_table(folder / "objects.parquet")
@@ -489,7 +489,7 @@ def test_repair_reports_lost_raw_files_of_tables(root: Path) -> None:
     assert fsck(root).sound
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_fsck_works_while_a_batch_is_executing(simulate: Callable[..., Any]) -> None:
     project = simulate(held(20))
     running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")

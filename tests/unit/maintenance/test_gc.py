@@ -66,7 +66,7 @@ def test_many_small_segments_are_merged_without_losing_rows(root: Path) -> None:
     assert sierra.open(root).run("population_size=1,2", figures=False).executed == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_gc_without_a_terminal_needs_yes(root: Path) -> None:
     before = stores.state(root)
     ended = projects.quick(root, "gc")
@@ -157,7 +157,7 @@ def test_gc_during_a_running_batch_loses_nothing(simulate: Callable[..., Any]) -
     assert project.sql("SELECT count(*) AS n, sum(v)::INT AS v FROM swarm") == [{"n": 60, "v": 150}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_gc_keeps_files_that_a_reader_has_open(root: Path) -> None:
     store = sierra.open(root).store
     with store.snapshot() as snapshot:

@@ -105,7 +105,7 @@ def test_remaining_runs_are_reused_and_removed_runs_are_executed_again(root: Pat
     assert sound(root)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_segments_of_other_batches_stay_unchanged(root: Path) -> None:
     named = batches(root)
     gone = named["noise=0.5"]
@@ -116,7 +116,7 @@ def test_segments_of_other_batches_stay_unchanged(root: Path) -> None:
     assert sound(root)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["experiment", "run", "execution"])
 def test_removed_parts_of_a_batch_are_executed_again_by_the_same_query(root: Path, kind: str) -> None:
     batch = batches(root)["noise=0.5"]
@@ -132,7 +132,7 @@ def test_removed_parts_of_a_batch_are_executed_again_by_the_same_query(root: Pat
     assert sound(root)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_shared_only_by_batches_removed_together_are_removed(root: Path) -> None:
     named = batches(root)
     both = [named["population_size=1,2"], named["population_size=2,3"]]
@@ -186,7 +186,7 @@ def test_killed_rm_has_removed_everything_or_nothing_and_can_be_repeated(recorde
     assert 12 in outcomes
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_full_disk_during_rm_loses_nothing(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     before = stores.state(root)

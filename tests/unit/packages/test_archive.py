@@ -198,7 +198,7 @@ def test_a_file_that_is_no_zip_is_one_line(tmp_path: Path) -> None:
         Archive(tmp_path)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_members_above_4_gib_are_written_and_read(tmp_path: Path) -> None:
     class Zeros:
         def open(self) -> io.BufferedReader:

@@ -139,6 +139,7 @@ def test_an_import_changes_no_result_of_a_batch_that_was_executed_here(lab: Path
     assert project.replay(batch, runs=1).runs
 
 
+@pytest.mark.nightly
 def test_an_import_changes_no_run_that_another_batch_executed_here(lab: Path, other: Path) -> None:
     project = sierra.open(other)
     project.run(*FIRST, figures=False)
@@ -172,6 +173,7 @@ def test_a_claim_names_the_package_of_the_runs_that_decide_it(lab: Path, other: 
     assert (claim.verdict, claim.notes) == ("holds", ())
 
 
+@pytest.mark.nightly
 def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
     project.import_package(lab.parent / "both.zip")
@@ -193,6 +195,7 @@ def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, o
     assert value(third, f"{EFFECTIVE} WHERE packages IS NULL") == 0
 
 
+@pytest.mark.nightly
 def test_two_packages_are_compared_without_a_project(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
     batch = project.run(*FIRST, figures=False).batch
@@ -292,6 +295,7 @@ def test_a_killed_import_adds_nothing_and_the_next_one_completes(lab: Path, othe
     assert not any(path.is_dir() for path in (other / ".sierra" / "work").iterdir())
 
 
+@pytest.mark.nightly
 def test_two_imports_at_once_add_one_copy(lab: Path, other: Path) -> None:
     both = [projects.start(other, "import", str(lab.parent / "both.zip")) for _ in range(2)]
     said = [one.communicate(timeout=100) for one in both]
@@ -301,6 +305,7 @@ def test_two_imports_at_once_add_one_copy(lab: Path, other: Path) -> None:
     assert sierra.open(other).fsck().sound
 
 
+@pytest.mark.nightly
 def test_a_full_disk_leaves_the_store_as_it_was(lab: Path, other: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     project = sierra.open(other)
     project.run(*SECOND, figures=False)

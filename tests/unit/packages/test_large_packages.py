@@ -26,6 +26,7 @@ finally:
 pytestmark = pytest.mark.integration
 
 
+@pytest.mark.nightly
 def test_100_000_runs_are_packed_with_300_mb(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + TOML)
     batch = large_stores.grow(root, sierra.open(root).run("population_size=1", runs=1, figures=False).batch, 100_000)

@@ -121,6 +121,7 @@ def test_the_same_records_give_the_same_package_in_any_time_zone(
     assert (tmp_path / "one.zip").read_bytes() == (tmp_path / "two.zip").read_bytes()
 
 
+@pytest.mark.nightly
 def test_packing_changes_nothing_in_the_project_and_leaves_nothing_beside_the_file(root: Path, tmp_path: Path) -> None:
     before = sorted(path for path in root.rglob("*") if ".git/" not in str(path))
     assert (
@@ -261,6 +262,7 @@ def test_a_package_with_an_unknown_description_is_not_opened_and_texts_control_n
         assert "package.json" in ended.stderr
 
 
+@pytest.mark.nightly
 def test_the_instructions_have_commands_that_work_and_measured_needs(root: Path, tmp_path: Path) -> None:
     first, second = batches(root)
     assert sierra.open(root).package(first, second, report=False, path=tmp_path / "both.zip")
@@ -283,6 +285,7 @@ def test_the_instructions_have_commands_that_work_and_measured_needs(root: Path,
     subprocess.run([sys.executable, "reproduce.py"], cwd=project.parent, check=True)
 
 
+@pytest.mark.nightly
 def test_submodules_and_data_of_git_lfs_are_packed_and_replayed_without_git(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -314,7 +314,7 @@ def wheel(name: str, version: str, module: str, script: str = "") -> bytes:
     return made.getvalue()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_level_3_installs_the_wheels_of_the_package_without_network(require: Callable[..., str], tmp_path: Path) -> None:
     python = python_of("3.8")
     require("Python 3.8", there=python is not None)
@@ -372,7 +372,7 @@ def test_a_package_that_exceeds_the_disk_is_not_begun(
     assert [one.name for one in tmp_path.iterdir()] == ["x.zip"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     forged(tmp_path / "x.zip", [(f"{number}.bin", bytes(20_000_000)) for number in range(15)])
     command = [sys.executable, str(PROGRAM), "x.zip", "--unpack", "out"]

@@ -161,7 +161,7 @@ def test_claims_are_decided_by_the_values_of_the_new_executions(tmp_path: Path) 
     assert said["left_out"], said
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_project_in_pyproject_toml_is_reproduced(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG)
     settings = projects.CONFIG + PACKAGE + claim("large", SQL.format("> 0"))
@@ -280,7 +280,7 @@ def test_a_package_without_a_project_or_with_more_than_records_is_refused(
     assert not (tmp_path / "bad-reproduction").exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_killed_reproduction_is_continued_in_the_same_folder(tmp_path: Path) -> None:
     package = packed(tmp_path, claim("exact", SQL.format("= {most}")), SLOW)
     command = [str(projects.SIERRA), "reproduce", str(package), "--yes", "-j1"]
@@ -310,7 +310,7 @@ def test_a_killed_reproduction_is_continued_in_the_same_folder(tmp_path: Path) -
     assert "is not what" in reproduce(tmp_path, str(package), "--yes")[1]["error"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_other_files_are_not_replaced_and_missing_programs_are_named(
     package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,7 +348,7 @@ def test_the_budget_touches_every_claim_before_anything_else() -> None:
         budget.choose(runs, rests, 5, 8)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_python_packages_that_runs_used_and_that_are_missing_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:

@@ -210,7 +210,7 @@ def _check(root: Path, names: tuple[str, ...]) -> None:
     assert {one.verdict for one in project.replay(summary.batch, runs=1).experiments} == {"identical"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_odd_names_of_outputs_do_not_change_results(tmp_path: Path) -> None:
     _check(tmp_path / "p", ("robot0", *ODD_NAMES))
 
@@ -236,7 +236,7 @@ for name in ("b=77/x.jsonl", "b=77/[0]/x.jsonl"):
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_folders_within_the_output_folder_give_no_columns(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.x]\nfile = "*.jsonl"\n'
     project = sierra.open(projects.make(tmp_path / "p", config, simulator=INSIDE))

@@ -124,7 +124,7 @@ def test_the_later_session_is_effective_for_any_time_of_its_clock(root: Path, nu
     assert found(root) == {3}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_figures_show_the_last_executions(root: Path) -> None:
     def drawn() -> dict[str, bytes]:
         paths = sierra.open(root).run("population_size=1").figures
@@ -161,7 +161,7 @@ def test_the_session_with_the_greater_id_is_later_if_numbers_are_equal(root: Pat
     assert found(root) == {sessions[max(sessions)]}, "the first asking found 1, and the second one 2"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_column_that_older_segments_lack_is_null(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(LATER, "artifacts", ("counted_rows",))
     rewrite(root, lambda name, table: table.drop_columns(["counted_rows"]), ["artifacts"])
@@ -178,7 +178,7 @@ def test_a_column_that_older_segments_lack_is_null(root: Path, monkeypatch: pyte
     assert found(root) == {3}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_batches_are_listed_in_the_order_of_their_submission(root: Path) -> None:
     rewrite(root, later(2, DAYS))
     last = sierra.open(root).run("population_size=2", figures=False).batch

@@ -102,7 +102,7 @@ def test_entries_of_the_work_folder_that_are_not_sessions_are_kept_and_reported(
     assert found == ["work/0123456789abcdef", "work/fedcba9876543210", "work/thesis"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_store_without_marks_of_an_older_version_continues_to_work(
     tmp_path: Path, simulate: Callable[..., Simulated]
 ) -> None:
@@ -152,7 +152,7 @@ def test_a_folder_that_is_not_a_store_stays_unchanged(
         assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_gc_removes_only_segments_from_the_folder_of_damaged_files(recorded: Path, tmp_path: Path, theirs: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     shutil.copytree(theirs, root / ".sierra" / "theirs")
@@ -251,7 +251,7 @@ def scratch(tmp_path: Path, name: str, path: Path | str) -> Path:
     return projects.make(tmp_path / name, projects.CONFIG + f'[store]\nwork_folder = "{path}"\n')
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_two_projects_may_share_one_external_work_folder(tmp_path: Path, theirs: Path) -> None:
     before = files(theirs)
     roots = [scratch(tmp_path, name, theirs) for name in ("one", "two")]
@@ -318,7 +318,7 @@ def test_threads_that_create_a_store_at_once_agree_on_its_id(tmp_path: Path) -> 
         assert files(store.root) == ["id", "work", "work/lock", "work/mark"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_external_work_folder_may_be_on_another_disk_and_a_link_may_not(
     tmp_path: Path, disk: Callable[[Path, str], Path]
 ) -> None:

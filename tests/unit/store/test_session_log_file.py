@@ -71,7 +71,7 @@ def test_a_session_has_a_log_file_that_show_names(root: Path) -> None:
     assert file.stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_v_logs_events_and_vv_details_to_standard_error(root: Path) -> None:
     quiet = projects.quick(root, "-v", *QUERY)
     assert "INFO sierra.execution.execute: query population_size=1" in quiet.stderr
@@ -175,7 +175,7 @@ def test_no_value_of_an_environment_variable_is_in_a_log(root: Path, monkeypatch
     assert "topsecret" not in logs(root)[0].read_text()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_program_that_uses_sierra_receives_messages_of_its_level(root: Path, own: list[logging.LogRecord]) -> None:
     sierra.open(root).run("population_size=1", figures=False)
     assert {record.levelno for record in own if record.name.startswith("sierra")} == {logging.INFO}
@@ -209,7 +209,7 @@ def test_gc_removes_logs_of_unrecorded_sessions_and_fsck_names_unknown_files(roo
     assert json.loads(projects.quick(root, "gc", "--dry-run", "--json").stdout)["logs"] == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_recovery_of_a_dead_session_is_logged(root: Path) -> None:
     assert projects.quick(root, *QUERY).returncode == 0
     folder = root / ".sierra" / "work" / ("0" * 16)

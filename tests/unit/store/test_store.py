@@ -116,7 +116,7 @@ def test_a_store_has_markers_and_refuses_another_format(project: Project) -> Non
         Store(root / "elsewhere")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_number_of_files_does_not_grow_with_runs(project: Project) -> None:
     run(project, "n=1", runs=2)
     few = sum(1 for path in project.paths.store.rglob("*") if path.is_file())
@@ -201,7 +201,7 @@ def test_outputs_may_not_be_named_like_a_table_of_the_store() -> None:
 # ---------------------------------------------------------------- batches that share runs
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_extending_a_batch_executes_only_new_runs(project: Project) -> None:
     first = run(project, "n=1,2", runs=8)
     seen = set(project.sql("SELECT execution FROM executions").column(0).to_pylist())
@@ -225,7 +225,7 @@ def test_runs_that_batches_share_are_counted_once(project: Project) -> None:
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_axes_of_all_batches_are_columns_with_a_common_type(project: Project) -> None:
     run(project, "n=1", "k=0.5,1.5")
     run(project, "k=7")
@@ -249,7 +249,7 @@ def test_an_output_column_named_like_an_axis_keeps_its_values(project: Project) 
     assert project.sql('SELECT n, "N_", "n__" FROM out').to_pylist() == [{"n": 1, "N_": 5, "n__": 6}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_rows_of_a_run_can_be_sorted_in_the_order_of_writing(project: Project) -> None:
     other = "printf 'v\\n3\\n1\\n2\\n' > other.csv\n"
     (project.root / "sim.sh").write_text("printf 'v,row\\n3,a\\n1,b\\n2,c\\n' > out.csv\n" + other)
@@ -270,7 +270,7 @@ def test_a_damaged_segment_is_reported_with_its_file(project: Project) -> None:
             ask()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_axes_of_other_batches_do_not_rename_columns_of_one_batch(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'k\\n5\\n' > out.csv\n")
     batch = run(project, "n=1", runs=1).batch
@@ -374,7 +374,7 @@ def test_an_id_is_found_by_its_prefix(project: Project) -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("size", [0, 1, PART - 1, PART, PART + 1, 3 * PART + 5, 4 * PART + 7])
+@pytest.mark.parametrize("size", [4 * PART + 7, 3 * PART + 5, PART + 1, PART, PART - 1, 1, 0])
 def test_an_object_is_read_back_byte_for_byte(tmp_path: Path, size: int) -> None:
     store = Store.create(tmp_path / "s")
     content = (hashlib.sha256(str(size).encode()).digest() * (size // 32 + 1))[:size]

@@ -63,7 +63,7 @@ def test_numbers_and_texts_of_all_batches_are_in_separate_columns(two: tuple[Pro
     assert project.sql("SELECT avg(v) AS m FROM t").column(0).to_pylist() == pytest.approx([(1037.5 + 100007.5) / 5])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_note_reports_a_column_of_mixed_types(two: tuple[Project, list[str]]) -> None:
     project, (numbers, _) = two
     told = "note: column 'v' of t has numbers in some runs and other values in others; the other values are in 'v_text'\n"
@@ -74,7 +74,7 @@ def test_a_note_reports_a_column_of_mixed_types(two: tuple[Project, list[str]]) 
     assert projects.quick(project.root, "sql", "SELECT run FROM runs").stderr == ""
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_texts_in_one_experiment_do_not_change_the_numbers_of_others(tmp_path: Path) -> None:
     project, [batch] = _made(tmp_path / "p", CELLS, "population_size=1,2")
     assert project.sql("SELECT max(v) AS m FROM t", within=batch).to_pylist() == [{"m": 100000.0}]
@@ -87,7 +87,7 @@ def test_texts_in_one_experiment_do_not_change_the_numbers_of_others(tmp_path: P
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_axes_of_a_batch_keep_their_type_if_another_batch_has_texts(tmp_path: Path) -> None:
     config = projects.CONFIG.replace('noise = "//noise"\n', 'noise = "//noise"\nname = "//name"\n')
     template = projects.TEMPLATE.replace("<noise>", "<name>x</name><noise>")
