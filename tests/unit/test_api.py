@@ -102,7 +102,7 @@ def test_frame_accepts_a_table_name_or_a_statement(project: sierra.Project, summ
         project.frame("swrm")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_missing_pandas_is_reported_with_the_extra_to_install(root: Path, summary: sierra.Summary) -> None:
     program = (
         "import sys\n"
@@ -183,7 +183,7 @@ def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return shown
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_notebook_shows_progress_unless_it_is_disabled(
     tmp_path: Path, notebook: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,7 +196,7 @@ def test_notebook_shows_progress_unless_it_is_disabled(
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_script_shows_progress_only_if_it_is_enabled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project = sierra.open(projects.make(tmp_path))
     project.run("population_size=1", figures=False)

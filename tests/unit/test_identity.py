@@ -207,7 +207,7 @@ def test_new_runs_caused_only_by_another_spelling_of_a_number_are_reported(tmp_p
     assert "is written" not in projects.quick(folder, "run", "noise=0.0,0.5", "-n").stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_another_spelling_that_gives_the_same_runs_is_not_reported(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("0.1", "0.0"))
     assert projects.quick(folder, "run", "noise=0", "--no-figures").returncode == 0

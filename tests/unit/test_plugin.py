@@ -239,7 +239,7 @@ def test_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
     assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {nicer(3)}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_detached_jobs_of_a_plugin_scheduler_can_be_attached(spool: Path) -> None:
     succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
     [standing] = json.loads(succeed(spool, "status", "--json"))
@@ -248,7 +248,7 @@ def test_detached_jobs_of_a_plugin_scheduler_can_be_attached(spool: Path) -> Non
     assert len(rows(spool, "SELECT DISTINCT run FROM walk")) == 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_jobs_of_a_plugin_scheduler_can_be_cancelled(spool: Path) -> None:
     (spool / "tortoise.py").write_text("import time\ntime.sleep(600)\n")
     succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
@@ -257,7 +257,7 @@ def test_jobs_of_a_plugin_scheduler_can_be_cancelled(spool: Path) -> None:
     assert json.loads(succeed(spool, "status", "--json")) == []
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_plugin_scheduler_refuses_forbidden_directives_and_unknown_keys(spool: Path) -> None:
     succeed(spool, "run", "herd=2", "--no-figures")
     run = ("run", "herd=1", "--no-figures", "--on", "here")
@@ -287,7 +287,7 @@ def test_engine_of_another_package_starts_runs(project: Path) -> None:
 # Plug-ins in doctor and schema
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_doctor_lists_plugins_and_their_options(project: Path) -> None:
     found = {check["name"]: check for check in json.loads(projects.quick(project, "doctor", "--json").stdout)}
     for name, option in (
@@ -418,7 +418,7 @@ class Arenas:
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_recorded_values_of_a_range_need_no_plugin(tmp_path: Path) -> None:
     """The values have changes of their own, so that the variable is declared nowhere."""
     lib = plugins.write(tmp_path / "lib", "arenas", {"sierra.criteria Arenas": "Arenas"}, RANGES)
@@ -660,7 +660,7 @@ def test_fault_in_a_plugin_is_reported_with_its_package(plain: Path, tmp_path: P
     assert line.startswith(f"sierra: {told}; please report it to its authors with ")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_plugin_is_imported_only_by_commands_that_use_it(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mark = tmp_path / "imported"
     code = f"open({str(mark)!r}, 'w').close()\n{PLATFORM}"
@@ -676,7 +676,7 @@ def test_plugin_is_imported_only_by_commands_that_use_it(plain: Path, tmp_path: 
 # Templates that are not a single file
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_template_may_render_arguments_and_several_files(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "flagged", {"sierra.templates flags": "Made"}, FLAGS)))
     (plain / "sim.flags").write_text("--count 1\n--seed 0\n--label two words\n")

@@ -100,7 +100,7 @@ def test_completion_script_exists_for_each_shell(tmp_path: Path, shell: str) -> 
     assert said.returncode == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_completion_completes_a_command_name(tmp_path: Path) -> None:
     typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": "sierra ru", "COMP_CWORD": "1"}
     assert sierra(tmp_path, environment=typed).stdout.split() == ["run"]
@@ -146,7 +146,7 @@ def test_explain_with_json_prints_one_object(answered: Path) -> None:
     assert (told["reused"], told["reasons"]) == (8, {"reused": 8})
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_doubled_braces_in_commands_become_literal_braces(tmp_path: Path) -> None:
     folder = make(
         tmp_path / "p", simulator="import sys\nopen('said.csv', 'w').write('words\\n' + ' '.join(sys.argv[2:]) + '\\n')\n"
@@ -235,7 +235,7 @@ def test_ls_and_show_print_tables_by_default(answered: Path, answer: dict[str, A
     assert "population_size" in quick(answered, "show", answer["batch"]).stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_ls_shows_how_batches_of_the_same_query_differ(tmp_path: Path) -> None:
     config = CONFIG + '[controllers.a]\n[[controllers.a.changes]]\nset = "//swarm/@controller"\nvalue = "a"\n'
     folder = make(tmp_path / "p", 'controller = "a"\n' + config + "[controllers.b]\n")
@@ -366,7 +366,7 @@ def test_closed_output_pipe_is_not_an_error(answered: Path) -> None:
 # doctor
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_user_settings_apply_to_all_projects_and_can_be_overridden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     file = tmp_path / "config" / "sierra" / "config.toml"
@@ -392,7 +392,7 @@ def test_user_settings_apply_to_all_projects_and_can_be_overridden(tmp_path: Pat
     assert "unknown key 'job'; did you mean 'jobs'?" in quick(folder, "run", "noise=4").stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_doctor_works_outside_and_inside_a_project(tmp_path: Path) -> None:
     outside = {check["name"]: check["state"] for check in json.loads(quick(tmp_path, "doctor", "--json").stdout)}
     assert outside["project"] == "absent"

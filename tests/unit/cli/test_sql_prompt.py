@@ -138,7 +138,7 @@ def test_ctrl_c_discards_the_line_or_stops_the_query_but_keeps_the_prompt(open_t
     assert "42" in terminal.until("sql> ")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_sigterm_ends_the_prompt_with_exit_code_130(open_terminal: Callable[[], Terminal]) -> None:
     terminal = open_terminal()
     give_up = time.monotonic() + PATIENCE_S
@@ -148,7 +148,7 @@ def test_sigterm_ends_the_prompt_with_exit_code_130(open_terminal: Callable[[], 
     assert terminal.ended() == 130
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_history_is_saved_in_the_state_folder(open_terminal: Callable[[], Terminal], tmp_path: Path) -> None:
     pytest.importorskip("readline")
     terminal = open_terminal()

@@ -106,7 +106,7 @@ def test_ctrl_c_at_every_prompt_keeps_what_was_measured_and_restores_the_termina
         assert trials(root) == kept
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_key_in_the_countdown_leads_back_and_a_lost_terminal_ends_the_session(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG.replace("0.3", "600"))
     with supervise(root, "--operator", "Ann") as terminal:

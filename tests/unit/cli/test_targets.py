@@ -142,7 +142,7 @@ def test_the_name_of_a_target_is_no_part_of_an_id(project: Path) -> None:
     assert {one["batch"]: one["targets"] for one in listed(project)}[before] == ["robots", "swarm"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_keys_outside_targets_are_a_target_of_their_own(tmp_path: Path) -> None:
     config = """
         runs = 1
@@ -185,7 +185,7 @@ def test_the_target_that_is_executed_is_named_before_its_runs(project: Path) -> 
     assert said == ["note: target sim (1 of 2): 4 runs", "note: target robots (2 of 2): 4 runs"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
     config = CONFIG.replace(', units = { coverage = "m2" }', "")
     (project / "sierra.toml").write_text(config)
@@ -266,7 +266,7 @@ def test_recorded_batches_can_be_replayed_after_their_target_is_gone(project: Pa
     assert (answer["target"], answer["executed"]) == ("robots", 0)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_note_says_whose_declarations_are_used_for_a_batch_without_a_target(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace('target = "sim"\n', ""))
     identity = projects.run(folder, "population_size=1", "--target", "robots", "--no-figures")[0]["batch"]
@@ -283,7 +283,7 @@ def test_a_note_says_whose_declarations_are_used_for_a_batch_without_a_target(tm
     assert "taken to be those" not in projects.quick(folder, *words).stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_template_of_one_of_two_batches_is_named(tmp_path: Path) -> None:
     config = """
         runs = 1
@@ -301,7 +301,7 @@ def test_a_template_of_one_of_two_batches_is_named(tmp_path: Path) -> None:
     assert "the template params.json is not used any more" in projects.quick(folder, *words, "--explain").stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_why_repeats_the_query_for_its_target(project: Path) -> None:
     for name in ("sim", "robots"):
         answer = json.loads(projects.quick(project, "why", batch(project, name), "--json").stdout)
@@ -317,7 +317,7 @@ def test_a_changed_target_is_compared_with_itself(project: Path) -> None:
     assert not any("target" in line for line in answers["robots"]["new_because"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_targets_are_differences_between_batches(executed: Path) -> None:
     compared = projects.quick(executed, "diff", batch(executed, "sim"), batch(executed, "robots"))
     assert "target: sim → robots" in compared.stdout
@@ -377,7 +377,7 @@ def test_outputs_are_declared_for_the_target_that_wrote_them(tmp_path: Path) -> 
     assert [one["executed"] for one in answers["targets"].values()] == [0, 0]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_doctor_checks_each_target(project: Path) -> None:
     (project / "sierra.toml").write_text(CONFIG.replace("python3 {project}/robots.py", "no-such-robots"))
     checks = {one["name"]: one for one in json.loads(projects.quick(project, "doctor", "--json").stdout)}
@@ -385,7 +385,7 @@ def test_the_doctor_checks_each_target(project: Path) -> None:
     assert "no-such-robots" in checks["command of target robots"]["found"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_trial_uses_a_target(executed: Path) -> None:
     done = projects.quick(executed, "try", "population_size=2", "--target", "robots", "--json")
     assert done.returncode == 0, done.stderr
@@ -419,7 +419,7 @@ def test_wrong_targets_are_named_in_one_line_before_anything_runs(executed: Path
     assert len(listed(executed)) == 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_target_names_where_its_runs_execute(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace("[targets.robots]", '[targets.robots]\nrunner = "field"'))
     done = projects.quick(folder, "run", "population_size=1", *BOTH)
@@ -466,7 +466,7 @@ def test_runs_that_are_no_pairs_are_refused(tmp_path: Path) -> None:
     assert "the runs for targets 'small' and 'large' are no pairs: the values of population_variable_density are" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_target_may_vary_what_its_platform_knows_itself(tmp_path: Path) -> None:
     config = """
         runs = 1

@@ -87,7 +87,7 @@ def test_ids_are_completed_after_4_digits(root: Path, kind: str) -> None:
     assert row[kind][:10] in completed(root, f"sierra show {row[kind][:4]}")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_batch_and_session_ids_are_completed_without_a_prefix(root: Path) -> None:
     [batch] = sierra.open(root).batches
     [log] = (root / ".sierra" / "logs").iterdir()

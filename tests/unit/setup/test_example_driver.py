@@ -94,7 +94,7 @@ def test_a_row_is_written_per_tick_and_a_pose_per_robot_and_second() -> None:
         assert values == sorted(values)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_more_robots_cover_more_and_collide_more() -> None:
     coverage = [final("coverage", population_size=size) for size in (1, 2, 4, 8)]
     assert all(more > 1.2 * fewer for fewer, more in pairwise(coverage))
@@ -102,19 +102,19 @@ def test_more_robots_cover_more_and_collide_more() -> None:
     assert contacts[0] == 0 < contacts[1] < contacts[2]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_pheromone_covers_more_than_a_random_walk() -> None:
     asked = {"population_size": 8}
     assert final("coverage", controller="pheromone", **asked) > 1.15 * final("coverage", **asked)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_clutter_reduces_coverage() -> None:
     asked = {"population_size": 8, "controller": "pheromone"}
     assert final("coverage", scenario="cluttered", **asked) < 0.95 * final("coverage", **asked)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_many_robots_start_apart_and_never_leave_the_arena() -> None:
     crowd = made(population_size=64, scenario="cluttered", max_speed=0)
     places = [(row["x"], row["y"]) for row in table(outputs(crowd)[1])[:64]]

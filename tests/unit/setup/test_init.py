@@ -91,7 +91,7 @@ def test_the_only_script_that_can_be_started_is_chosen_as_the_simulator(folder: 
     assert written(folder)["command"] == "python3 sim.py {input}"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "command"), [("run.sh", "./run.sh {input}"), ("build/a sim", "'./build/a sim' {input}")])
 def test_a_program_is_found_in_the_folder_and_in_build_folders(tmp_path: Path, name: str, command: str) -> None:
     program = tmp_path / name
@@ -106,7 +106,7 @@ def test_a_program_is_found_in_the_folder_and_in_build_folders(tmp_path: Path, n
     assert quick(tmp_path, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_names_may_contain_blanks_and_quotation_marks(tmp_path: Path) -> None:
     folder = tmp_path / "a 'folder'"
     folder.mkdir()
@@ -241,7 +241,7 @@ def test_a_template_may_be_named_relative_to_the_current_folder(folder: Path) ->
         (folder / "sierra.toml").unlink()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_project_files_named_by_the_command_are_found_from_the_folder_of_a_run(folder: Path) -> None:
     (folder / "conf" / "maps").mkdir(parents=True)
     (folder / "conf" / "a.ini").write_text("")
@@ -254,7 +254,7 @@ def test_project_files_named_by_the_command_are_found_from_the_folder_of_a_run(f
     assert quick(folder / "conf", "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_module_of_the_project_is_found_from_the_folder_of_a_run(folder: Path) -> None:
     (folder / "src" / "swarm").mkdir(parents=True)
     (folder / "sim.py").rename(folder / "src" / "swarm" / "__main__.py")
@@ -282,7 +282,7 @@ def test_a_suspicious_command_is_written_with_a_note(folder: Path, command: str,
     assert ended.stderr.count("\n") == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_json_contains_the_written_settings_and_the_next_command(folder: Path) -> None:
     code, said = answering(folder, words=("init", "--json", "--no-try"))
     assert code == 0
@@ -321,7 +321,7 @@ def test_notes_are_left_out_of_the_proposed_source_paths(folder: Path) -> None:
     assert '# paths = ["CMakeLists.txt", "sim.py"]  # not LICENSE, README.md, notes.txt, poster.pdf\n' in text
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_source_is_asked_for_if_the_folder_contains_results(folder: Path) -> None:
     (folder / "results").mkdir()
     code, _ = answering(folder, "", "", "", "", "nope", "2")
@@ -338,7 +338,7 @@ def test_an_empty_answer_accepts_the_detected_value(folder: Path) -> None:
     assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_several_templates_and_simulators_are_numbered_choices(folder: Path) -> None:
     (folder / "other.xml").write_text('<a count="3" seed="1"/>')
     (folder / "other.py").write_text("open('out.csv', 'w').write('t,x\\n0,1\\n')\n")
@@ -350,14 +350,14 @@ def test_several_templates_and_simulators_are_numbered_choices(folder: Path) -> 
     assert written(folder)["command"] == "python3 other.py {input}"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_undetected_settings_are_asked_for(tmp_path: Path) -> None:
     (tmp_path / "arena.conf").write_text(TEMPLATE)
     assert answering(tmp_path, "arena.conf", "true {input}", "", "")[0] == 0
     assert written(tmp_path)["template"] == "arena.conf"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_invalid_answer_gives_the_error_of_the_option_and_the_question_again(folder: Path) -> None:
     wrong = {
         "--template": ["nope.xml", "sim.py"],
@@ -373,7 +373,7 @@ def test_an_invalid_answer_gives_the_error_of_the_option_and_the_question_again(
     assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_variables_are_asked_for_until_an_empty_answer_and_detected_ones_are_kept(folder: Path) -> None:
     assert answering(folder, "", "", "", "noise_level=//noise", "1", "")[0] == 0
     assert written(folder)["variables"] == {
@@ -383,7 +383,7 @@ def test_variables_are_asked_for_until_an_empty_answer_and_detected_ones_are_kep
     }
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_detected_variable_may_be_removed_or_renamed(folder: Path) -> None:
     assert answering(folder, "", "", "", "-population_size", "noise=//noise", "")[0] == 0
     assert written(folder)["variables"] == {"noise": "//noise"}

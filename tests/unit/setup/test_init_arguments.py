@@ -87,7 +87,7 @@ def test_placeholders_in_the_command_are_variables(folder: Path) -> None:
     assert settings(folder)["variables"] == {"population_size": {}}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_options_choose_other_arguments(folder: Path) -> None:
     words = ("--command", GIVEN, "--variable", "speed=--max-speed", "--variable", "team=robots", "--seed", "-")
     done = quick(folder, "init", "-y", *words)
@@ -136,7 +136,7 @@ def test_a_folder_with_a_program_alone_asks_for_a_template_or_arguments(folder: 
     assert "give the template with --template FILE, or the arguments of a program that reads none" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_arguments_are_asked_for_on_a_terminal(folder: Path) -> None:
     code, said = answering(folder, "", GIVEN, "", "speed=--max-speed", "", "")
     assert code == 0, said

@@ -43,7 +43,7 @@ def settings(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "sierra.toml").read_text())
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_named_files_are_further_templates_or_lie_beside_the_inputs(folder: Path) -> None:
     done = quick(folder, "init", "--json", "--command", COMMAND)
     assert done.returncode == 0, done.stderr

@@ -107,6 +107,7 @@ def test_a_run_that_fails_leaves_no_sierra_toml(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 1)])
 def test_on_a_terminal_the_user_decides_about_a_run_that_failed(tmp_path: Path, answer: str, code: int) -> None:
     folder = make(tmp_path / "project", "json")
@@ -117,7 +118,7 @@ def test_on_a_terminal_the_user_decides_about_a_run_that_failed(tmp_path: Path, 
     assert (folder / "sierra.toml").exists() == (code == 0)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_interrupted_run_leaves_no_sierra_toml(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     (folder / "model.py").write_text("import time\nopen('begun', 'w')\ntime.sleep(1000)\n")
@@ -129,7 +130,7 @@ def test_an_interrupted_run_leaves_no_sierra_toml(tmp_path: Path) -> None:
     assert not (folder / "sierra.toml").exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_command_that_nobody_gave_is_tried_before_it_is_written(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     done = quick(folder, "init", "-y")
@@ -138,7 +139,7 @@ def test_a_command_that_nobody_gave_is_tried_before_it_is_written(tmp_path: Path
     assert settings(folder)["command"] == "python3 model.py {input}"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize("words", [(), ("-y",), ("--json",)])
 def test_a_guessed_command_that_fails_is_not_written(tmp_path: Path, words: tuple[str, ...]) -> None:
     folder = make(tmp_path / "project", "json")
@@ -177,7 +178,7 @@ def test_several_possible_templates_are_named(tmp_path: Path) -> None:
     assert "several files could be the template (map.yaml, world.json); give the template with --template FILE" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_format_of_a_file_with_another_ending_is_named(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "ini")
     (folder / "world.ini").rename(folder / "world.conf")
@@ -209,7 +210,7 @@ def test_doubtful_and_binary_files_are_refused_in_one_line(tmp_path: Path, name:
     assert not (folder / "sierra.toml").exists()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_placeholders_without_a_value_are_all_variables(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "txt")
     (folder / "world.txt").write_text("robots {{count}} seed {{seed}} speed {{speed}}\n")
