@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -34,6 +35,8 @@ from sierra.util.signals import noted
 from sierra.util.text import counted, few
 
 JOIN_S = 0.2
+ENDING_S = 3.0
+"""The seconds in which another session that has executed supervised trials must have ended."""
 NOTED = 4
 """Maximum number of reported reasons why runs cannot be evaluated again."""
 
@@ -294,11 +297,17 @@ class Executor:
     def _until_free(self, wanted: AbstractSet[str]) -> Session | None:
         """Wait until other sessions free or record some of these runs.
 
-        Returns a session on a cluster that can be taken over because its follower has died; otherwise None.
+        Returns a session on a cluster that can be taken over because its follower has died; otherwise None. Raises Missing
+        instead of waiting for supervised trials, because a person decides how long they take.
         """
         known = len(self.store.segments())
+        give_up = time.monotonic() + (ENDING_S if self.plan.project.config.trials.supervised else math.inf)
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
+                if time.monotonic() > give_up:
+                    raise Missing(
+                        f"{self._others(wanted)} executes these supervised trials; stop it, or wait until it has ended"
+                    )
                 self._tally.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
                 recover.finish_dead(self.store)
@@ -308,6 +317,12 @@ class Executor:
                     return session
         self.interrupted = bool(signals)
         return None
+
+    def _others(self, wanted: AbstractSet[str]) -> str:
+        """Return the processes that execute these runs, in words."""
+        found = [paths for paths in sessions.all_of(self.session.store) if paths.root.name != self.session.id]
+        names = [f"{sessions.holder(one)} (session {one.root.name})" for one in found if sessions.claims(one) & wanted]
+        return few(names, NOTED) or "another session"
 
     def _adopted(self, wanted: AbstractSet[str]) -> Session | None:
         """Take over a session on a cluster that has claimed some of these runs and that no process follows.

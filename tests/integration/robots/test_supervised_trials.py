@@ -105,34 +105,6 @@ def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path
     assert projects.sql(root, "SELECT count(*) AS n FROM artifacts WHERE path LIKE '%swarm.csv'") == [{"n": 4}]
 
 
-def test_a_lost_robot_ends_its_trial_and_the_person_decides_how_to_go_on(fleet: Fleet, tmp_path: Path) -> None:
-    root, names = project(fleet, tmp_path), fleet.names[:2]
-    config = (root / "sierra.toml").read_text()
-    (root / "sierra.toml").write_text(config.replace("disk_min", "lease = 2\ndisk_min"))
-    with Terminal(root, str(projects.SIERRA), *RUN) as terminal:
-        terminal.expect("a: abort > ")
-        until(lambda: all(is_armed(fleet, name) for name in names), "all are armed", 60)
-        fleet.power_cut(names[1])
-        terminal.expect(f"not ready: {names[1]}: ")
-        terminal.expect("try again, s: skip, a: abort > ")
-        until(lambda: not is_armed(fleet, names[0]), "the other one is disarmed", 10)
-        fleet.boot(names[1])
-        terminal.type("\n")
-        terminal.answer("Enter: go, s: skip, a: abort > ")
-        until(lambda: all(has_written(fleet, name) for name in names), "both robots execute", 60)
-        fleet.power_cut(names[1])
-        terminal.expect(f"failed: {names[1]} ")
-        terminal.answer("repeat it > ", "i")
-        terminal.answer("or text) > ", "2")
-        terminal.answer("none) > ")
-        terminal.expect(f"not ready: {names[1]}: ")
-        terminal.answer("try again, s: skip, a: abort > ", "s")
-        assert terminal.end() == 1, terminal.shown
-    [trial] = projects.sql(root, "SELECT valid, status, e.reason FROM trials JOIN executions e USING (execution)")
-    assert (trial["valid"], trial["status"]) == (False, "failed")
-    assert names[1] in str(trial["reason"])
-
-
 def test_robots_that_wait_are_disarmed_if_the_trial_is_skipped(fleet: Fleet, tmp_path: Path) -> None:
     root, names = project(fleet, tmp_path), fleet.names[:2]
     with Terminal(root, str(projects.SIERRA), *RUN) as terminal:

@@ -42,12 +42,13 @@ def judge(terminal: Terminal, prompt: str, reason: str | None = None) -> None:
 
 
 def test_a_session_with_lost_robots_and_a_killed_driver_is_recorded_once(fleet: Fleet, tmp_path: Path) -> None:
-    root, second = make(fleet, tmp_path / "p"), fleet.names[1]
+    root, (first, second, _) = make(fleet, tmp_path / "p"), fleet.names
     quick = partial(projects.quick, root)
     with supervise(root) as terminal:
         terminal.expect(GO)
         fleet.power_cut(second)
         terminal.expect(f"not ready: {second}: ")
+        until(lambda: not list(fleet.robots[first].home.glob(".cache/*/runs/*")), "the other one is disarmed", 10)
         fleet.boot(second)
         terminal.answer("Enter: try again, s: skip, a: abort > ")
         terminal.answer(GO)

@@ -14,6 +14,7 @@ import pytest
 
 import sierra
 from sierra.errors import Missing, UsageError
+from sierra.execution import execute_missing
 from sierra.execution.supervised.supervisor import Agreeing, Attendant, Ended, Start, Trial, Verdict
 from sierra.runners.base import Beat
 from tests import projects
@@ -104,6 +105,27 @@ def test_an_invalid_trial_is_kept_and_repeated_at_the_end_of_its_block(root: Pat
     assert projects.sql(root, "SELECT count(DISTINCT run) AS runs, count(*) AS counting FROM effective") == [
         {"runs": 4, "counting": 4}
     ]
+    assert not sierra.open(root).fsck().findings
+
+
+class WhileAnotherAsks(Script):
+    """A supervisor that judges a trial after another session has requested the same batch."""
+
+    def __init__(self, root: Path, *steps: Verdict) -> None:
+        super().__init__(*steps)
+        self._root = root
+
+    def verdict(self, trial: Trial, ended: Ended) -> Verdict:
+        with pytest.raises(Missing, match=r"process \d+ on .* executes these supervised trials; stop it, or wait"):
+            execute(self._root, Agreeing("Bob"))
+        return super().verdict(trial, ended)
+
+
+def test_a_second_session_does_not_wait_for_trials_of_another_person(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execute_missing, "ENDING_S", 0.0)
+    summary = execute(root, WhileAnotherAsks(root, VALID, VALID))
+    assert (summary.executed, summary.failed, summary.missing) == (2, 0, 0)
+    assert projects.sql(root, "SELECT count(*) AS n FROM trials WHERE valid AND operator = 'Ann'") == [{"n": 2}]
     assert not sierra.open(root).fsck().findings
 
 
