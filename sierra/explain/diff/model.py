@@ -9,6 +9,7 @@ from datetime import datetime
 from typing import TypeAlias
 
 from sierra.util.json_types import Json
+from sierra.util.text import few
 
 Compared: TypeAlias = "bool | int | float | str | datetime | Sequence[Compared] | Mapping[str, Compared] | None"
 """A value that is compared. JSON texts are compared by their parts."""
@@ -60,6 +61,8 @@ KINDS = tuple(dict.fromkeys(key.partition(".")[0] for key in ORDER))
 ARROW = "→"
 LONGEST = 100
 """Maximum number of characters of a value in a line."""
+MANY, SHOWN = 50, 6
+"""The length up to which a list is shown, and the number of items that are shown of a longer one, such as of packages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,8 @@ def shown(value: object) -> str:
         case float():
             return f"{value:.6g}"
         case list() | tuple():
-            return ", ".join(map(shown, value)) or "nothing"
+            items = [shown(one) for one in value]
+            return few(items, SHOWN if len(items) > MANY else MANY) or "nothing"
         case str():
             text = " ".join(value.split())
             return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"

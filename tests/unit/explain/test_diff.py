@@ -13,12 +13,20 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.explain.diff.model import changed
 from sierra.explain.diff.results import Mean, newcombe, welch
 from tests import projects, stores
 
 Make = Callable[..., Path]
 OTHER = projects.SIMULATOR.replace("count * tick", "count * tick + 1")
 STAMPED = projects.SIMULATOR + "open('log.txt', 'w').write(f'# written {__import__(\"time\").time_ns()}\\nfine\\n')\n"
+
+
+def test_a_long_list_that_only_one_side_has_is_cut() -> None:
+    packages = "\n".join(f"package{number}==1.0" for number in range(900))
+    [found] = changed("environment", "packages", packages, None)
+    assert len(found.line) < 200
+    assert found.line.endswith("package5==1.0 and 894 more → nothing")
 
 
 def git(root: Path, *words: str) -> None:
