@@ -30,7 +30,8 @@ starts, a run is ended as by `stop`, and the agent ends. Therefore nothing is le
 *Stop*: SIGTERM to the run (by its worker), and the stop command of the robot at the same time; after the grace time, SIGKILL.
 If processes had to be killed, the stop command is executed once more, because they may have moved the robot since. It is also
 executed when a run has ended by itself. If it fails or takes too long, the event `ended` says so. All processes that a run
-started are found: the worker is their subreaper, and the agent is that of the worker.
+started are found: the worker is their subreaper, and the agent is that of the worker. If an agent was killed, its worker ends
+the run, and the next agent executes the stop command.
 
 A run's folder is FOLDER/runs/ATTEMPT. It has `process.json` from the time when the run is armed, and `ended.json` at its end.
 An attempt whose folder exists is never started again.
@@ -230,15 +231,11 @@ class Run:
             self.between_clocks = between
 
     def events(self) -> list[Record]:
-        """Return all complete lines of the worker's journal."""
-        lines = []
-        with contextlib.suppress(OSError), open(os.path.join(self.folder, "journal.jsonl"), "rb") as file:
-            lines = file.read().split(b"\n")[:-1]
-        return [json.loads(line) for line in lines]
+        return events_in(self.folder)
 
     def has_begun(self) -> bool:
         """Return whether its program was started."""
-        self.begun = self.begun or any(event["event"] in ("start", "end") for event in self.events())
+        self.begun = self.begun or has_begun(self.events())
         return self.begun
 
     def is_ready(self) -> bool:
@@ -464,9 +461,11 @@ class Agent:
             ended = end_processes_of(record)
             if record.get("client"):
                 the_worker().end_container(record["client"])
-            if ended:
+            report = read_record(os.path.join(folder, ENDED))
+            is_open = report is None and record.get("boot") == boot_id() and has_begun(events_in(folder))
+            if ended or is_open:  # its agent was killed before it could execute the stop command
                 self.execute_stop_command()
-            found.append({"attempt": attempt, "ended": ended, "report": read_record(os.path.join(folder, ENDED))})
+            found.append({"attempt": attempt, "ended": ended, "report": report})
             if attempt not in keep:
                 the_worker().remove(folder)
         return found
@@ -737,6 +736,18 @@ def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, st
         raise Refused("its setup line ended the shell (by exit or exec), so that the variables that it sets are unknown")
     pairs = (pair.partition("=") for pair in ended.stdout.decode("utf-8", "surrogateescape").split("\0") if "=" in pair)
     return {name: value for name, _, value in pairs if name not in LEFT_OUT and not name.startswith("BASH_FUNC_")}
+
+
+def events_in(folder: str) -> list[Record]:
+    """Return all complete lines of a worker's journal; none if it cannot be read."""
+    with contextlib.suppress(OSError, ValueError), open(os.path.join(folder, "journal.jsonl"), "rb") as file:
+        return [json.loads(line) for line in file.read().split(b"\n")[:-1]]
+    return []
+
+
+def has_begun(events: Sequence[Record]) -> bool:
+    """Return whether a program was started, by the events of its worker."""
+    return any(event["event"] in ("start", "end") for event in events)
 
 
 def end_processes_of(record: Record) -> int:
