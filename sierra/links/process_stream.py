@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import io
 import os
 import selectors
 import subprocess
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 from sierra.links.commands import LEAVE_S
 
@@ -25,7 +27,8 @@ class ProcessStream:
             argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, env=environment
         )
         assert self._process.stdin and self._process.stdout and self._process.stderr  # noqa: PT018, S101 - all are pipes
-        self._input, self._outputs = self._process.stdin, {1: self._process.stdout, 2: self._process.stderr}
+        self._input = self._process.stdin
+        self._outputs = {1: cast(io.BufferedReader, self._process.stdout), 2: cast(io.BufferedReader, self._process.stderr)}
         os.set_blocking(self._input.fileno(), False)
         with contextlib.suppress(OSError):  # the limit of all pipes of a user
             fcntl.fcntl(self._process.stdout, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
@@ -47,12 +50,16 @@ class ProcessStream:
 
     def send(self, data: bytes, timeout: float) -> None:
         view = memoryview(data)
-        with selectors.DefaultSelector() as writable:
-            writable.register(self._input, selectors.EVENT_WRITE)
-            while view:
-                if not writable.select(timeout):
-                    raise TimeoutError
-                view = view[os.write(self._input.fileno(), view[: 1 << 16]) :]
+        try:
+            with selectors.DefaultSelector() as writable:
+                writable.register(self._input, selectors.EVENT_WRITE)
+                while view:
+                    if not writable.select(timeout):
+                        raise TimeoutError
+                    with self._lock:  # the number of a closed pipe may be that of another file
+                        view = view[os.write(self._input.fileno(), view[: 1 << 16]) :]
+        except ValueError:  # another thread has closed it
+            raise BrokenPipeError from None
 
     def end_input(self) -> None:
         with self._lock:
@@ -62,15 +69,16 @@ class ProcessStream:
         return self._first.pop(0) if self._first else self._read(timeout)
 
     def _read(self, timeout: float) -> tuple[int, bytes] | None:
-        while self._open.get_map():
-            ready = self._open.select(timeout)
-            if not ready:
-                raise TimeoutError
-            for key, _ in ready:
-                data = os.read(key.fd, 1 << 18)
-                if data:
-                    return key.data, data
-                self._open.unregister(key.fileobj)
+        with contextlib.suppress(ValueError, KeyError):  # another thread has closed it
+            while self._open.get_map():
+                ready = self._open.select(timeout)
+                if not ready:
+                    raise TimeoutError
+                for key, _ in ready:
+                    data = self._outputs[key.data].read1(1 << 18)  # not by its number, which may be that of another file
+                    if data:
+                        return key.data, data
+                    self._open.unregister(key.fileobj)
         return None
 
     def close(self, *, ended: bool = False) -> None:
