@@ -1,8 +1,9 @@
 """The least rate of topics in a bag: a topic that falls below it at any time makes a bag unreadable, so that its run fails.
 
 A rate is judged over a time that is long enough for `SPAN` messages, and at least a second. After each message, as many more
-must come within that time, up to the end of the bag. The end is that of all topics, without the last second, because the nodes
-of a run do not end at the same time. Messages before the first one of a topic do not count: nodes begin one after the other.
+must come within that time; of a topic with fewer messages, as many as the time to the end of the bag is long enough for. The
+end is that of all topics, without the last second, because the nodes of a run do not end at the same time. Messages before the
+first one of a topic do not count: nodes begin one after the other.
 """
 
 from __future__ import annotations
@@ -43,7 +44,6 @@ class Topic:
         self._name = name
         self._least = least
         self._count = max(SPAN, math.ceil(least))
-        self._span_ns = self._count / least * NS
         self._last: deque[int] = deque(maxlen=self._count + 1)
         self._worst: tuple[float, int] | None = None
         """The lowest rate and the time from which on it was measured."""
@@ -51,12 +51,12 @@ class Topic:
     def add(self, received: int) -> None:
         self._last.append(received)
         if len(self._last) > self._count:
-            self._judge(self._count, received)
+            self._judge(self._count, self._count, received)
 
-    def _judge(self, count: int, until: int) -> None:
-        """Note the rate of some messages after the first of the last ones, if it is too low."""
+    def _judge(self, count: int, expected: int, until: int) -> None:
+        """Note the rate of the messages after the first of the last ones, if `expected` of them should have come until then."""
         took = until - self._last[0]
-        if took > self._span_ns:
+        if took > expected / self._least * NS:
             rate = count * NS / took
             self._worst = min(self._worst or (rate, self._last[0]), (rate, self._last[0]))
 
@@ -66,7 +66,7 @@ class Topic:
             raise UnreadableError(f"the topic {self._name!r} has no message; min_rate = {self._least:g}")
         if len(self._last) > self._count:
             self._last.popleft()
-        self._judge(len(self._last) - 1, max(self._last[-1], end - LEAVE_NS))
+        self._judge(len(self._last) - 1, len(self._last), max(self._last[-1], end - LEAVE_NS))  # the next one is late
         if self._worst is not None:
             rate, since = self._worst
             raise UnreadableError(

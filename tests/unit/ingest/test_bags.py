@@ -380,7 +380,8 @@ STEADY = [0.1] * 100
         (STEADY[:95], 20.0, None),
         (STEADY[:70], 20.0, (3.1, 16.1)),
         ([2.0] * 5, 20.0, (0.5, 10.0)),
-        ([], 12.0, None),
+        ([], 12.0, (0, 10.0)),
+        ([], 11.1, None),
     ],
 )
 def test_topic_that_is_too_slow_at_any_time_is_noticed(
@@ -394,6 +395,17 @@ def test_topic_that_is_too_slow_at_any_time_is_noticed(
     )
     with pytest.raises(UnreadableError, match=words) if rate else contextlib.nullcontext():
         assert len(list(message_rates.checked(iter(messages), [scan], 8.0))) == len(periods) + 1
+
+
+@pytest.mark.parametrize(
+    ("stamps", "slow"),
+    [([0, 1, 2.02, 3, 4.04], False), ([0, 1, 3.9], True), ([0], True), ([3.5], False), ([0, 0.1, 0.2], True)],
+)
+def test_a_slow_topic_is_noticed_in_a_bag_that_is_too_short_for_ten_messages(stamps: list[float], slow: bool) -> None:
+    scan, clock = (Channel(number, name, "", None, "msg", "", ros1=True) for number, name in enumerate(("/scan", "/clock")))
+    messages = [(clock, 0, b""), *((scan, round(time * NS), b"") for time in stamps), (clock, 5 * NS, b"")]
+    with pytest.raises(UnreadableError, match="falls to") if slow else contextlib.nullcontext():
+        list(message_rates.checked(iter(messages), [scan], 1.0))
 
 
 @pytest.mark.parametrize("kind", KINDS)
