@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from sierra.deliverables.html.elements import Markup, element
 from sierra.deliverables.report.parts import auto
+from sierra.errors import Damaged
 from sierra.store.row_types import DeliverableRow
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
@@ -27,13 +28,13 @@ Read = Callable[[str, int], bytes | None]
 
 
 def from_project(root: Path) -> Read:
-    """Return a function that reads files of a project by their names in records."""
+    """Return a function that reads files of a project by their names in records; none outside of it, also not by a link."""
 
     def read(name: str, most: int) -> bytes | None:
-        file = inside(root, name)
         try:
-            return file.read_bytes() if file.stat().st_size <= most else None
-        except OSError:
+            file = inside(root, name)
+            return file.read_bytes() if file.is_file() and file.stat().st_size <= most else None
+        except (OSError, Damaged):
             return None
 
     return read

@@ -5,7 +5,7 @@ Each has the tracks of the runs of a film, the notes for the viewer, and the pai
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from sierra.config.output_tables import PLACEHOLDER
@@ -19,7 +19,7 @@ from sierra.deliverables.videos.sql_tracks import Grids, Matrices, Rows, Source,
 from sierra.deliverables.videos.survey import Range, Survey
 from sierra.deliverables.videos.tracks import uneven
 from sierra.errors import SierraError
-from sierra.util.text import counted
+from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.deliverables.videos.pictures import PictureTrack
@@ -40,10 +40,14 @@ class Timed:
         self.units: Mapping[str, str] = {name: gallery.unit(source.output, name) for name in values}
 
 
-def _timeless(rows: Iterable[Rows]) -> list[str]:
-    """Return a note on rows without a time."""
+def _left_out(rows: Sequence[Rows]) -> list[str]:
+    """Return notes on rows without a time, and on runs without a row."""
     timeless = sum(one.timeless for one in rows)
-    return [f"{counted(timeless, 'row')} without a time left out"] if timeless else []
+    empty = [f"run {one.run.number} of experiment {one.run.experiment}" for one in rows if not len(one.times)]
+    return [
+        *([f"{counted(timeless, 'row')} without a time left out"] if timeless else []),
+        *([f"without a row: {few(empty, 8)}"] if empty else []),
+    ]
 
 
 class CellSubject(Timed):
@@ -62,7 +66,7 @@ class CellSubject(Timed):
         self._value = _labelled(video.label or value, units.pop() if len(units) == 1 else "")
 
     def left_out(self) -> Sequence[str]:
-        return _timeless(self._grid.rows)
+        return _left_out(self._grid.rows)
 
     def notes(self, survey: Survey) -> Sequence[str]:
         limits, found = self._video.limits, survey.values
@@ -117,7 +121,7 @@ class RobotSubject(Timed):
         self._labels = x, y
 
     def left_out(self) -> Sequence[str]:
-        return _timeless(self._poses.rows)
+        return _left_out(self._poses.rows)
 
     def notes(self, survey: Survey) -> Sequence[str]:
         cut = self._video.xlim is not None or self._video.ylim is not None
@@ -154,7 +158,7 @@ class NetworkSubject(Timed):
         ]
 
     def left_out(self) -> Sequence[str]:
-        return [*_timeless(self._network.rows), *self._network.notes()]
+        return [*_left_out(self._network.rows), *self._network.notes()]
 
     def notes(self, survey: Survey) -> Sequence[str]:
         del survey

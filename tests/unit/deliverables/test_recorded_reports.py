@@ -83,6 +83,9 @@ def test_small_videos_are_played_in_the_report_if_they_are_the_recorded_ones(
     assert all(file.name in page for file in root.glob("figures/*/heat*"))
     film.write_bytes(film.read_bytes()[:-1])
     assert [kind for kind, _ in played()] == [b"image/gif"]
+    shutil.move(root / "figures", tmp_path / "figures")
+    (root / "figures").symlink_to(tmp_path / "figures")
+    assert played() == [], "nothing outside of the project becomes a part of a page"
     monkeypatch.setattr(films, "LARGEST", 100)
     assert played() == []
     assert "These files are not in this page." in to.read_text()

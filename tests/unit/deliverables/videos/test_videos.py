@@ -147,6 +147,13 @@ def test_a_run_without_a_result_is_reported_and_not_replaced(root: Path) -> None
     assert "video film_experiment1: run 1 has no successful execution, so there is nothing to show" in made.notes
 
 
+def test_a_run_without_rows_is_noted_beside_the_mean(root: Path) -> None:
+    keys = {"table": "", "sql": "SELECT run, tick, i, j, heat FROM floor WHERE heat < 20 OR population_size > 1"}
+    (film,) = prepared(root, show="mean", experiments="population_size=1", **keys).films
+    assert film.film.notes == ("mean over 2 runs",)
+    assert film.subject.left_out() == ["without a row: run 1 of experiment 0"]
+
+
 def test_a_difference_is_a_minus_b_with_zero_in_the_middle(root: Path) -> None:
     made = prepared(root, show="difference", groups=["population_size=1", "population_size=2"])
     (film,) = made.films
