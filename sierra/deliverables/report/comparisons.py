@@ -104,7 +104,7 @@ def _compared(one: Compared, place: Place) -> Markup:
         *_picture(one),
         as_element(shown),
         *map(note, one.notes),
-        *_origin(one),
+        details("How to make this again", code(again(one), "the comparison")),
         class_="comparison",
     )
 
@@ -118,7 +118,10 @@ def _picture(one: Compared) -> Iterator[Markup]:
     yield picture(svg, f"Differences between groups. {one.text}")
 
 
-def _origin(one: Compared) -> Iterator[Markup]:
+def again(one: Compared) -> str:
+    """Return the command that makes a comparison again; its keys in `sierra.toml` if the command has no options for them."""
+    if one.asked.where or one.asked.experiments or one.asked.groups:
+        return one.asked.model_dump_json(exclude_unset=True, indent=1)
     groups = [f"{group}={batch}" if len(one.batches) > 1 else batch for group, batch in one.batches.items()]
     options = {
         "--by": ",".join(one.asked.by),
@@ -126,13 +129,12 @@ def _origin(one: Compared) -> Iterator[Markup]:
         "--column": one.column,
         "--measure": "" if one.asked.over_time else one.measure,
         "--threshold": "" if one.asked.threshold is None else f"{one.asked.threshold!r}",
+        "--method": "" if one.asked.method == Comparison().method else one.asked.method,
+        "--paired": {"auto": "", True: "yes", False: "no"}[one.asked.paired],
         "--against": one.asked.against or "",
         "--margin": "" if one.asked.margin is None else f"{one.asked.margin!r}",
         "--alpha": "" if one.asked.alpha == Comparison().alpha else f"{one.asked.alpha!r}",
     }
     words = [*groups, *(word for name, value in options.items() if value for word in (name, value))]
     words += ["--over-time"] if one.asked.over_time else []
-    lines = [shlex.join(["sierra", "compare", *words])]
-    if one.asked.where or one.asked.experiments or one.asked.groups:
-        lines = [one.asked.model_dump_json(exclude_unset=True, indent=1)]
-    yield details("How to make this again", code("\n".join(lines), "the comparison"))
+    return shlex.join(["sierra", "compare", *words])

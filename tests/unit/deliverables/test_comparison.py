@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import statistics
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.deliverables.report import comparisons
 from sierra.errors import UsageError
 from tests import projects, stores
 
@@ -87,6 +89,15 @@ def test_the_values_of_a_variable_are_compared_within_a_batch(compared: tuple[Pa
     assert (back["first"], back["difference"]) == ("population_size=2", pytest.approx(-4))
     (against,) = answer(root, quiet[:8], "--against", "2", "--paired", "no")["pairs"]
     assert (against["first"], against["test"]) == ("population_size=2", "Mann-Whitney test")
+
+
+def test_the_command_in_a_report_makes_the_same_comparison(compared: tuple[Path, str, str]) -> None:
+    root, quiet, _ = compared
+    made = sierra.open(root).compare(quiet, by=["population_size"], method="rank_sum", paired=False, alpha=0.1, margin=2.5)
+    found = answer(root, *shlex.split(comparisons.again(made))[2:])
+    assert [pair["test"] for pair in found["pairs"]] == [pair.test for pair in made.pairs]
+    assert [pair["p"] for pair in found["pairs"]] == [pair.p for pair in made.pairs]
+    assert found["text"] == made.text
 
 
 def test_values_that_differ_in_late_digits_are_different_groups(tmp_path: Path) -> None:
