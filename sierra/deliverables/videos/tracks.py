@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     State: TypeAlias = tuple[npt.NDArray[Any], ...]
     """The state of a run at one time: a matrix; the poses of robots; edges and places; an image."""
 
-ROUNDING = 1e-9
-"""The largest relative difference of two times that are taken for the same."""
 MOST = 1_000_000
 """The largest number of frames of one video."""
 
@@ -35,7 +33,7 @@ class Track(Protocol):
 def frame_times(tracks: Sequence[Track], step: float | None) -> Floats:
     """Return the times of frames: all times of the tracks, or every `step` from the first to the last of them.
 
-    Raises UsageError if there are none, or too many.
+    Times that differ by `rounding` only are one, the first. Raises UsageError if there are none, or too many.
     """
     import numpy as np
 
@@ -43,8 +41,10 @@ def frame_times(tracks: Sequence[Track], step: float | None) -> Floats:
     if not len(every):
         raise UsageError("there is no time with a value to show")
     if step is None:
-        return _few(every, len(every))
-    count = int((every[-1] - every[0]) / step * (1 + ROUNDING)) + 1
+        apart = np.append(True, np.diff(every) > rounding(tracks) / len(tracks))  # then all of a group are near its first
+        return _few(every[apart], int(apart.sum()))
+    span = every[-1] - every[0] + 4 * np.spacing(np.abs(every).max())
+    count = int(span / step * (1 + 1e-9)) + 1
     return _few(every[0] + np.arange(min(count, MOST + 1)) * step, count)
 
 
@@ -52,6 +52,20 @@ def _few(times: Floats, count: int) -> Floats:
     if count > MOST:
         raise UsageError(f"{count} frames are too many for a video; at most {MOST} are possible (use a larger step)")
     return times
+
+
+def rounding(tracks: Sequence[Track]) -> float:
+    """Return the largest difference of times of two tracks that are taken for the same.
+
+    It is that of a few roundings, and 10⁻⁶ of the smallest distance of times in a track; so no track has two times that are
+    the same, also if times are in seconds since 1970.
+    """
+    import numpy as np
+
+    own = [track.times for track in tracks if len(track.times)]
+    rounded = 4 * max((float(np.spacing(np.abs(times).max())) for times in own), default=0.0)
+    nearest = min((float(np.diff(times).min()) for times in own if len(times) > 1), default=float("inf"))
+    return min(rounded + 1e-6 * nearest, nearest / 2) if np.isfinite(nearest) else rounded
 
 
 def uneven(times: Floats) -> tuple[float, float] | None:
@@ -81,7 +95,8 @@ def aligned(tracks: Sequence[Track], times: Floats, *, carry: bool) -> Iterator[
 
     With `carry`, a state holds until the next one of its track, but not beyond the last time of the track.
     """
-    heads = [_Head(track) for track in tracks]
+    same = rounding(tracks)
+    heads = [_Head(track, same) for track in tracks]
     for time in times.tolist():
         yield [head.at(time, carry=carry) for head in heads]
 
@@ -89,16 +104,16 @@ def aligned(tracks: Sequence[Track], times: Floats, *, carry: bool) -> Iterator[
 class _Head:
     """The place in a track up to which it has been read."""
 
-    def __init__(self, track: Track) -> None:
+    def __init__(self, track: Track, same: float) -> None:
+        self._same = same
         self._pairs = zip(track.times.tolist(), track.states(), strict=True)
         self._last: tuple[float, State] | None = None
         self._next = next(self._pairs, None)
 
     def at(self, time: float, *, carry: bool) -> State | None:
-        reach = time + ROUNDING * abs(time) if carry else time
-        while self._next is not None and self._next[0] <= reach:
+        while self._next is not None and self._next[0] <= time + self._same:
             self._last, self._next = self._next, next(self._pairs, None)
-        if self._last is None or (self._last[0] != time and not carry):
+        if self._last is None:
             return None
-        ended = self._next is None and self._last[0] < time - ROUNDING * abs(time)
-        return None if ended else self._last[1]
+        past = self._last[0] < time - self._same
+        return None if past and (self._next is None or not carry) else self._last[1]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sierra.deliverables.figures import style
-from sierra.deliverables.videos.tracks import aligned, digits, frame_times, uneven
+from sierra.deliverables.videos.tracks import aligned, digits, frame_times, rounding, uneven
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
@@ -43,6 +43,21 @@ def test_with_a_step_values_are_carried_but_not_beyond_the_end() -> None:
     tracks = [Listed(t0=1, t0_3=2, t0_9=4), Listed(t0_3=5, t0_6=6)]
     nan = float("nan")
     np.testing.assert_allclose(shown(tracks, 0.3), [(0, 1, nan), (0.3, 2, 5), (0.6, 2, 6), (0.9, 4, nan)])
+
+
+def test_times_since_1970_are_told_apart_and_roundings_are_not() -> None:
+    since = 1.7e9
+    clock = [Listed(t0=1, t0_1=2, t0_2=3, t0_3=4), Listed(t0=5, t0_1=6, t0_2=7, t0_3=8)]
+    for track in clock:
+        track.times = track.times + since
+    clock[1].times[1:] += 2.4e-7
+    both = [(1, 5), (2, 6), (3, 7), (4, 8)]
+    assert [row[1:] for row in shown(clock, None)] == both
+    assert [row[1:] for row in shown(clock, 0.1)] == both
+    added = [Listed(t0=1, t0_1=2, t0_2=3, t0_3=4), Listed(t0=5, t0_1=6, t0_2=7, t0_3=8)]
+    added[1].times[3] = 0.1 + 0.2
+    assert [row[1:] for row in shown(added, None)] == both
+    assert rounding([Listed(t0=1), Listed()]) < 1e-300
 
 
 def test_uneven_times_are_found_and_rounding_is_not_taken_for_it() -> None:
