@@ -27,7 +27,7 @@ OPTIONAL = ("named_inputs", "shared_files", "robots")
 """Columns of a spec that are left out if they are NULL."""
 APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history", "around")
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
-AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
+AT_MOST = {"attempts": 20, "captures": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
 
 

@@ -15,6 +15,7 @@ from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import axis_values, programs, required_row
 from sierra.execution.shown_records import (
     Attempt,
+    CaptureOfBatch,
     CountedExperiment,
     CountedFiles,
     Failed,
@@ -94,10 +95,16 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         sessions=sessions,
         clusters=clusters,
         targets=sorted({one.target for one in sessions if one.target}),
+        captures=snapshot.select(CaptureOfBatch, CAPTURES, b=identity) if snapshot.holds("captures") else (),
         imports=snapshot.select(ImportOfBatch, IMPORTS, b=identity) if snapshot.holds("imports") else (),
     )
 
 
+CAPTURES = """
+SELECT m.ordinal, m.number, c.run, c.execution, c.frames, c.verdict, c.reason
+FROM captures c JOIN (SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b) m USING (run)
+QUALIFY row_number() OVER (PARTITION BY m.ordinal, m.number, c.run ORDER BY c.lamport DESC) = 1 ORDER BY m.ordinal, m.number
+"""
 IMPORTS = """
 SELECT i.package, i.title, i.date, i.imported_at, coalesce(o.packages[1] = i.package, false) AS counts
 FROM imports i LEFT JOIN origins o ON o.batch = $b WHERE list_contains(i.batches, $b) ORDER BY i.lamport

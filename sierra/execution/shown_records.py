@@ -103,6 +103,18 @@ class ReplayOfBatch(NamedTuple):
     verdict: str
 
 
+class CaptureOfBatch(NamedTuple):
+    """The last capture of a run of a batch; see the table `captures`."""
+
+    ordinal: int
+    number: int
+    run: str
+    execution: str
+    frames: int
+    verdict: str
+    reason: str | None
+
+
 class ImportOfBatch(NamedTuple):
     """A package that was imported and has executions of the batch."""
 
@@ -229,6 +241,7 @@ class ShownBatch:
     """The recorded commit as the repository has it now."""
     imports: Sequence[ImportOfBatch] = ()
     """Packages from which executions of its sessions came."""
+    captures: Sequence[CaptureOfBatch] = ()
     log_file: str | None = None
     """Log file of the last session."""
 
