@@ -366,6 +366,14 @@ CREATE TABLE captures (
     "lamport" BIGINT  -- its position in the logical order, as in sessions
 );
 
+-- Renderings of executions for capture, recorded before they begin: a finished one counts though its capture was killed.
+CREATE TABLE renderings (
+    "execution" VARCHAR,  -- the execution; it is not in executions if it has not finished
+    "batch" VARCHAR,  -- the batch for which it is executed
+    "run" VARCHAR,  -- the run
+    "rendering" VARCHAR  -- hash of its rendering, as in captures
+);
+
 -- Environments of executions (operating system, hardware, libraries, variables), each recorded once.
 CREATE TABLE environments (
     "environment" VARCHAR,  -- hash of all columns below

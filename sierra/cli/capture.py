@@ -69,7 +69,7 @@ def _print(answer: Captures) -> None:
     from sierra.util.text import counted
 
     if answer.interrupted:
-        print("interrupted: nothing was compared")
+        print("interrupted: nothing was compared; sierra capture continues, and executes only what is missing")
         return
     if answer.known:
         note(f"{counted(answer.known, 'run')} captured before by the same rendering (--again captures them again)")

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from sierra.config.change_tables import ChangeTable
-from sierra.config.field_types import Argv, Positive, Table, Text, VariableName
+from sierra.config.field_types import Argv, Positive, Size, Table, Text, VariableName
 
 Side = Annotated[int, Field(ge=16, le=8192)]
 """The length of a side of a frame, in pixels."""
@@ -42,8 +42,9 @@ class Capture(Table):
     interval: Positive | None = Field(
         None, description="simulated time between two frames in seconds, for platforms that render; default: theirs"
     )
-    wall: Positive | None = Field(
-        None,
-        description="time limit of an execution in seconds; default: none. Limits of time and output in [limits] are for "
-        "measured runs",
+    wall: Positive | None = Field(None, description="wall-clock time, in seconds, that takes the place of `wall` in [limits]")
+    cpu: Positive | None = Field(None, description="the same for `cpu` in [limits]: CPU time, in seconds")
+    memory: Size | None = Field(None, description="the same for `memory` in [limits], in bytes or as in `2 GiB`")
+    output: Size | None = Field(
+        None, description="the same for `output` in [limits], in bytes or as in `500 MB`; frames belong to it"
     )

@@ -358,6 +358,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
         "equivalences": {"replay": replays},
         "verdicts": {"replay": replays, "recorded": executions, "execution": executions},
         "captures": {"recorded": executions, "execution": executions},
+        "renderings": {"execution": executions, "batch": batches},
     }
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}

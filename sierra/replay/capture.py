@@ -8,23 +8,24 @@ frames: a video can say if it shows another course of events than the one that w
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.config.project_file import LoadedProject
-from sierra.errors import NotFound, UsageError
-from sierra.execution import plan_from_record, targets
+from sierra.errors import Missing, NotFound, UsageError
+from sierra.execution import plan_from_record, recover, sessions, targets
 from sierra.execution.observer import Observer
-from sierra.model import RunSpec
+from sierra.model import RunSpec, Status
 from sierra.replay import replay
 from sierra.replay.compare_values import Verdict, worst
 from sierra.replay.rendered_runs import RenderedRuns, check_display
 from sierra.replay.verdicts import Compared, Replay
 from sierra.store import captures
 from sierra.store.recorded_files import ChosenExecution, take
-from sierra.store.row_types import CaptureRow
+from sierra.store.row_types import CaptureRow, RenderingRow
 from sierra.store.store import Found, Store
 from sierra.util.hashing import short
 
@@ -71,6 +72,9 @@ def capture(
     Raises NotFound for an unknown id, ConfigError if nothing says how runs render, UsageError for runs on robots, Missing if a
     display is not possible here, and the errors of a replay.
     """
+    if not os.access(store.paths.root, os.W_OK):
+        raise Missing(f"cannot write to {store.paths.root}, where frames are recorded")
+    recover.finish_dead(store)
     found = store.resolve(prefix)
     batch = found.batch or found.id
     project = targets.of_batch(project, store, batch)
@@ -87,9 +91,10 @@ def capture(
     rest = frozenset(one.run for one in chosen) - known
     if not rest:
         return Captures(batch, (), len(known))
+    rendered.finished = _finished(store, rendered.identities, rest)
     as_replay = replay.ReplayOptions(options.slots, None, options.runner, options.engine, only=rest, variation=rendered)
     answer = replay.replay(project, store, prefix, as_replay, observer)
-    made = captures.of_session(store, answer.id)
+    made = captures.of_executions(store, [str(run.execution) for run in answer.runs])
     return Captures(batch, tuple(made), len(known), answer.notes, answer.interrupted)
 
 
@@ -110,6 +115,14 @@ def _known(store: Store, chosen: Sequence[ChosenExecution], identities: Mapping[
     return {row.run for row in before.values() if row.rendering == identities[row.run] and Verdict(row.verdict).fine}
 
 
+def _finished(store: Store, identities: Mapping[str, str], runs: Collection[str]) -> frozenset[str]:
+    """Return executions of these runs with the same rendering that no capture has compared, because it was cut off."""
+    with sessions.exclusively(store.paths) as locks:
+        living = {one.root.name for one in sessions.alive(store.paths)} if locks else set()
+    found = captures.cut_off(store, runs)
+    return frozenset(one.execution for one in found if one.rendering == identities[one.run] and one.session not in living)
+
+
 class _Recorded(RenderedRuns):
     """The runs that render, with the records of their captures."""
 
@@ -120,6 +133,10 @@ class _Recorded(RenderedRuns):
         self.rates: dict[str, float | None] = {}
         """The ticks per simulated second of the frames of each run."""
 
+    def records_before(self, executions: Mapping[str, str], batch: str) -> Iterator[RenderingRow]:
+        for run, execution in executions.items():
+            yield RenderingRow(execution, batch, run, self.identities[run])
+
     def records(
         self, answer: Replay, as_replay: Iterable[Iterable[NamedTuple]], store: Store, lamport: int
     ) -> Iterable[Iterable[NamedTuple]]:
@@ -127,16 +144,18 @@ class _Recorded(RenderedRuns):
         return [list(self._rows(answer, store, lamport))]
 
     def _rows(self, answer: Replay, store: Store, lamport: int) -> Iterator[CaptureRow]:
+        executions = {"e": [str(run.execution) for run in answer.runs]}
         with store.snapshot() as snapshot:
             snapshot.views.make(("artifacts", "executions"))
-            frames = Counter(str(row[0]) for row in snapshot.run(WRITTEN, {"s": answer.id}) if self.is_frame(row[1]))
-            ends: dict[str, str | None] = dict(snapshot.run(FAILED, {"s": answer.id}))
+            frames = Counter(str(row[0]) for row in snapshot.run(WRITTEN, executions) if self.is_frame(row[1]))
+            ends = {row[0]: _Ended(*row[1:]) for row in snapshot.run(ENDED, executions)}
         for place, run in enumerate(answer.runs):
             execution = str(run.execution)
-            verdict, reason = self._verdict(run, frames[execution], ends.get(execution) or "")
+            end = ends.get(execution) or _Ended(answer.id)
+            verdict, reason = self._verdict(run, frames[execution], end.reason)
             yield CaptureRow(
                 execution=execution,
-                session=answer.id,
+                session=end.session,
                 batch=answer.found.batch or answer.found.id,
                 run=run.taken.run,
                 recorded=str(run.taken.judgement),
@@ -150,7 +169,7 @@ class _Recorded(RenderedRuns):
             )
 
     def _verdict(self, run: Compared, frames: int, end: str) -> tuple[Verdict, str | None]:
-        """Return the verdict and the reason; `end` is the end of the log of a failed execution."""
+        """Return the verdict and the reason; `end` says more on a failed execution."""
         if run.verdict is not Verdict.FAILED and not frames:
             return Verdict.FAILED, NO_FRAMES.format(self.rendering.files)
         if not run.outputs:
@@ -158,11 +177,26 @@ class _Recorded(RenderedRuns):
         if run.verdict is Verdict.IDENTICAL:
             return run.verdict, None
         found = next(((path, one.reason) for path, one in run.outputs.items() if one.verdict is run.verdict), (None, ""))
-        words = [*(str(part) for part in found if part), *end.strip().splitlines()[-1:]]
+        words = [*(str(part) for part in found if part), *([end] if end else [])]
         return run.verdict, ": ".join(words) or None
 
 
-WRITTEN = """
-SELECT a.execution, a.path FROM artifacts a JOIN executions e USING (execution) WHERE e.session = $s AND a.kind <> 'log'
-"""
-FAILED = "SELECT execution, log_tail FROM executions WHERE session = $s AND status <> 'ok'"
+class _Ended(NamedTuple):
+    """The end of an execution."""
+
+    session: str
+    status: str = "ok"
+    log_tail: str | None = None
+
+    @property
+    def reason(self) -> str:
+        """The last line of the log of a failed execution, or the key that sets another limit than the one that it exceeded."""
+        if self.status in LIMITS:
+            return f"[capture] {LIMITS[self.status]} sets another limit"
+        return "".join((self.log_tail or "").strip().splitlines()[-1:]) if self.status != "ok" else ""
+
+
+LIMITS: Mapping[str, str] = {Status.TIMEOUT: "wall", Status.CPU: "cpu", Status.MEMORY: "memory", Status.OUTPUT: "output"}
+"""The keys of limits in `[capture]`, by the status of an execution that exceeds them."""
+WRITTEN = "SELECT execution, path FROM artifacts WHERE list_contains($e, execution) AND kind <> 'log'"
+ENDED = "SELECT execution, session, status, log_tail FROM executions WHERE list_contains($e, execution)"

@@ -53,8 +53,9 @@ class RenderedRuns(Variation):
         return self._spec
 
     def limits(self, project: Project) -> Limits:
-        """Return the limits of each execution: those of time and output in `[limits]` are for measured runs."""
-        return replace(commands.limits(project), wall_s=self._table.wall, cpu_s=None, output_bytes=None)
+        """Return the limits of each execution: those of `[limits]`, unless `[capture]` has others."""
+        own = self._table.model_dump(include={"wall", "cpu", "memory", "output"}, exclude_none=True)
+        return commands.limits(project.model_copy(update={"limits": project.limits.model_copy(update=own)}))
 
     def compared(self, outputs: Mapping[str | None, Agreement]) -> Mapping[str | None, Agreement]:
         """Return the outputs that are not frames."""

@@ -195,9 +195,11 @@ def replay(
             readers=record.of.readers,
             engines=project.config.engines,
         )
-        done = _done(store, record, options.earlier, replace(context, **service.isolation.context))
+        done = _done(store, record, options, replace(context, **service.isolation.context))
         rest = [one for one in record.runs if one.run not in done]
         made = {one.run: commands.execution_id(session.id, one.run) for one in rest}
+        if begun := list(variation.records_before(made, record.of.batch)):
+            _publish(store, session, record.of.batch, [begun])
         made |= {run: one.execution for run, one in done.items()}
         if done:
             runs = f"{len(done)} of {counted(len(record.runs), 'run')}"
@@ -446,7 +448,8 @@ class _Done(NamedTuple):
 
 DONE = """
 SELECT run, max(execution) AS execution, arg_max(session, execution) AS session FROM executions
-WHERE list_contains($sessions, session) AND list_contains($runs, run) AND purpose = 'replay' AND status = 'ok'
+WHERE (purpose = 'replay' AND list_contains($sessions, session) OR list_contains($executions, execution))
+  AND list_contains($runs, run) AND status = 'ok'
   AND programs = $programs AND environment = $environment AND ingest_rules = $rules
   AND isolation IS NOT DISTINCT FROM $isolation
 GROUP BY run
@@ -454,14 +457,15 @@ GROUP BY run
 """SQL: one of these executions for each run."""
 
 
-def _done(store: Store, record: _Record, sessions: frozenset[str], context: Context) -> dict[str, _Done]:
-    """Return the executions of earlier replays that count, by run: those that this replay would repeat."""
-    if not sessions:
+def _done(store: Store, record: _Record, options: ReplayOptions, context: Context) -> dict[str, _Done]:
+    """Return the executions of earlier calls that count, by run: those that this replay would repeat."""
+    if not (options.earlier or options.variation.finished):
         return {}
     rows = store.select(
         _Done,
         DONE,
-        sessions=sorted(sessions),
+        sessions=sorted(options.earlier),
+        executions=sorted(options.variation.finished),
         runs=[one.run for one in record.runs],
         programs=context.programs,
         environment=context.environment,
@@ -546,7 +550,6 @@ def _keep(
     engine: Engine,
 ) -> None:
     """Record the replay and its verdicts."""
-    writer = store.writer(session.paths.segment, record.of.batch)
     lamport = stamp(session.number, session.id)
     row = ReplayRow(
         replay=answer.id,
@@ -566,8 +569,13 @@ def _keep(
     )
     verdicts = (row for run in answer.runs for row in verdict_rows(answer.id, run))
     metrics = (row for one in answer.experiments for row in metric_rows(answer.id, one))
-    for rows in options.variation.records(answer, ([row], verdicts, metrics), store, lamport):
+    own = options.variation.records(answer, ([row], verdicts, metrics), store, lamport)
+    _publish(store, session, record.of.batch, [*own, [around], now.rows()])
+
+
+def _publish(store: Store, session: Session, batch: str, records: Iterable[Iterable[NamedTuple]]) -> None:
+    """Write records of a session, by table."""
+    writer = store.writer(session.paths.segment, batch)
+    for rows in records:
         writer.records(rows)
-    writer.records([around])
-    writer.records(now.rows())
     store.publish(writer)

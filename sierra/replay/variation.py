@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 from sierra.config.project_file import Project
@@ -21,6 +21,8 @@ class Variation:
     """A replay that executes runs as they were recorded."""
 
     purpose = Purpose.REPLAY
+    finished: Collection[str] = ()
+    """Executions that count if programs, machine and isolation are the same, beside those of earlier replays."""
 
     @property
     def is_replay(self) -> bool:
@@ -42,6 +44,11 @@ class Variation:
     def compared(self, outputs: Mapping[str | None, Agreement]) -> Mapping[str | None, Agreement]:
         """Return the outputs, by path, whose agreement with the record counts."""
         return outputs
+
+    def records_before(self, executions: Mapping[str, str], batch: str) -> Iterable[NamedTuple]:
+        """Return records that are written before anything executes; `executions` are by run."""
+        del executions, batch
+        return ()
 
     def records(
         self, answer: Replay, as_replay: Iterable[Iterable[NamedTuple]], store: Store, lamport: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import NamedTuple
 
 from sierra.store.row_types import CaptureRow
 from sierra.store.store import Snapshot, Store
@@ -16,9 +17,31 @@ QUALIFY row_number() OVER (PARTITION BY w.judgement ORDER BY c.lamport DESC) = 1
 """
 
 
-def of_session(store: Store, session: str) -> list[CaptureRow]:
-    """Return the captures that a session made, in the order of the runs."""
-    return store.select(CaptureRow, "SELECT * FROM captures WHERE session = $s ORDER BY lamport", s=session)
+CUT_OFF = """
+SELECT g.execution, e.session, g.run, g.rendering FROM renderings g JOIN executions e USING (execution)
+WHERE list_contains($r, g.run) AND e.status = 'ok' AND g.execution NOT IN (SELECT execution FROM captures)
+"""
+
+
+class CutOff(NamedTuple):
+    """A successful execution for capture that was never compared with the measured one."""
+
+    execution: str
+    session: str
+    run: str
+    rendering: str
+
+
+def cut_off(store: Store, runs: Collection[str]) -> list[CutOff]:
+    """Return the executions of these runs whose capture ended before they were compared, or has not ended."""
+    return store.select(CutOff, CUT_OFF, r=sorted(runs)) if runs else []
+
+
+def of_executions(store: Store, executions: Collection[str]) -> list[CaptureRow]:
+    """Return the captures of these executions, in the order of the runs."""
+    return store.select(
+        CaptureRow, "SELECT * FROM captures WHERE list_contains($e, execution) ORDER BY lamport", e=list(executions)
+    )
 
 
 def newest(snapshot: Snapshot, judgements: Collection[str]) -> Mapping[str, CaptureRow]:

@@ -434,6 +434,15 @@ class CaptureRow(NamedTuple):
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
 
 
+class RenderingRow(NamedTuple):
+    """Renderings of executions for capture, recorded before they begin: a finished one counts though its capture was killed."""
+
+    execution: Annotated[str, "the execution; it is not in executions if it has not finished"]
+    batch: Annotated[str, "the batch for which it is executed"]
+    run: Annotated[str, "the run"]
+    rendering: Annotated[str, "hash of its rendering, as in captures"]
+
+
 class EquivalenceRow(NamedTuple):
     """Metrics of nondeterministic experiments that a replay compared over all runs, by two one-sided tests (TOST)."""
 
@@ -799,6 +808,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "verdicts": VerdictRow,
     "equivalences": EquivalenceRow,
     "captures": CaptureRow,
+    "renderings": RenderingRow,
     "environments": EnvironmentRow,
     "sources": SourceRow,
     "blobs": BlobRow,

@@ -143,6 +143,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         "equivalent reason"
     ),
     "captures": _rules("execution session batch run recorded rendering files frames ticks_per_second verdict reason lamport"),
+    "renderings": _rules("execution batch run rendering"),
     "environments": _rules(
         "os kernel machine cpu cpu_flags cores memory gpus libc limits python sierra distributions lock packages",
         environment=Rule.ROW,

@@ -26,10 +26,11 @@ frames = Path(sys.argv[2]) if len(sys.argv) > 2 else None
 drift = float(os.environ.get("DRIFT", 0))
 if frames:
     frames.mkdir()
-if "WAITS" in os.environ:
-    Path("waiting").touch()
+if "WAITS" in os.environ and count == 2:
     import time
-    time.sleep(60)
+    Path(os.environ["WAITS"] + ".seen").touch()
+    while os.path.exists(os.environ["WAITS"]):
+        time.sleep(0.05)
 with open("swarm.csv", "w") as file:
     print("tick,x", file=file)
     for tick in range(3):
@@ -102,6 +103,12 @@ def test_frames_are_recorded_and_nothing_counts_their_executions(root: Path) -> 
         {"purpose": "capture", "n": 2},
         {"purpose": "run", "n": 4},
     ]
+    shown = json.loads(projects.quick(root, "show", "--json", answer["batch"]).stdout)["captures"]
+    assert [(row["ordinal"], row["number"], row["frames"], row["verdict"]) for row in shown] == [
+        (0, 0, 3, "identical"),
+        (1, 0, 3, "identical"),
+    ]
+    assert "captures:" in projects.quick(root, "show", answer["batch"]).stdout
     frame = projects.quick(root, "files", answer["made"][1]["execution"], "output/frames/20.ppm")
     assert frame.stdout.encode("latin-1", "replace").startswith(b"P6 2 2 255\n\x02")
     again, _ = projects.run(root, "population_size=1,2")
@@ -211,9 +218,15 @@ def test_captures_are_removed_with_the_measured_executions(root: Path) -> None:
 
 @pytest.mark.integration
 def test_runs_of_one_experiment_or_one_id_are_captured_with_the_recorded_code(root: Path) -> None:
-    """The limit of time in [limits] is for measured runs, and the code is that of then."""
+    """The code is that of then; the limits are those of now, and those in [capture] come before those in [limits]."""
     (root / "sim.py").write_text("raise SystemExit('the code has changed')\n")
-    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("wall = 30", "wall = 0.001"))
+    config = (root / "sierra.toml").read_text().replace("wall = 30", 'wall = 0.001, output = "1 B"')
+    (root / "sierra.toml").write_text(config)
+    _, answer = captured(root)
+    assert [row["reason"].partition(": ")[2] for row in answer["made"]] == ["[capture] wall sets another limit"] * 2
+    (root / "sierra.toml").write_text(config + "wall = 30\n")
+    assert captured(root)[1]["made"][0]["reason"].endswith(": [capture] output sets another limit")
+    (root / "sierra.toml").write_text(config + 'wall = 30\noutput = "1 MB"\n')
     project = sierra.open(root)
     [run] = table(project, "SELECT run FROM batch_runs WHERE ordinal = 1 AND number = 1")
     answer = project.capture(run["run"])
@@ -223,17 +236,26 @@ def test_runs_of_one_experiment_or_one_id_are_captured_with_the_recorded_code(ro
 
 
 @pytest.mark.integration
-def test_a_killed_capture_records_no_frames_and_can_be_repeated(root: Path) -> None:
-    configured(root, CAPTURE + 'environment = { WAITS = "1" }\n')
-    with projects.start(root, "capture") as process:
-        until(lambda: any((root / ".sierra").rglob("waiting")))
-        os.kill(process.pid, signal.SIGKILL)
-    configured(root, CAPTURE)
-    status, answer = captured(root)
-    assert (status, len(answer["made"])) == (0, 2)
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_capture_that_was_cut_off_continues_with_what_is_missing(root: Path, tmp_path: Path, number: signal.Signals) -> None:
+    """The first run has finished, the second one has not, when the capture ends."""
+    configured(root, f"{CAPTURE}environment = {{ WAITS = '{tmp_path}/waits' }}\n")
+    (tmp_path / "waits").touch()
     project = sierra.open(root)
-    assert {row["session"] for row in table(project, "SELECT session FROM captures")} == {answer["made"][0]["session"]}
+    with projects.start(root, "capture", "-j1") as process:
+        until((tmp_path / "waits.seen").exists)
+        os.kill(process.pid, number)
+        assert process.wait(30) == (130 if number is signal.SIGINT else -9)
+    assert table(project, "SELECT * FROM captures") == []
+    (tmp_path / "waits").unlink()
+    status, answer = captured(root)
+    assert (status, [row["verdict"] for row in answer["made"]]) == (0, ["identical"] * 2)
+    assert len({row["session"] for row in answer["made"]}) == 2
+    good = "SELECT count(*) AS n FROM executions WHERE purpose = 'capture' AND status = 'ok'"
+    assert table(project, good) == [{"n": 2}]
+    assert captured(root)[1]["known"] == 2
     assert projects.quick(root, "fsck").returncode == 0
+    assert [path for path in (root / ".sierra/work").iterdir() if path.is_dir()] == []
 
 
 @pytest.mark.integration
