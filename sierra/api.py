@@ -990,7 +990,7 @@ class Project:
         """
         from sierra.maintenance import gc
 
-        return gc.plan(self.store, damaged=damaged, raw=raw)
+        return gc.plan(self.store, self.root, damaged=damaged, raw=raw)
 
     def collect(
         self,
@@ -1009,7 +1009,7 @@ class Project:
         """
         from sierra.maintenance import gc
 
-        return gc.collect(self.store, damaged=damaged, raw=raw, agree=agree)
+        return gc.collect(self.store, self.root, damaged=damaged, raw=raw, agree=agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """Return a list of the recorded files of an id; with `to`, write them to that folder and return the outcomes.

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
-from sierra.store import deliverable_records
+from sierra.store import deliverable_records, unfinished_files
 from sierra.store.deliverable_records import Source
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_types import DeliverableRow
@@ -105,11 +105,16 @@ class Recorder:
 
 
 def marked_folder(mark: Path, content: str) -> Path:
-    """Return the folder of a mark file, which is made unless it exists: with it, the folder does not count as source."""
+    """Return the folder of a mark file, which is made unless it exists: with it, the folder does not count as source.
+
+    Unfinished files that killed processes left there are removed.
+    """
     if not mark.exists():
         with disk_errors(mark.parent):
             mark.parent.mkdir(parents=True, exist_ok=True)
             write_whole(mark, f"{content}\n".encode())
+    for path in unfinished_files.unfinished_in(mark.parent):
+        unfinished_files.remove(path)
     return mark.parent
 
 

@@ -1,8 +1,9 @@
 """`gc`: remove data that nothing needs, and merge small segments of a batch into one.
 
-It removes folders of sessions that died (their finished executions are recorded first), unfinished files, replaced segments,
-and recorded files that no record refers to. It leaves git's `refs/sierra/` alone: other projects and stores may share the
-repository, and no store knows all of them. It removes segments that a repair put aside only on request.
+It removes folders of sessions that died (their finished executions are recorded first), unfinished files (also those of
+figures, videos and reports), replaced segments, and recorded files that no record refers to. It leaves git's `refs/sierra/`
+alone: other projects and stores may share the repository, and no store knows all of them. It removes segments that a repair
+put aside only on request.
 
 On request only, it also removes the bytes of files that became tables; their rows stay. Bytes stay if they are also the bytes
 of an input, of a file that did not become a table, or of a source.
@@ -22,12 +23,13 @@ from sierra.containers.images.image_contents import unfinished
 from sierra.execution import recover, sessions
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
-from sierra.store import session_log_file
+from sierra.store import session_log_file, unfinished_files
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
+from sierra.util import scratch
 from sierra.util.chunking import by_weight
 from sierra.worker import worker
 
@@ -85,7 +87,7 @@ class _Plan:
         return len(self.drop.get("objects", {}).get("sha256", ()))
 
 
-def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collection:
+def plan(store: Store, project: Path | None = None, *, damaged: bool = False, raw: bool = False) -> Collection:
     """Return the data that `collect` would remove and merge."""
     paths = store.paths
     made = _plan(store, raw=raw)
@@ -97,7 +99,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
     aside = len(put_aside(paths)) if damaged else 0
     return Collection(
         len(dead),
-        len(list(_unfinished(paths))),
+        len(list(_unfinished(paths, project))),
         unused,
         made.objects,
         made.bytes,
@@ -110,18 +112,24 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
 
 
 def collect(
-    store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+    store: Store,
+    project: Path | None = None,
+    *,
+    damaged: bool = False,
+    raw: bool = False,
+    agree: Callable[[Collection], bool] = lambda collection: True,
 ) -> Collection | None:
     """Remove data that nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
+    `project` is the folder whose figures, videos and reports are looked at for unfinished files; None for none.
     Raises Missing if the disk is full, SierraError if another session has just begun; nothing is lost in either case.
     """
-    first = plan(store, damaged=damaged, raw=raw)
+    first = plan(store, project, damaged=damaged, raw=raw)
     if not first.nothing and not agree(first):
         return None
     paths = store.paths
     recovered = recover.finish_dead(store)
-    for path in list(_unfinished(paths)):
+    for path in list(_unfinished(paths, project)):
         worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
     for path in put_aside(paths) if damaged else ():
         worker.remove(str(path))
@@ -161,8 +169,11 @@ def _logs(store: Store) -> list[Path]:
     return [path for path in found if path.stem not in known]
 
 
-def _unfinished(paths: StorePaths) -> Iterator[Path]:
-    """Yield temporary files, and images that were still being read, of processes that no longer exist."""
+def _unfinished(paths: StorePaths, project: Path | None) -> Iterator[Path]:
+    """Yield temporary files and folders, and images that were still being read, of processes that no longer exist."""
+    if project is not None:
+        yield from unfinished_files.unfinished(project)
+    yield from filter(scratch.is_abandoned, paths.extracted.glob("*"))
     own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
     for path in (*own, *unfinished(paths)):
         if worker.birth(int(path.name.rpartition(".")[2])) is None:

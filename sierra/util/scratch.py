@@ -41,7 +41,20 @@ def remove_abandoned(parent: Path, prefix: str) -> None:
     """Remove the folders of this prefix that killed processes left in `parent`."""
     for folder in parent.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):  # it has no mark, its process lives, or another user has made it
-            _remove(folder)
+            remove(folder)
+
+
+def is_abandoned(folder: Path) -> bool:
+    """Return whether a path is a temporary folder of a killed process on this host."""
+    with contextlib.suppress(OSError), _held(folder):
+        return True
+    return False
+
+
+def remove(folder: Path) -> None:
+    """Remove a temporary folder of a killed process. Raises OSError if it has no mark, or its process lives."""
+    with _held(folder):
+        _clear(folder)
 
 
 def _mark(folder: Path) -> int:
@@ -55,14 +68,17 @@ def _mark(folder: Path) -> int:
     return held
 
 
-def _remove(folder: Path) -> None:
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold the lock on a folder of a killed process. Raises OSError if it is no such folder."""
     if folder.is_symlink():
-        return
+        raise NotADirectoryError(folder)
     held = os.open(folder / MARK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        if os.read(held, len(_host()) + 1) == _host():
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _clear(folder)
+        if os.read(held, len(_host()) + 1) != _host():
+            raise PermissionError(folder)
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
     finally:
         os.close(held)
 
