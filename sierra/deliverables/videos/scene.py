@@ -113,7 +113,7 @@ class Scene:
         self._lines = Box(math.floor((height - below) * DPI), math.ceil((height - below + LINE) * DPI), 0, round(width * DPI))
         rect = (0.0, below / height, 1.0, 1 - (below + above) / height)
         try:
-            ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
+            ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04, hspace=0.02, wspace=0.02, rect=rect, compress=True).execute(figure)
         except UserWarning as error:  # an error within `settings`
             raise UsageError(_no_room(len(self.plots), (round(width * DPI), round(height * DPI)))) from error
 
