@@ -199,7 +199,7 @@ def find(store: Store, root: Path, file: Path, again: Callable[[DeliverableRow],
     """Return the record of a file, which is found by its content. Raises NotFound, or SierraError if it was changed."""
     with disk_errors(file):
         data = file.read_bytes()
-    rows = store.select(DeliverableRow, FIND, sha256=sha256(data))
+    rows = deliverable_records.rows(store, FIND, sha256=sha256(data))
     if rows:
         return ShownDeliverable(rows[0], _problem(rows[0], root, again))
     said = ORIGIN.search(data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from sierra.errors import Damaged
 from sierra.store.row_mapper import R
 from sierra.store.row_types import DeliverableRow
 from sierra.util.hashing import digest
@@ -30,14 +31,24 @@ class Source(Protocol):
         """Return the rows of one statement as instances of a row class."""
 
 
+def rows(store: Source, text: str, **parameters: object) -> list[DeliverableRow]:
+    """Return the records that a statement selects. Raises Damaged for one whose files and hashes do not belong together."""
+    found = store.select(DeliverableRow, text, **parameters)
+    for row in found:
+        if len(row.files) != len(row.sha256s):
+            raise Damaged(f"the record of {row.name!r} has {len(row.files)} files, but {len(row.sha256s)} hashes of files")
+    return found
+
+
 def latest(store: Source, batch: str) -> list[DeliverableRow]:
     """Return the last record of each file of a batch's deliverables, sorted by kind and name, from the last one on.
 
     A deliverable can have several records if it was made in several formats. Each has only the files that no later one has.
+    Raises Damaged, as `rows` does.
     """
     taken: set[str] = set()
     found = []
-    for row in store.select(DeliverableRow, f"SELECT * {LATEST}", b=batch):
+    for row in rows(store, f"SELECT * {LATEST}", b=batch):
         own = [(file, sha256) for file, sha256 in zip(row.files, row.sha256s, strict=True) if file not in taken]
         taken.update(row.files)
         if own:

@@ -38,13 +38,15 @@ EMPTY = r'|"NULL"|"NULL"\[\]'
 def typed(kind: type[R], answer: Answer) -> list[R]:
     """Return the rows of a result as instances of `kind`.
 
-    Raises TypeError if the statement has other columns, and Damaged for a NULL that `kind` does not allow.
+    Raises TypeError if the statement has other columns, and Damaged for a NULL that `kind` does not allow, also within a list.
     """
     fields = _fields(kind)
     check_columns(kind.__name__, fields, answer)
     rows = answer.rows()
     for place, (name, annotation) in enumerate(fields):
-        if not annotation.endswith(OPTIONAL) and None in map(itemgetter(place), rows):
+        column = list(map(itemgetter(place), rows))
+        lacks = not annotation.endswith(OPTIONAL) and None in column
+        if lacks or (annotation.startswith("list[") and any(one is not None and None in one for one in column)):
             raise Damaged(f"the store cannot be read: a record has no {name!r}; sierra fsck checks the store")
     return list(map(kind._make, rows))
 

@@ -21,6 +21,10 @@ class Row(NamedTuple):
     sha256: str | None
 
 
+class Words(NamedTuple):
+    words: list[str]
+
+
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store.create(tmp_path / "store")
@@ -55,6 +59,8 @@ def test_a_null_is_refused_unless_the_class_allows_it(store: Store) -> None:
         store.select(Row, "SELECT NULL AS blob, sha256 FROM blobs LIMIT 1")
     with pytest.raises(Damaged, match="a record has no 'blob'"):
         store.values(str, "SELECT NULL::VARCHAR AS blob")
+    with pytest.raises(Damaged, match="a record has no 'words'"):
+        store.select(Words, "SELECT ['a', NULL] AS words")
 
 
 def test_a_statement_that_does_not_fit_its_class_is_refused(store: Store) -> None:
