@@ -109,7 +109,8 @@ class Answers:
 
     def batch(self, batch: str) -> JsonView:
         """Return a batch with its variables, its videos, and its figures: those that are declared, or else the default ones."""
-        project = self._project()
+        source = self._source()
+        project = source.project
         with self._frame(batch) as frame:
             gallery = Gallery(project, self._store, frame)
             figures, notes = gallery.wanted(None)
@@ -118,7 +119,7 @@ class Answers:
                 "variables": [axis.name for axis in frame.axes()],
                 "figures": {name: _keys(figure) for name, figure in figures.items()},
                 "notes": [*notes, *gallery.notes],
-                "videos": recorded_files.videos(self._store, project.root, frame.batch, self.tickets),
+                "videos": recorded_files.videos(source, self._store, frame.batch, self.tickets),
             }
 
     def _facts(self, batch: str) -> dict[str, JsonView]:

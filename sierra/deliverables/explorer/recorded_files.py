@@ -2,38 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path, PurePosixPath
 
-from sierra.deliverables.explorer.tickets import Made, Tickets
+from sierra.deliverables.explorer.tickets import Content, Made, Tickets
+from sierra.deliverables.report import films
+from sierra.deliverables.report.make import Source
+from sierra.errors import SierraError
 from sierra.store import deliverable_records
+from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
-from sierra.util.hashing import sha256_file
+from sierra.util.hashing import sha256, sha256_file
 from sierra.util.json_types import JsonView
 
 KIND = "video"
-TYPES = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
+AT_MOST = 100
+"""The largest number of videos of a batch that the page shows."""
+LARGEST = 64 << 20
+"""The largest size in bytes of a video of a package, which is read as a whole."""
+CHANGED = "the file is not there, or is not the recorded one"
+Find = Callable[[str, str], Content | None]
+"""A function that returns the content of a file by its name and its SHA-256 in records, if it is that file."""
 
 
-def videos(store: Store, root: Path, batch: str, tickets: Tickets) -> list[JsonView]:
+def videos(source: Source, store: Store, batch: str, tickets: Tickets) -> list[JsonView]:
     """Return the recorded videos of a batch: of each, the address of the first file that is as it was recorded, or why not."""
-    return [
-        {"name": row.name, **_video(root, dict(zip(row.files, row.sha256s, strict=True)), tickets)}
-        for row in deliverable_records.latest(store, batch)
-        if row.kind == KIND
-    ]
+    find = _in_project(source.project.root) if source.read is None else _in_package(source.read)
+    rows = [row for row in deliverable_records.latest(store, batch) if row.kind == KIND]
+    every = [(row, name, files) for row in rows for name, files in (films.by_name(row.files) or {row.name: ()}).items()]
+    shown: list[JsonView] = [_video(row, name, files, find, tickets) for row, name, files in every[:AT_MOST]]
+    more = len(every) - len(shown)
+    return [*shown, *([{"name": f"and {more:,} more", "problem": f"only the first {AT_MOST} are shown"}] if more else [])]
 
 
-def _video(root: Path, files: dict[str, str], tickets: Tickets) -> dict[str, JsonView]:
-    for name, path, kind in _known(root, files):
-        if sha256_file(path) == files[name]:
-            return {"file": name, "address": tickets.issue(Made(kind, path)), "picture": kind == "image/gif"}
-    return {"file": ", ".join(files), "problem": "the file is not there, or is not the recorded one"}
+def _video(row: DeliverableRow, name: str, files: Sequence[str], find: Find, tickets: Tickets) -> dict[str, JsonView]:
+    hashes = dict(zip(row.files, row.sha256s, strict=True))
+    for file in files:
+        if content := find(file, hashes[file]):
+            kind = films.FORMATS[PurePosixPath(file).suffix]
+            address = tickets.issue(Made(kind, content))
+            return {"name": films.captions(row)(name), "file": file, "address": address, "picture": kind == "image/gif"}
+    return {"name": name, "file": ", ".join(files or row.files), "problem": CHANGED}
 
 
-def _known(root: Path, files: dict[str, str]) -> Iterator[tuple[str, Path, str]]:
-    """Yield the name, the path and the media type of each file that is a video within the project."""
-    for name in files:
-        path, kind = (root / name).resolve(), TYPES.get(Path(name).suffix)
-        if kind and path.is_file() and path.is_relative_to(root.resolve()):
-            yield name, path, kind
+def _in_project(root: Path) -> Find:
+    """Return a function that finds files within a project's folder."""
+
+    def find(name: str, recorded: str) -> Content | None:
+        path = (root / name).resolve()
+        there = path.is_relative_to(root.resolve()) and path.is_file()
+        return path if there and sha256_file(path) == recorded else None
+
+    return find
+
+
+def _in_package(read: films.Read) -> Find:
+    """Return a function that finds files of a package, which are read again each time that a browser asks for a part."""
+
+    def find(name: str, recorded: str) -> Content | None:
+        with suppress(SierraError):
+            if (data := read(name, LARGEST)) is not None and sha256(data) == recorded:
+                return partial(_again, read, name)
+        return None
+
+    return find
+
+
+def _again(read: films.Read, name: str) -> bytes:
+    data = read(name, LARGEST)
+    if data is None:
+        raise FileNotFoundError(name)
+    return data

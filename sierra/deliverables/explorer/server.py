@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from io import SEEK_END, BytesIO
+from io import SEEK_END
 from typing import cast
 
 from sierra.config.field_types import RawTable, Table
@@ -192,7 +192,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_made(self, made: Made) -> None:
         """Send a page or a file, or the part of it that the browser wants."""
         try:
-            with BytesIO(made.content) if isinstance(made.content, bytes) else made.content.open("rb") as file:
+            with made.open() as file:
                 wanted = Range.of(self.headers.get("Range"), file.seek(0, SEEK_END))
                 file.seek(wanted.start)
                 self._begin(wanted.status, made.kind, wanted.length, wanted.headers)
@@ -200,8 +200,8 @@ class _Handler(BaseHTTPRequestHandler):
                     self.wfile.write(file.read(length))
         except BadRange as error:
             self._refuse(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, str(error))
-        except FileNotFoundError:
-            self._refuse(HTTPStatus.NOT_FOUND, "the file has been removed")
+        except (FileNotFoundError, SierraError):
+            self._refuse(HTTPStatus.NOT_FOUND, "the file has been removed, or was changed")
 
     def _answer(self, name: str, body: bytes) -> None:
         try:

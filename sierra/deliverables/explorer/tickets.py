@@ -7,21 +7,36 @@ from __future__ import annotations
 
 import secrets
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
-MOST = 64
+MOST = 256
 """The largest number of addresses that are valid at a time."""
 PREFIX = "/made/"
+Content = bytes | Path | Callable[[], bytes]
+"""What is in memory, in a file, or to be read each time that it is wanted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """A page in memory, or a file on the disk."""
+    """A page or a file."""
 
     kind: str
     """Its media type."""
-    content: bytes | Path
+    content: Content
+
+    def open(self) -> BinaryIO:
+        """Return the content as an open file. Raises FileNotFoundError if it has been removed, and the errors of reading."""
+        match self.content:
+            case Path():
+                return self.content.open("rb")
+            case bytes():
+                return BytesIO(self.content)
+            case _:
+                return BytesIO(self.content())
 
 
 class Tickets:

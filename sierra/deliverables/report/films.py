@@ -61,8 +61,8 @@ class Films:
     def players(self, row: DeliverableRow) -> Iterator[Markup]:
         """Yield an element for each film of a deliverable of which a file is small enough."""
         hashes = dict(zip(row.files, row.sha256s, strict=True))
-        caption = _captions(row)
-        for name, files in _films(row.files).items():
+        caption = captions(row)
+        for name, files in by_name(row.files).items():
             for file in files:
                 if (data := self._taken(file, hashes[file])) is not None:
                     yield _player(caption(name), FORMATS[PurePosixPath(file).suffix], data)
@@ -77,7 +77,7 @@ class Films:
         return data
 
 
-def _films(files: Sequence[str]) -> Mapping[str, Sequence[str]]:
+def by_name(files: Sequence[str]) -> Mapping[str, Sequence[str]]:
     """Return the playable files of each film, the preferred one first, by their name without ending."""
     found: dict[str, list[str]] = {}
     for suffix in FORMATS:
@@ -87,7 +87,7 @@ def _films(files: Sequence[str]) -> Mapping[str, Sequence[str]]:
     return dict(sorted(found.items()))
 
 
-def _captions(row: DeliverableRow) -> Callable[[str], str]:
+def captions(row: DeliverableRow) -> Callable[[str], str]:
     """Return a function that returns the caption of a film: its name, and the titles that its frames have.
 
     A stranger may have written the definition; then a caption is only the name.

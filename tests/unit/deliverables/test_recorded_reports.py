@@ -15,8 +15,10 @@ import pytest
 import sierra
 from sierra.deliverables.record import Content, Recorder
 from sierra.deliverables.report import films
+from sierra.packages.reading import received
 from tests import projects, stores
 from tests.support import filmed
+from tests.support.explorer_page import served
 
 pytestmark = pytest.mark.integration
 VIDEO = re.compile(rb'<(?:video|img) src="data:(video/\w+|image/gif);base64,([^"]*)"')
@@ -118,6 +120,14 @@ def test_a_package_has_a_report_and_the_videos(project: tuple[Path, str], tmp_pa
     assert projects.quick(tmp_path, "open", "one.zip", "video", "--to", "here").returncode == 0
     assert len([*(tmp_path / "here").rglob("heat*")]) == 2
     assert projects.quick(tmp_path, "open", "one.zip", "video", "other").returncode == 2
+    package = received.open_package(tmp_path / "one.zip")
+    film_bytes = next((tmp_path / "here").rglob("heat*.mp4")).read_bytes()
+    with served(sierra.open(package.project.root).explorer(package=package)) as page_:
+        [video] = page_.ask("batch", batch=batch)["videos"]
+        status, body, headers = page_.send("GET", video["address"], X_Sierra_Token="", Range="bytes=4-99")
+        assert (status, body, headers["Content-Type"]) == (206, film_bytes[4:100], "video/mp4")
+        (tmp_path / "one.zip").unlink()
+        assert page_.send("GET", video["address"])[0] == 404
 
 
 @pytest.mark.nightly

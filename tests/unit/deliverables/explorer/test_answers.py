@@ -138,12 +138,16 @@ def test_videos_are_played_in_parts_and_only_as_they_were_recorded(own: Path) ->
     film = own / "films" / "one.webm"
     film.parent.mkdir()
     film.write_bytes(bytes(range(256)) * 4)
+    other = film.with_name("two.gif")
+    other.write_bytes(b"GIF")
+    titles = {"video": {"title": "Both"}, "files": {"one": {"title": "noise = 1"}}}
     recorder = Recorder(project.store, own, batch)
-    recorder.add(Content("video", "one", (batch,), {}, "", "0" * 64, ()), (film,))
+    recorder.add(Content("video", "films", (batch,), titles, "", "0" * 64, ()), (other, film))
     recorder.close()
     with served(project.explorer()) as page:
-        [video] = page.ask("batch", batch=batch)["videos"]
-        assert (video["name"], video["file"]) == ("one", "films/one.webm")
+        video, moving = page.ask("batch", batch=batch)["videos"]
+        assert (video["name"], video["file"], video["picture"]) == ("one: Both, noise = 1", "films/one.webm", False)
+        assert (moving["name"], moving["picture"]) == ("two: Both", True)
         status, body, headers = page.send("GET", video["address"], X_Sierra_Token="", Range="bytes=254-257")
         assert (status, body, headers["Content-Range"]) == (206, b"\xfe\xff\x00\x01", "bytes 254-257/1024")
         assert headers["Content-Type"] == "video/webm"
@@ -229,6 +233,24 @@ def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
         before = page.ask("query", statement=limits, batch=batch)["rows"]
         page.ask("query", statement="SELECT count(*) FROM few", batch=batch)
         assert page.ask("query", statement=limits, batch=batch)["rows"] == before == [["1.8 GiB", "0 bytes"]]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"sha256s": []}, "the record of 'films' has 1 files, but 0 hashes of files"),
+        ({"sha256s": [None]}, "a record has no 'sha256s'"),
+    ],
+)
+def test_a_hostile_record_of_a_video_is_one_line(own: Path, change: dict[str, Any], said: str) -> None:
+    batch, project = ids(own)[0], sierra.open(own)
+    recorder = Recorder(project.store, own, batch)
+    row = recorder._row(Content("video", "films", (batch,), {}, "", "0" * 64, ()), ["one.mp4"], ["0" * 64])
+    recorder._new.append(row._replace(**change))
+    recorder.close()
+    with served(project.explorer()) as page:
+        assert said in page.error("batch", batch=batch)
+        assert said in page.error("report", batch=batch)
 
 
 def test_ten_thousand_batches_are_listed_in_parts(tmp_path: Path) -> None:
