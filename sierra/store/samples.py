@@ -131,10 +131,6 @@ class Frame:
         """Free the lock that protects the segments from removal. Whoever uses the frame afterwards must hold it."""
         self._snapshot.unlock()
 
-    def interrupt(self) -> None:
-        """End the statement that another thread executes for this frame; it raises an error there."""
-        self._snapshot.interrupt()
-
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
         taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"

@@ -76,6 +76,8 @@ class Store:
         self.rules = rules
         self.settings: tuple[str, ...] = ()
         """Statements that set up each snapshot's connection."""
+        self.opened: Callable[[Snapshot], None] = _ignored
+        """Called with each snapshot that is opened, by whoever may have to interrupt its statements."""
         self._beneath: Path | None = None
         """The folder of another store's segments, which are read too."""
         self._replays: tuple[str, ...] = ()
@@ -174,6 +176,7 @@ class Store:
                 rules=self.rules,
                 replays=self._replays,
             )
+            self.opened(made)
             made.set_up(self.settings)
             return made
         except BaseException:
@@ -267,6 +270,10 @@ class Store:
         return self.object(found[0]) if found else None
 
 
+def _ignored(_: Snapshot) -> None:
+    """Do nothing."""
+
+
 def check_free(root: Path) -> None:
     """Raise Missing if a folder has no store but holds files that are not part of a store."""
     paths = StorePaths(root)
@@ -343,8 +350,11 @@ class Snapshot:
             self._shared.close()
 
     def interrupt(self) -> None:
-        """End the statement that another thread executes on this snapshot; it raises SqlError there."""
-        self._opened.cursor.interrupt()
+        """End the statement that another thread executes on this snapshot, if there is one; it raises SqlError there."""
+        import duckdb
+
+        with contextlib.suppress(duckdb.ConnectionException):  # it has been closed
+            self._opened.cursor.interrupt()
 
     def sql(self, text: str, **parameters: object) -> pa.Table:
         """Return the result of one statement that only reads, as an Arrow table. Raises SqlError."""

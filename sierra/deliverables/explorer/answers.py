@@ -9,7 +9,8 @@ from __future__ import annotations
 import copy
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison, Figure
@@ -18,8 +19,9 @@ from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
 from sierra.deliverables.explorer import batch_list, declarations, recorded_files
 from sierra.deliverables.explorer.batch_list import BatchList
-from sierra.deliverables.explorer.kept import Interruptible, Kept
+from sierra.deliverables.explorer.kept import Kept
 from sierra.deliverables.explorer.limit import Limit
+from sierra.deliverables.explorer.opened import Opened
 from sierra.deliverables.explorer.tickets import Made, Tickets
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
@@ -58,7 +60,11 @@ class Answers:
     def __init__(self, source: Callable[[], Source], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
         """`source` reads the project again. With `writes`, charts may be written to `sierra.toml`. `wall`: time limit, in s."""
         self._source = source
-        self._store = copy.copy(store)
+        self._opened = Opened()
+        self._unlimited = copy.copy(store)
+        """The store without limits on memory, for reports."""
+        self._unlimited.opened = self._opened.add
+        self._store = copy.copy(self._unlimited)
         self._store.settings = (*store.settings, *SETTINGS)
         self._writes = writes
         self._wall = wall
@@ -170,10 +176,10 @@ class Answers:
             return
         with ExitStack() as opened:
             opened.enter_context(self._one)
+            opened.enter_context(self._limited())
             batches = [self._store.batch_id(one) for one in (batch, *others)]
             groups = together.labelled(project, self._store, batches)
             frames = {label: opened.enter_context(Frame(self._store, one)) for label, one in groups.items()}
-            opened.enter_context(self._limited(*[frame.interrupt for frame in frames.values()]))
             drawing = together.drawing(project, self._store, name, figure, frames)
             yield drawing, together.command("figures", groups, name)
 
@@ -183,7 +189,7 @@ class Answers:
 
         project = self._project()
         options(Comparison, dict(keys), "comparison")
-        with self._one:
+        with self._one, self._limited():
             groups = together.labelled(project, self._store, [self._store.batch_id(one) for one in batches])
             section = together.compared(project, self._store, name, groups, keys)
         declared = together.declared(groups, keys)
@@ -200,8 +206,8 @@ class Answers:
             before, address = self._reports
             if before == key and self.tickets.find(address):
                 return {"address": address, "notes": []}
-            with self._limited(wall=REPORT_WALL_S) as limit:
-                made = make.of_batches(source, [self._store.batch_id(batch)], lambda _: limit.check())
+            with self._limited(REPORT_WALL_S):
+                made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)])
             self._reports = key, self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
             return {"address": self._reports[1], "notes": list(made.notes)}
 
@@ -245,7 +251,7 @@ class Answers:
     def _snapshot(self, batch: str | None) -> Iterator[Snapshot]:
         with self._reading() as key:
             within = self._id(batch, key[0]) if batch else None
-            with self._snapshots.opened((*key, within), lambda: self._open(within), self._interrupted) as snapshot:
+            with self._snapshots.opened((*key, within), lambda: self._open(within), self._limited()) as snapshot:
                 yield snapshot
 
     def _open(self, within: str | None) -> Snapshot:
@@ -259,7 +265,7 @@ class Answers:
         """Yield the data of a batch. `sql`: the statement of a figure, which is added to the frame as a table."""
         with self._reading() as key:
             whole = self._id(batch, key[0])
-            with self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole), self._interrupted) as frame:
+            with self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole), self._limited()) as frame:
                 yield frame
 
     @contextmanager
@@ -277,13 +283,10 @@ class Answers:
         listed = self._batches.batches if self._batches and self._batches.state == state else ()
         return batch if any(one.batch == batch for one in listed) else self._store.batch_id(batch)
 
-    def _interrupted(self, opened: Interruptible) -> AbstractContextManager[Limit]:
-        return self._limited(opened.interrupt)
-
     @contextmanager
-    def _limited(self, *interrupts: Callable[[], None], wall: float | None = None) -> Iterator[Limit]:
-        """Call `interrupts` after the time limit, or at `stop`. Raises SierraError if this ended what is within."""
-        self._limit = limit = Limit(interrupts, wall or self._wall)
+    def _limited(self, wall: float | None = None) -> Iterator[Limit]:
+        """End what is within after the time limit, or at `stop`. Raises SierraError then."""
+        self._limit = limit = Limit(self._opened.interrupt, wall or self._wall)
         try:
             with limit:
                 yield limit

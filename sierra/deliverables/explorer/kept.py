@@ -13,17 +13,15 @@ from typing import Generic, Protocol, TypeVar
 from sierra.deliverables.explorer.limit import Limit
 
 
-class Interruptible(Protocol):
+class Open(Protocol):
     """A snapshot, or a frame that reads one."""
 
     def unlock(self) -> None: ...
 
-    def interrupt(self) -> None: ...
-
     def __exit__(self, kind: None, error: None, trace: None, /) -> None: ...
 
 
-T = TypeVar("T", bound=Interruptible)
+T = TypeVar("T", bound=Open)
 
 
 class Kept(Generic[T]):
@@ -34,25 +32,21 @@ class Kept(Generic[T]):
         self._opened: T | None = None
 
     @contextmanager
-    def opened(
-        self, key: object, opening: Callable[[], T], limited: Callable[[T], AbstractContextManager[Limit]]
-    ) -> Iterator[T]:
-        """Yield what is open for this key, or open it. The caller holds the lock of the segments.
+    def opened(self, key: object, opening: Callable[[], T], limit: AbstractContextManager[Limit]) -> Iterator[T]:
+        """Yield what is open for this key, or open it; `limit` is for what the caller does.
 
-        It is closed after an error, and after an interruption, which may come too late and then hit the next statement.
+        The caller holds the lock of the segments. What is open is closed after an error; an interruption is one, too.
         """
         if self._opened is None or self._key != key:
             self.close()
             self._opened, self._key = opening(), key
             self._opened.unlock()
         try:
-            with limited(self._opened) as limit:
+            with limit:
                 yield self._opened
         except BaseException:
             self.close()
             raise
-        if limit.reason:
-            self.close()
 
     def close(self) -> None:
         """Close what is open."""

@@ -196,7 +196,7 @@ def test_an_explorer_hinders_nobody_between_questions(page: Page, recorded: Path
     batch = ids(recorded)[0]
     page.ask("query", statement="SELECT avg(coverage) FROM swarm", batch=batch)
     page.ask("chart", batch=batch, name="mine", keys=SWARM)
-    with read_lock.alone(sierra.open(recorded).store.paths.reading, patience=0) as alone:
+    with read_lock.alone(sierra.open(recorded).store.paths.reading, patience=5) as alone:
         assert alone
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import socket
 import threading
+import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -180,14 +182,47 @@ def test_an_answer_that_takes_too_long_is_ended_and_the_next_one_comes(recorded:
         assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
 
 
-def test_an_answer_can_be_stopped(page: Page) -> None:
+def stopped(page: Page, question: str, **content: Any) -> str:
+    """Return the error of a question that is stopped again and again until it ends."""
     said: list[str] = []
-    asking = threading.Thread(target=lambda: said.append(page.error("query", statement=FOR_EVER)))
+    asking = threading.Thread(target=lambda: said.append(page.error(question, **content)))
     asking.start()
     while asking.is_alive():
         page.ask("stop")
         asking.join(0.05)
-    assert said == ["stopped"]
+    return "".join(said)
+
+
+def test_an_answer_can_be_stopped(page: Page) -> None:
+    assert stopped(page, "query", statement=FOR_EVER) == "stopped"
+
+
+@pytest.mark.parametrize("question", ["compare", "report", "chart"])
+def test_work_in_python_is_stopped_inside(
+    page: Page, recorded: Path, batch: str, monkeypatch: pytest.MonkeyPatch, question: str
+) -> None:
+    second = sierra.open(recorded).batches[1].batch
+    asked: dict[str, Any] = {
+        "compare": {"batches": [batch, second], "name": "x", "keys": {"table": "swarm", "column": "coverage"}},
+        "report": {"batch": batch},
+        "chart": {"batch": batch, "name": "x", "keys": SWARM},
+    }
+    for name in ("deliverables.comparison.compare", "deliverables.report.claims.find", "deliverables.figures.drawing.explored"):
+        monkeypatch.setattr(f"sierra.{name}", lambda *_, **__: [time.sleep(0.01) for _ in iter(int, 1)])
+    monkeypatch.setattr("sierra.deliverables.explorer.limit.PATIENCE_S", 0.05)
+    assert stopped(page, question, **asked[question]) == "stopped"
+    assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
+
+
+def test_a_statement_within_a_comparison_or_a_report_is_stopped(recorded: Path, batch: str, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
+    with (root / "sierra.toml").open("a") as file:
+        file.write(f'\n[tables.endless]\nsql = "SELECT run, ({FOR_EVER}) AS value FROM runs"\n')
+        file.write('[figures.endless]\ntable = "endless"\ncolumn = "value"\n')
+    second = sierra.open(root).batches[1].batch
+    with served(sierra.open(root).explorer()) as page:
+        compared = stopped(page, "compare", batches=[batch, second], name="x", keys={"table": "endless", "column": "value"})
+        assert (compared, stopped(page, "report", batch=batch)) == ("stopped", "stopped")
 
 
 @pytest.fixture(params=["sierra.toml", "pyproject.toml"])
