@@ -458,6 +458,8 @@ class Frame:
         self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
             self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, t, where)}")
+        except Damaged:
+            raise
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
@@ -614,13 +616,9 @@ class Frame:
         return self._snapshot.select(kind, text, **parameters)
 
     def sql(self, text: str, **parameters: object) -> pa.Table:
-        """Return the result of a statement on `samples`. Raises SqlError."""
-        import duckdb
-
-        try:
+        """Return the result of a statement on `samples`. Raises SqlError, Damaged."""
+        with self._snapshot.errors():
             return self._snapshot.connection.sql(text, params=parameters).to_arrow_table()
-        except duckdb.Error as error:
-            raise SqlError(explain(error)) from error
 
 
 THESE = """

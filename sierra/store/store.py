@@ -386,7 +386,7 @@ class Snapshot:
         """
         import duckdb
 
-        with self._errors():
+        with self.errors():
             read = self._only_reads(text)
             tables = tables_of(text)
             self.views.make(tables)
@@ -402,8 +402,11 @@ class Snapshot:
             return convert(Answer(answer, "; ".join(notes if tables is None else self.views.notes)))
 
     @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        """Raise DuckDB's errors as Damaged if they are about the store's files, else as SqlError for the statement."""
+    def errors(self) -> Iterator[None]:
+        """Raise DuckDB's errors as Damaged if they are about the store's files, else as SqlError for the statement.
+
+        DuckDB's errors about statements have classes of their own. Some about damaged files have none, and name no file.
+        """
         import duckdb
 
         try:
@@ -411,6 +414,8 @@ class Snapshot:
         except duckdb.Error as error:
             if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
                 raise Damaged(f"the store cannot be read: {explain(error)}") from error
+            if type(error) is duckdb.Error:
+                raise Damaged(f"the store cannot be read: {explain(error)}; sierra fsck names damaged files") from error
             raise SqlError(explain(error)) from error
 
     def _answer(self, text: str, parameters: Mapping[str, object]) -> duckdb.DuckDBPyRelation | None:
@@ -437,7 +442,7 @@ class Snapshot:
 
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
-        with self._errors():
+        with self.errors():
             self._reading = rows = Rows(self.connection.execute(statement, parameters))
             yield from rows
 
@@ -469,5 +474,5 @@ class Snapshot:
     def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
         self._opened.note(statement)
-        with self._errors():
+        with self.errors():
             return self.connection.execute(statement, parameters or {}).fetchall()

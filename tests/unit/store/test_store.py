@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import pytest
 
 import sierra
@@ -268,6 +269,12 @@ def test_a_damaged_segment_is_reported_with_its_file(project: Project) -> None:
     for ask in (lambda: run(project, "n=1"), lambda: project.batches, lambda: project.sql("SELECT * FROM runs")):
         with pytest.raises(Damaged, match=r"(executions|sessions)\.parquet"):
             ask()
+
+
+def test_an_error_without_a_class_is_about_damaged_files(project: Project) -> None:
+    stores.ask(project.root, "n=1")
+    with project.store.snapshot() as snapshot, pytest.raises(Damaged, match="Out of buffer; sierra fsck"), snapshot.errors():
+        raise duckdb.Error("Out of buffer")  # as it says for a damaged page of a Parquet file
 
 
 @pytest.mark.nightly
