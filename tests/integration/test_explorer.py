@@ -15,10 +15,10 @@ import sierra
 from tests import projects, stores
 from tests.browser import Browser
 from tests.integration.test_report_in_browser import CONTRAST
-from tests.support import many_batches
+from tests.support import filmed, many_batches
 
 pytestmark = pytest.mark.real
-PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
+FILM = "heat_experiment0: <script>alert(1)</script>, population size = 1, run 0"
 DRAWN = "document.querySelector('#drawn canvas') !== null || document.getElementById('chart-error').textContent"
 TEXT = "document.getElementById({!r}).innerText"
 
@@ -183,8 +183,7 @@ def test_a_page_without_the_token_shows_nothing_of_the_store(browser: Browser, r
 
 
 def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path) -> None:
-    root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
-    batch = stores.ask(root, "population_size=1,2", runs=2)
+    root, batch = filmed.make(tmp_path / "project")
     sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
     before = (tmp_path / "one.zip").read_bytes()
     refused = projects.quick(tmp_path, "open", "one.zip", "explore", "--write")
@@ -193,7 +192,12 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
         browser.open(url)
         until(browser, DRAWN)
         assert "population_size=1,2" in browser.run(TEXT.format("batch-title"))
-        assert "4" in answered(browser, "SELECT count(*) FROM runs")
+        assert "6" in answered(browser, "SELECT count(*) FROM runs")
+        video = "document.querySelector('#videos video')"
+        until(browser, f"{video} !== null")
+        browser.run(f"{video}.muted = true; {video}.play().then(() => new Promise(done => {{ {video}.ontimeupdate = done }}))")
+        assert browser.run(f"[{video}.videoWidth, {video}.error, {video}.ariaLabel]") == [200, None, f"Video {FILM}"]
+        assert browser.console == []
     assert (tmp_path / "one.zip").read_bytes() == before
 
 

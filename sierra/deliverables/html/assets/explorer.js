@@ -126,7 +126,7 @@
     of("figures").replaceChildren();
     if (!found) return;
     describe(found.facts, found.executing);
-    found.videos.forEach(showVideo);
+    showVideos(found.videos);
     page.variables = found.variables;
     fillChoices();
     for (const [name, keys] of Object.entries(found.figures))
@@ -145,11 +145,22 @@
     of("add").disabled = page.together.has(one.batch);
   }
 
-  function showVideo({ name, file, address, picture, problem }) {
-    const figure = make("figure", of("videos"));
+  function showVideos(found) {
+    if (!found.length) return;
+    const details = make("details", of("videos"));
+    make("summary", details, {}, `Videos (${found.length})`);
+    const shelf = make("div", details, { class: "films" });
+    details.addEventListener("toggle", () => {
+      if (details.open && !shelf.firstChild) for (const one of found) showVideo(shelf, one);
+    });
+    details.open = found.length <= 2;
+  }
+
+  function showVideo(shelf, { name, file, address, picture, problem }) {
+    const figure = make("figure", shelf);
     if (problem) return void make("p", figure, { class: "note", dir: "auto" }, `Video ${name}: ${problem}.`);
     if (picture) make("img", figure, { src: address, alt: `Video ${name}` });
-    else make("video", figure, { src: address, controls: "", preload: "metadata", "aria-label": `Video ${name}` });
+    else make("video", figure, { src: address, controls: "", loop: "", preload: "metadata", "aria-label": `Video ${name}` });
     make("figcaption", figure, { dir: "auto" }, `${name} (${file})`);
   }
 
