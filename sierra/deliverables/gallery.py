@@ -178,7 +178,11 @@ class Gallery:
         return {name: figure for name, figure in figures.items() if name in best}
 
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
-        """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""
+        """Return the default figures that fit each output; and notes on outputs and columns without one, and why.
+
+        Outputs that a declared video shows need no figure, and no note.
+        """
+        filmed = {video.table for video in self._config.videos.values()}
         found: dict[str, Figure] = {}
         problems = self.frame.problems
         notes = [f"no figure of table {name!r}: {error}" for name, error in problems.items() if not isinstance(error, NoRuns)]
@@ -190,11 +194,14 @@ class Gallery:
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
-            notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
-            notes += suggest_tables.notes(self.frame, output)
+            if output.name not in filmed:
+                notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
+                notes += suggest_tables.notes(self.frame, output)
             try:
                 self._coverage(output)
             except SierraError as error:
+                if output.name in filmed:
+                    continue
                 doubled = type(error) is UsageError and output.files < 2 and self._topics(output) < 2
                 hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")

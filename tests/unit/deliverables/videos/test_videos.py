@@ -230,6 +230,14 @@ def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
     assert "there is no [videos.god]" in projects.quick(root, "video", "god").stderr
 
 
+def test_only_tables_without_a_video_need_a_default_figure(root: Path) -> None:
+    write(root, '[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\n')
+    opened = sierra.open(root)
+    with Frame(opened.store, opened.batch()) as frame:
+        _, notes = Gallery(load(root), opened.store, frame).wanted(None)
+    assert ["'floor'" in " ".join(notes), "'poses'" in " ".join(notes)] == [False, True]
+
+
 POSES: dict[str, Any] = {"kind": "poses", "table": "poses", "column": ["x", "y", "heading"], "robot": "robot"}
 
 
