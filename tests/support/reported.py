@@ -9,10 +9,12 @@ from tests import projects
 ATTACK = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \"'&amp; \u202eevil\u202c שלום"
 """A text that a careless page would execute, or show in the wrong order."""
 ATTACK_IN_TOML = ATTACK.replace('"', '\\"')
+LINES_IN_TOML = rf"{ATTACK_IN_TOML}\n\r\n# a second\tline"
+"""The same with several lines, where a project may have them."""
 SIMULATOR = (
     projects.SIMULATOR
     + f"""
-print({ATTACK!r}, "line before the end", file=sys.stderr, sep="\\n")
+print({ATTACK!r}, "a\\rline", "line before the end", file=sys.stderr, sep="\\n")
 if count == 4 and seed % 2:
     print("the wheels came off", file=sys.stderr)
     sys.exit(3)
@@ -33,7 +35,7 @@ unit = "robots"
 
 [variables.noise]
 set = "//noise"
-label = "{ATTACK_IN_TOML}"
+label = "{LINES_IN_TOML}"
 
 [controllers.slow]
 changes = [{{ set = "//swarm/@controller", value = "slow" }}]
@@ -49,7 +51,7 @@ criteria = "population_size=1,2,4"
 [figures.over_time]
 kind = "timeseries"
 column = "coverage"
-title = "{ATTACK_IN_TOML}"
+title = "{LINES_IN_TOML}"
 
 [figures.at_the_end]
 kind = "summary"
@@ -66,7 +68,7 @@ column = "no_such_column"
 
 [paper_tables.coverage]
 column = "coverage"
-caption = "Coverage {ATTACK_IN_TOML}"
+caption = "Coverage {LINES_IN_TOML}"
 
 [comparisons.sizes]
 by = "population_size"

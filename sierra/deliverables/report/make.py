@@ -158,7 +158,7 @@ def _several(
     chapters = [Chapter(state, parts.sections) for state, parts in zip(states, every, strict=True)]
     first = [index.section(listed, ids), *filter(None, (of_claims, of_groups))]
     data = page.of_batches(title, first, chapters, found, source.received)
-    return _made(data, states, every, (*compared.notes, *(note for parts in every for note in parts.notes)))
+    return _made(data, states, every, (*compared.notes, *dict.fromkeys(note for parts in every for note in parts.notes)))
 
 
 def _made(data: bytes, states: Sequence[BatchState], every: Sequence[_Parts], notes: Sequence[str]) -> Report:

@@ -108,7 +108,7 @@ def standing(state: BatchState) -> Markup:
         text = f"{done}{failed}, {state.unexecuted:,} have no result. All numbers are of the others only."
         return _banner("partial", "Incomplete", text)
     if state.unsuccessful:
-        return _banner("partial", "Complete, with failures", f"{done}{failed}. Failed runs are in no number.")
+        return _banner("partial", "Complete, with failures", f"{done}{failed}. No number includes failed runs.")
     return _banner("complete", "Complete", f"{done}.")
 
 
@@ -119,7 +119,8 @@ def _banner(kind: str, word: str, text: str) -> Markup:
 def _tiles(states: Sequence[BatchState], claims: Claims) -> Markup:
     """Return the numbers of the report, large."""
     rows = [one.shown.row for one in states]
-    always = {"experiments": sum(one.experiments for one in rows), "runs": sum(one.runs for one in rows)}
+    sizes = {"experiment": sum(one.experiments for one in rows), "run": sum(one.runs for one in rows)}
+    always = {counted(number, noun).partition(" ")[2]: number for noun, number in sizes.items()}
     always["succeeded"] = sum(one.succeeded for one in states)
     perhaps = {"failed or cut off": sum(one.unsuccessful for one in states)}
     perhaps["not executed"] = sum(one.unexecuted for one in states)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.paper_tables import plain
 from sierra.deliverables.report.batch_state import BatchState
-from sierra.deliverables.report.parts import Section, auto, facts, table
+from sierra.deliverables.report.parts import Section, auto, facts, filled_table
 from sierra.model import Value
 from sierra.util.text import counted, few
 
@@ -78,7 +78,7 @@ def _variables(state: BatchState) -> Markup:
     for name, values in values_of(state).items():
         declared = config.variables.get(name)
         rows.append((name, declared.label if declared else "", declared.unit if declared else "", len(values), _listed(values)))
-    return table(("variable", "label", "unit", "number", "values"), rows, "What is varied", numbers=(3,))
+    return filled_table(("variable", "label", "unit", "number", "values"), rows, "What is varied", numbers=(3,))
 
 
 def _outputs(state: BatchState) -> Iterator[Markup]:
@@ -88,7 +88,7 @@ def _outputs(state: BatchState) -> Iterator[Markup]:
         units = [f"{column} [{unit}]" for column, unit in declared.units.items()]
         rows.append((name, declared.file, ", ".join(units)))
     if rows:
-        yield table(("table", "file of a run", "columns with a declared unit"), rows, "What is measured")
+        yield filled_table(("table", "file of a run", "columns with a declared unit"), rows, "What is measured")
 
 
 def _label(state: BatchState, kind: str, name: str | None) -> str | None:

@@ -173,6 +173,7 @@ def test_texts_of_others_are_only_text_in_a_report(page: tuple[Page, str, bytes]
     assert b"\xe2\x80\xae" not in data
     assert len(found.ids()) == len(set(found.ids()))
     assert "</script><script>alert(1)</script><img src=x onerror=alert(2)>" in found.text
+    assert found.text.count("# a second line") >= 2
 
 
 @pytest.mark.integration
