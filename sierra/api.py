@@ -674,8 +674,9 @@ class Project:
         identical
         """
         from sierra.replay import replay
+        from sierra.replay.options import ReplayOptions
 
-        options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
+        options = ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 

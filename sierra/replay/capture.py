@@ -21,6 +21,7 @@ from sierra.execution.observer import Observer
 from sierra.model import RunSpec, Status
 from sierra.replay import replay
 from sierra.replay.compare_values import Verdict, worst
+from sierra.replay.options import ReplayOptions
 from sierra.replay.rendered_runs import RenderedRuns, check_display
 from sierra.replay.verdicts import Compared, Replay
 from sierra.store import captures
@@ -92,7 +93,7 @@ def capture(
     if not rest:
         return Captures(batch, (), len(known))
     rendered.finished = _finished(store, rendered.identities, rest)
-    as_replay = replay.ReplayOptions(options.slots, None, options.runner, options.engine, only=rest, variation=rendered)
+    as_replay = ReplayOptions(options.slots, None, options.runner, options.engine, only=rest, variation=rendered)
     answer = replay.replay(project, store, prefix, as_replay, observer)
     made = captures.of_executions(store, [str(run.execution) for run in answer.runs])
     return Captures(batch, tuple(made), len(known), answer.notes, answer.interrupted)

@@ -15,6 +15,7 @@ from sierra.execution.reuse import states
 from sierra.execution.run_options import RunOptions
 from sierra.replay import replay
 from sierra.replay.compare_values import Verdict
+from sierra.replay.options import ReplayOptions
 from sierra.replay.verdicts import Compared
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -44,7 +45,7 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         return ()
     try:
         answer = replay.replay(
-            plan.project, store, run, replay.ReplayOptions(slots=1, runner=options.runner), _Progress(options.observer)
+            plan.project, store, run, ReplayOptions(slots=1, runner=options.runner), _Progress(options.observer)
         )
     except Missing as error:
         return (f"run {short(run)} could not be executed a second time: {error}",)

@@ -23,7 +23,8 @@ from sierra.packages.reading import received
 from sierra.packages.reproduction import budget, claims, confined_project, planned, report, workspace
 from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction, Statement
 from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
-from sierra.replay.replay import ReplayOptions, replay
+from sierra.replay.options import ReplayOptions
+from sierra.replay.replay import replay
 from sierra.store.layout import STORE
 from sierra.store.store import Store
 from sierra.util.hashing import short

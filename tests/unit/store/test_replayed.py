@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.replay.replay import ReplayOptions, replay
+from sierra.replay.options import ReplayOptions
+from sierra.replay.replay import replay
 from tests import projects
 
 CHANGING = (
