@@ -14,7 +14,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -247,7 +247,6 @@ def _on_the_way(connection: Any) -> list[Any]:
 
 def _check_host_keys(name: str, way: Address, connection: Any) -> None:
     """Load the known keys of a host, as OpenSSH does, and refuse all others."""
-    import paramiko
 
     files = [
         Path(file).expanduser()
@@ -255,13 +254,12 @@ def _check_host_keys(name: str, way: Address, connection: Any) -> None:
         for file in connection.ssh_config.get(key, default).split()
         if file.lower() != "none"
     ]
-    client, known = connection.client, paramiko.HostKeys()
-    for file in files:
-        if file.is_file():
-            known.load(str(file))
+    client, (known, revoked) = connection.client, _known_keys(file for file in files if file.is_file())
     alias = connection.ssh_config.get("hostkeyalias")
     address = connection.host if connection.port == 22 else f"[{connection.host}]:{connection.port}"
     for kind, key in (known.lookup(alias or address) or {}).items():
+        if key.get_base64() in revoked:
+            raise UntrustedHost(f"{name}: the host key of {address} is revoked in your known_hosts ({kind} {key.fingerprint})")
         client.get_host_keys().add(address, kind, key)
 
     class Refuse:
@@ -273,6 +271,25 @@ def _check_host_keys(name: str, way: Address, connection: Any) -> None:
             )
 
     client.set_missing_host_key_policy(Refuse())
+
+
+def _known_keys(files: Iterable[Path]) -> tuple[paramiko.HostKeys, set[str]]:
+    """Return the keys of hosts in some files, and those that are revoked, for whatever host.
+
+    paramiko itself takes marks (`@revoked`, `@cert-authority`) for names. It ends with an error at lines that OpenSSH ignores.
+    """
+    import paramiko
+
+    known, revoked = paramiko.HostKeys(), set[str]()
+    for line in (line.strip() for file in files for line in file.read_text(errors="replace").splitlines()):
+        if line.startswith("@revoked"):
+            revoked.update(line.split()[3:4])
+        elif line and not line.startswith(("#", "@")):
+            with contextlib.suppress(paramiko.SSHException, paramiko.hostkeys.InvalidHostKey):
+                entry = paramiko.hostkeys.HostKeyEntry.from_line(line)
+                for host in entry.hostnames or () if entry else ():
+                    known.add(host, entry.key.get_name(), entry.key)
+    return known, revoked
 
 
 def _limit_silence(sock: socket.socket, lost: float) -> None:
