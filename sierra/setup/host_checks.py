@@ -155,6 +155,8 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
         yield Check(f"{host.name}: key", "missing", *_split(host, error))
     except Missing as error:
         yield Check(f"{host.name}: connection", "missing", *_split(host, error))
+    except (ValueError, LookupError, TypeError):  # of an answer that is none
+        yield Check(f"{host.name}: python", "missing", f"{host.python} answers with something else than it was asked", INSTALL)
     finally:
         link.close()
 

@@ -129,12 +129,13 @@ class OtherHost:
         done = self._link.run((self._python, "-I", "-S", "-c", LOADER), stdin=request, timeout=timeout + SPARE_S)
         try:
             answer = json.loads(done.stdout)
-        except ValueError:
+            failed, value = answer.get("error"), answer.get("value")
+        except (ValueError, AttributeError):
             said = (done.stderr.decode(errors="replace").strip().splitlines() or [f"status {done.status}"])[-1]
             raise Missing(f"{self.name}: {self._python} cannot examine its containers: {said}") from None
-        if "error" in answer:
-            raise Missing(f"{self.name}: {answer['error']}")
-        return answer["value"]
+        if failed is not None:
+            raise Missing(f"{self.name}: {failed}")
+        return value
 
     def place(self, file: Path, sha256: str, kind: str, notice: Notice) -> Placed:
         """Copy a file to `root`/`kind`/SHA256 there, unless it is there. Return its path and state after a check of its hash.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from sierra.links.base import Ended
 from sierra.setup import host_checks
 from sierra.setup.host_checks import HostToCheck
 from tests.support.local_link import LocalLink
@@ -36,3 +37,12 @@ def test_values_that_mean_nothing_are_missing(
         with channel.process as process:  # it is awaited, and its pipes are closed
             process.kill()
     assert missing == [(f"tb1: {said[0]}", said[1])]
+
+
+@pytest.mark.parametrize("answer", [b"", b"hello\n", b"[]\n", b'{"python": "3"}\n'])
+def test_a_host_that_answers_something_else_is_missing(answer: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host_checks, "_hosts", lambda *_: [HostToCheck("tb1", "tb1")])
+    monkeypatch.setattr(type(host_checks.LINKS), "make", lambda *_: LocalLink("tb1", tmp_path / "home"))
+    monkeypatch.setattr(LocalLink, "run", lambda *_, **__: Ended(0, answer, b""))
+    found = host_checks.all_checks(["tb1"])
+    assert [one.state for one in found] == ["ok", "missing"]
