@@ -12,25 +12,29 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field
 
+from sierra.links import remote_folder
 from sierra.model import IN_PROJECT
+from sierra.runners.robots.agent_messages import Text
 from sierra.runners.robots.trial import Part
 from sierra.worker.worker import OBSERVED
 
 MOST_BYTES = 64 << 20
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Name = Annotated[str, AfterValidator(lambda name: remote_folder.text(remote_folder.raw(name)))]
+"""The name of a file, which may have bytes that are no text."""
 Use = Literal["executed", "read", "found", "missed", "listed", "linked", "link"]
 
 
 class _Observed(BaseModel):
     """The parts of a worker's record that count: see `sierra.worker.file_trace.as_record`."""
 
-    method: str
-    reason: str | None
-    notes: list[str]
-    distributions: list[str]
-    files: list[tuple[str, Use, Sha256 | None, int | None]]
+    method: Text
+    reason: Text | None
+    notes: list[Text]
+    distributions: list[Text]
+    files: list[tuple[Name, Use, Sha256 | None, Annotated[int, Field(ge=0, lt=1 << 63)] | None]]
 
 
 def merge(parts: Iterable[Part], folder: Path) -> bool:
@@ -58,9 +62,9 @@ def _read(part: Part) -> _Observed | None:
     if part.files is None or part.end is None or not part.end.get("observed"):
         return None
     path = part.files / OBSERVED
-    with contextlib.suppress(OSError, ValidationError):
+    with contextlib.suppress(OSError, ValueError, RecursionError):
         if not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
-            return _Observed.model_validate_json(path.read_bytes())
+            return _Observed.model_validate(json.loads(path.read_bytes()))  # pydantic's own JSON has no bytes that are no text
     return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import queue
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from sierra.config.output_tables import Success
+from sierra.ingest.observations import observed
 from sierra.ingest.success import judge
 from sierra.links.clock import Clock
 from sierra.model import Status
@@ -93,3 +95,20 @@ def test_outputs_that_are_missing_are_an_error_also_if_a_person_ends_the_run(tmp
     assert judge(result_of(end), {}, Success())[0] is Status.INTERRUPTED
     as_planned = result_of({**end, "stopped": None})
     assert judge(as_planned, {}, Success()) == (Status.FAILED, said)
+
+
+@pytest.mark.parametrize(("path", "known"), [("/usr/bin/a\udcff", True), ("/usr/bin/\ud800", False)])
+def test_a_record_of_used_files_counts_only_if_its_names_are_names_of_files(tmp_path: Path, path: str, known: bool):
+    trial = trial_of(tmp_path)
+    record = {"method": "maps", "reason": None, "notes": [], "distributions": [], "files": [[path, "executed", "0" * 64, 1]]}
+    for part in trial.parts:
+        assert part.end is not None
+        assert part.files is not None
+        part.end["observed"] = True
+        (part.files / worker.OBSERVED).write_text(json.dumps(record))
+    end = results.result(trial, JOB, tmp_path)
+    assert end.get("observed", False) == known
+    found = observed(result_of(end))
+    assert ([row.path for row in found.read] if found else []) == (
+        [f"{{robot {name}}}/usr/bin/a\\xff" for name in ("ada", "bob")] if known else []
+    )
