@@ -247,7 +247,6 @@ def _on_the_way(connection: Any) -> list[Any]:
 
 def _check_host_keys(name: str, way: Address, connection: Any) -> None:
     """Load the known keys of a host, as OpenSSH does, and refuse all others."""
-
     files = [
         Path(file).expanduser()
         for key, default in KNOWN_HOSTS.items()
