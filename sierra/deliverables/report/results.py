@@ -23,8 +23,10 @@ from sierra.deliverables.report.films import Films
 from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
 from sierra.errors import Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records
+from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.util.hashing import short
+from sierra.util.text import few
 
 WIDTH = re.compile(rb'<svg\b[^>]*? width="([0-9.]+)pt"')
 WIDE = 400.0
@@ -33,6 +35,14 @@ SERIES = 8
 """The largest number of series that the text of a picture describes."""
 REPORT = "report"
 """The kind of the records of reports, among deliverables."""
+LAST_RESULT = """
+SELECT coalesce(max(lamport), 0) FROM (
+    SELECT lamport FROM effective WHERE batch = $b
+    UNION ALL SELECT t.lamport FROM trials t JOIN executions e USING (execution)
+    WHERE t.valid IS NOT NULL AND e.run IN (SELECT run FROM batch_runs WHERE batch = $b)
+)
+"""
+"""The logical time of the last change of the results of a batch: an execution that counts, or a trial that was judged."""
 DRAWN = ("figure", comparison.KIND, declared_tables.KIND, REPORT)
 """Kinds of deliverables that the report does not list: it shows them, or is one."""
 
@@ -186,8 +196,16 @@ def other_section(state: BatchState, films: Films) -> Section | None:
     if not shown:
         text = f"These files are not in this page. {text}"
     listed = table(("name", "kind", "files", "SHA-256"), rows, "Videos and other files")
-    inner = (element("div", *shown, class_="figures") if shown else None, element("p", text), listed)
+    inner = (element("div", *shown, class_="figures") if shown else None, *_older(state, found), element("p", text), listed)
     return Section("videos", "Videos and other files", joined(inner))
+
+
+def _older(state: BatchState, found: Sequence[DeliverableRow]) -> Iterator[Markup]:
+    """Yield a note on deliverables whose records are older than a result of the batch. They are not made again for a page."""
+    last = next(iter(state.store.values(int, LAST_RESULT, b=state.id)), 0)
+    if older := list(dict.fromkeys(row.name for row in found if row.lamport < last)):
+        text = f"The records of these files are older than the last results of this batch: {few(older, SERIES)}."
+        yield note(f"{text} sierra figures --check tells whether they still show the results.")
 
 
 def _hashes(found: Sequence[str]) -> Markup:
