@@ -73,7 +73,6 @@ class Answers:
         self._limit: Limit | None = None
         self._snapshots, self._frames = Kept[Snapshot](), Kept[Frame]()
         self._batches: BatchList | None = None
-        self._reports: tuple[object, str] = (None, "")
         self.tickets = Tickets()
 
     def overview(self) -> JsonView:
@@ -201,15 +200,10 @@ class Answers:
         from sierra.deliverables.report import make, recorded
 
         source = self._source()
-        key = (batch, self.state(), declarations.hash_of(source.project.file))
-        with self._one:
-            before, address = self._reports
-            if before == key and self.tickets.find(address):
-                return {"address": address, "notes": []}
-            with self._limited(REPORT_WALL_S):
-                made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)])
-            self._reports = key, self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
-            return {"address": self._reports[1], "notes": list(made.notes)}
+        with self._one, self._limited(REPORT_WALL_S):
+            made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)])
+        address = self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
+        return {"address": address, "notes": list(made.notes)}
 
     def write(self, name: str, keys: Mapping[str, JsonView], file: str, kind: declarations.Kind = "figures") -> JsonView:
         """Append a figure or a comparison to `sierra.toml`, which must still have the hash `file`. Return the figures there."""
