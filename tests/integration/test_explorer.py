@@ -153,7 +153,7 @@ def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None
 
 
 def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_path: Path) -> None:
-    figure = '\n[figures.declared]\ntable = "swarm"\ncolumn = "coverage"\ncenter = "median"\ntitle = "Its own title"\n'
+    figure = '\n[figures.declared]\ncolumn = "coverage"\ncenter = "median"\ntitle = "Its own title"\n'
     root = projects.make(tmp_path / "project", projects.CONFIG + figure)
     stores.ask(root, "population_size=1,2", runs=2)
     with explored(root, "--write") as url:
@@ -168,7 +168,7 @@ def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_
         browser.run("document.getElementById('write').click()")
         until(browser, "document.getElementById('written').textContent.startsWith('Written.')")
         first, second = sierra.open(root).config.figures.values()
-        assert (second.title, second.center, second.log_y) == (first.title, "median", True)
+        assert (second.title, second.center, second.log_y, second.table) == (first.title, "median", True, "")
         sierra.open(root).run("population_size=3", runs=1, figures=False)
         until(browser, "document.querySelectorAll('#batches [role=option]').length == 2")
         until(browser, "document.getElementById('status').textContent.includes('new records')")

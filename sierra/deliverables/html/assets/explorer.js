@@ -7,7 +7,7 @@
   const of = (id) => document.getElementById(id);
   const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
   const FIELDS = ["x", "series", "facet", "where", "center", "band"];
-  const SUBJECT = ["table", "sql", "kind", "column", "log_y"];
+  const SUBJECT = ["sql", "kind", "column", "log_y"];
   const DEFAULTS = { center: "mean", band: "ci" };
   const EVERY = 5000;
   const PAUSE = 150;
@@ -290,7 +290,8 @@
 
   function keysOfForm() {
     const field = form();
-    const keys = { ...kept(), ...(field.table.value ? { table: field.table.value } : { sql: of("statement").value }) };
+    const from = field.table.value ? { table: field.table.value } : { sql: of("statement").value };
+    const keys = { ...kept(), ...(field.table.selectedIndex < 0 ? {} : from) };
     keys.kind = field.kind.value;
     const columns = field.column.value.split(",").map((one) => one.trim()).filter(Boolean);
     if (columns.length) keys.column = columns.length === 1 ? columns[0] : columns;
@@ -310,14 +311,15 @@
   function toForm(name, keys) {
     const field = form();
     field.name.value = name;
-    if (keys.table !== undefined) field.table.value = keys.table;
-    if (keys.sql !== undefined) { field.table.value = ""; of("statement").value = keys.sql; }
+    field.table.selectedIndex = -1;  // a declared figure need not name its table
+    if (keys.table) field.table.value = keys.table;
+    if (keys.sql) { field.table.value = ""; of("statement").value = keys.sql; }
     field.kind.value = keys.kind ?? "timeseries";
     field.column.value = [].concat(keys.column ?? []).join(", ");
     for (const key of FIELDS) field[key].value = keys[key] === DEFAULTS[key] ? "" : keys[key] ?? "";
     field.log_y.checked = keys.log_y === true;
     listColumns();
-    const shown = (key) => SUBJECT.includes(key) || (FIELDS.includes(key) && (field[key].value || DEFAULTS[key]) === keys[key]);
+    const shown = (key) => SUBJECT.includes(key) || (field[key] && (field[key].value || DEFAULTS[key]) === keys[key]);
     page.chosen = { subject: subject(), kept: Object.fromEntries(Object.entries(keys).filter(([key]) => !shown(key))) };
   }
 
