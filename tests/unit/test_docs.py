@@ -27,8 +27,8 @@ TUTORIAL = DOCS / "tutorial.md"
 PLUGINS = DOCS / "how-to" / "plugins.md"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md"))]
-EACH_TIME = {"README", "tutorial", "compare", "figures", "outputs", "packages", "plugins", "replay", "runs-on-robots", "sql"}
-"""Pages whose commands are executed for each change; those of the others are executed at night."""
+LONG = {"derived-tables", "number-of-runs", "packages", "plugins", "queries", "report", "supervised-trials", "targets"}
+"""Guides whose commands take long; they are executed at night, those of all other pages for each change."""
 FENCE = re.compile(r"(?ms)^```(?P<kind>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^```$")
 COMMENT = re.compile(r"<!-- (?P<key>not executed|not loaded|exit code): (?P<value>[^\n]+) -->\n\Z")
 SHELL = re.compile(r"[|<>&;$`*#\\]")
@@ -131,7 +131,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.each_case
 @pytest.mark.parametrize(
     "page",
-    [page if page.stem in EACH_TIME else pytest.param(page, marks=pytest.mark.nightly) for page in EXECUTED],
+    [pytest.param(page, marks=pytest.mark.nightly if page.stem in LONG else ()) for page in EXECUTED],
     ids=name_of,
 )
 def test_commands_of_a_page_print_the_shown_output(
