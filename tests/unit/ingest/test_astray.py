@@ -68,7 +68,7 @@ def test_a_run_that_writes_only_beside_its_input_or_into_its_home_has_failed(
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_what_the_note_says_keeps_the_file(made: Made) -> None:
     root = made('print("a,b\\n1,2", file=open(place + "/" + open(sys.argv[1]).read().split("<!--")[1].split()[0], "w"))')
     template = root / "arena.xml"
@@ -79,7 +79,7 @@ def test_what_the_note_says_keeps_the_file(made: Made) -> None:
     assert sql(root, "SELECT DISTINCT a, b FROM trips") == [{"a": 1, "b": 2}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_environment_with_another_home_keeps_the_file(made: Made) -> None:
     root = made(HOME)
     config = root / "sierra.toml"
@@ -112,23 +112,20 @@ def test_the_siblings_of_an_observed_run_that_wrote_elsewhere_have_failed_too(ma
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize(
-    "code",
-    [
-        "print(1)",
-        'open(os.environ["HOME"] + "/.settings", "w").write("x")',
-        'os.mkdir(os.environ["HOME"] + "/.cache")\nopen(os.environ["HOME"] + "/.cache/x", "w").write("x")',
-        'open(place + "/lock", "w")',
-        'open(os.environ["TMPDIR"] + "/x", "w").write("x")',
-        'os.makedirs(os.environ["HOME"] + "/Desktop/.x")',
-    ],
-)
-def test_settings_caches_locks_and_temporary_files_are_no_outputs(made: Made, code: str) -> None:
-    root = made(code)
+def test_settings_caches_locks_and_temporary_files_are_no_outputs(made: Made) -> None:
+    root = made(
+        """print(1)
+open(os.environ["HOME"] + "/.settings", "w").write("x")
+os.mkdir(os.environ["HOME"] + "/.cache")
+open(os.environ["HOME"] + "/.cache/x", "w").write("x")
+open(place + "/lock", "w")
+open(os.environ["TMPDIR"] + "/x", "w").write("x")
+os.makedirs(os.environ["HOME"] + "/Desktop/.x")"""
+    )
     assert run(root, 0)[1] == "note: 3 runs wrote no file; their programs said nothing on stderr\n"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_run_with_outputs_only_gets_a_note(made: Made) -> None:
     root = made(BESIDE + f"\n{BESIDE.replace('place + ', '').replace('/trips', 'table')}", 'observe = "none"')
     summary, said = run(root, 0)

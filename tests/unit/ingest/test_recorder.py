@@ -166,15 +166,6 @@ def test_large_whole_numbers_stay_exact_among_files_with_empty_columns(tmp_path:
     assert {row[0] for row in rows} == {None, 2**60 + 1}
 
 
-@pytest.mark.integration
-def test_header_longer_than_the_worker_reports_is_read_completely(tmp_path: Path) -> None:
-    names = [f"robot_{number}" for number in range(900)]
-    content = ",".join(names) + "\n" + ",".join(["1"] * 900) + "\n"
-    reading, rows = table(tmp_path, [content.encode()] * 2)
-    assert not reading.faults
-    assert rows == [(1,) * 900] * 2
-
-
 def test_line_of_three_megabytes_is_read(tmp_path: Path) -> None:
     reading, rows = table(tmp_path, [b"a\n" + b"x" * 3_000_000 + b"\n", b"a\ny\n"])
     assert not reading.faults
@@ -210,20 +201,38 @@ def test_undeclared_outputs_get_valid_sql_table_names(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_rows_of_several_files_of_a_run_have_their_file_name(make: Make) -> None:
-    toml = '[outputs.poses]\nfile = "p/*.csv"\n'
-    project = make("os.mkdir('p')\nfor i in range(3): write(f'x\\n{i}\\n', f'p/{i}.csv')", toml)
+def test_outputs_are_recorded_as_they_are_declared(make: Make) -> None:
+    first, other = seeds(2)
+    toml = """
+[outputs.poses]
+file = "p/*.csv"
+[outputs.more]
+file = "more.csv"
+required = false
+[outputs.ragged]
+file = "ragged.csv"
+mismatch = "ragged"
+"""
+    lines = f"""
+    os.mkdir("p")
+    for i in range(3): write(f"x\\n{{i}}\\n", f"p/{{i}}.csv")
+    if seed == {first}: write(good, "more.csv")
+    write(good if seed != {other} else good + "3,3.5\\n", "ragged.csv")
+    write(bytes(range(256)), "a.bin")
+    write("hello", "notes.txt")
+    """
+    project = make(lines, toml)
     assert not run(project, runs=2).failed
     rows = project.sql("SELECT number, file, x FROM poses ORDER BY number, x").to_pylist()
     assert rows == [{"number": n, "file": f"p/{i}.csv", "x": i} for n in range(2) for i in range(3)]
-
-
-@pytest.mark.integration
-def test_files_that_are_not_tables_are_stored_byte_for_byte(make: Make) -> None:
-    project = make("write(bytes(range(256)), 'a.bin'); write('hello', 'notes.txt')")
-    run(project, runs=1)
-    for row in project.sql("SELECT path, sha256 FROM artifacts WHERE kind = 'file'").to_pylist():
-        assert project.store.object(row["sha256"]) == {"a.bin": bytes(range(256)), "notes.txt": b"hello"}[row["path"]]
+    assert project.sql("SELECT DISTINCT number FROM more").to_pylist() == [{"number": 0}]
+    assert project.sql("SELECT number, count(*) AS n FROM ragged GROUP BY 1 ORDER BY 1").to_pylist() == [
+        {"number": 0, "n": 3},
+        {"number": 1, "n": 4},
+    ]
+    files = project.sql("SELECT DISTINCT path, sha256 FROM artifacts WHERE kind = 'file'").to_pylist()
+    contents = {row["path"]: project.store.object(row["sha256"]) for row in files}
+    assert contents == {"a.bin": bytes(range(256)), "notes.txt": b"hello"}
 
 
 @pytest.mark.integration
@@ -381,34 +390,7 @@ def test_faults_in_a_later_flush_are_detected(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_different_row_counts_are_kept_with_mismatch_ragged(make: Make) -> None:
-    project = make(
-        f"write(good if seed != {seeds(2)[1]} else good + '3,3.5\\n')", '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n'
-    )
-    assert not run(project).failed
-    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 13}]
-
-
-@pytest.mark.integration
-def test_optional_tables_may_be_absent(make: Make) -> None:
-    toml = '[outputs.more]\nfile = "more.csv"\nrequired = false\n'
-    project = make(f"write(good)\nif seed == {seeds(1)[0]}: write(good, 'more.csv')", toml)
-    assert not run(project).failed
-    assert project.sql("SELECT DISTINCT number FROM more").to_pylist() == [{"number": 0}]
-
-
-@pytest.mark.integration
-def test_mismatch_is_reported_in_failures_and_gives_exit_code_1(make: Make) -> None:
-    project = make(f"write(good if seed != {seeds(2)[1]} else good[:-5])")
-    done = projects.quick(project.root, "run", "n=1", "--no-figures", "--json")
-    assert done.returncode == 1, done.stderr
-    [failure] = json.loads(done.stdout)["failures"]
-    assert failure["status"] == "mismatch"
-    assert "out.csv: line 4" in failure["reason"]
-
-
-@pytest.mark.integration
-def test_several_faults_in_one_batch_are_reported_separately(make: Make) -> None:
+def test_several_faults_in_one_batch_are_reported_separately_with_exit_code_1(make: Make) -> None:
     bad = seeds(10)
     project = make(
         f"""
@@ -418,8 +400,11 @@ def test_several_faults_in_one_batch_are_reported_separately(make: Make) -> None
         else: write(good)
         """
     )
-    summary = run(project, runs=10)
-    assert summary.failed == 3
+    done = projects.quick(project.root, "run", "n=1", "--runs", "10", "--no-figures", "--json")
+    assert done.returncode == 1, done.stderr
+    failures = json.loads(done.stdout)["failures"]
+    assert {failure["status"] for failure in failures} == {"mismatch"}
+    assert any("out.csv: line 4" in failure["reason"] for failure in failures)
     assert failed(project) == [1, 4, 7]
     assert len(reasons(project)) == 3
     assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 21}]
@@ -564,10 +549,10 @@ write(FILES[len(range(n))], "out.parquet")
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", BY_N)
-def test_columns_may_differ_between_experiments(make: Make, kind: str) -> None:
+def test_columns_may_differ_between_experiments(make: Make, noted: Callable[[], list[str]], kind: str) -> None:
     project = make(BY_N[kind])
     summary = run(project, "n=1,2,3", runs=2)
-    assert (summary.failed, summary.missing) == (0, 0)
+    assert (summary.failed, summary.missing, noted()) == (0, 0, [])
     rows = project.sql(
         "SELECT n, count(*) AS rows, count(x0) AS x0, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n"
     ).to_pylist()
@@ -594,19 +579,12 @@ def test_columns_may_differ_between_sibling_runs_with_mismatch_ragged(make: Make
     assert project.sql("SELECT count(x0) AS x0, count(x1) AS x1 FROM out").to_pylist() == [{"x0": 12, "x1": 3}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_run_with_odd_columns_fails_even_if_recorded_first(make: Make) -> None:
     project = make(f"write(good if seed != {seeds(1)[0]} else 'tick,v,w\\n0,1,2\\n1,1,2\\n2,1,2\\n')")
     assert run(project, runs=1).failed == 0
     run(project, runs=3)
     assert failed(project) == [0]
-
-
-@pytest.mark.integration
-def test_truncated_header_is_detected_even_with_one_run_per_experiment(make: Make) -> None:
-    project = make("write('tic' if n == 3 else good)")
-    assert run(project, "n=1,2,3,4", runs=1).failed == 1
-    assert reasons(project) == ["out.csv: line 1: the last line is truncated (it does not end with a line feed)"]
 
 
 @pytest.mark.integration
@@ -737,62 +715,49 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(notes
 
 
 @pytest.mark.integration
-def test_comment_with_as_many_fields_as_the_header_is_noted(make: Make, noted: Callable[[], list[str]]) -> None:
-    assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
-    told = "is text in 2 runs, so it has no figure: the first line is a comment; begin with "
-    assert [told in note for note in noted()] == [True, True]
-
-
-@pytest.mark.integration
-def test_wrong_declared_delimiter_is_noted_with_the_right_one(make: Make, noted: Callable[[], list[str]]) -> None:
-    project = make("write('t,v\\n0,1\\n1,2\\n')", '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
+def test_comments_and_wrong_delimiters_are_noted_with_what_is_right(make: Make, noted: Callable[[], list[str]]) -> None:
+    lines = "write('# a, b\\nt,v\\n0,1\\n1,2\\n', 'commented.csv')\nwrite('t,v\\n0,1\\n1,2\\n')"
+    project = make(lines, '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
     assert not run(project, runs=2).failed
-    assert noted() == [ONE_COLUMN.format("t,v") + 'are these several columns? (set delimiter = "," in [outputs.out])']
+    comment = "is text in 2 runs, so it has no figure: the first line is a comment; begin with "
+    delimiter = ONE_COLUMN.format("t,v") + 'are these several columns? (set delimiter = "," in [outputs.out])'
+    assert [comment in note for note in noted() if note != delimiter] == [True, True]
+    assert delimiter in noted()
+
+
+APPENDED = "did the run append to the file? write the header once, before all rows"
+FAULTS_OF_ALL_RUNS = (
+    ("tick,v\n0,0.5\n1,1.5\ntick,v\n0,0.5\n", f"line 4: the header is repeated: 'tick,v' ({APPENDED})"),
+    ("name,kind\na,b\nname,kind\nc,d\n", f"line 3: the header is repeated: 'name,kind' ({APPENDED})"),
+    ("\ufeffv,w\r\n1,2\r\n\ufeffv,w\r\n3,4\r\n", f"line 3: the header is repeated: 'v,w' ({APPENDED})"),
+    ("v\n1\n2\nv\n3\n", f"line 4: the header is repeated: 'v' ({APPENDED})"),
+    ("tick,v\n0,0.5\n tick, v \n0,0.5\n", f"line 3: the header is repeated: 'tick,v' ({APPENDED})"),
+    ('tick,v\n0,0.5\n"tick","v"\n0,0.5\n', f"line 3: the header is repeated: 'tick,v' ({APPENDED})"),
+    ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, but the column names must be here: '# made by sim'"),
+    ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (if such lines are comments, set comment"),
+    ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
+    ("# made by sim\n# version 3\nt,v\n0,1\n", "line 1: is a comment, but the column names must be here: '# made by"),
+    ("tic", "line 1: the last line is truncated (it does not end with a line feed)"),
+)
+"""Contents of a file, and how the reason for the failure begins."""
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize(
-    ("content", "line"),
-    [
-        ("tick,v\n0,0.5\n1,1.5\ntick,v\n0,0.5\n", 4),
-        ("name,kind\na,b\nname,kind\nc,d\n", 3),
-        ("\ufeffv,w\r\n1,2\r\n\ufeffv,w\r\n3,4\r\n", 3),
-        *at_night(
-            [
-                ("v\n1\n2\nv\n3\n", 4),
-                ("tick,v\n0,0.5\n tick, v \n0,0.5\n", 3),
-                ('tick,v\n0,0.5\n"tick","v"\n0,0.5\n', 3),
-                ("tick,v\r0,0.5\rtick,v\r1,0.5\r", 3),
-            ]
-        ),
-    ],
-)
-def test_repeated_header_fails_runs_even_if_all_runs_have_it(make: Make, content: str, line: int) -> None:
-    project = make(f"write({content!r})")
+def test_faults_that_all_runs_have_fail_each_of_them(make: Make) -> None:
+    project = make(f"write({[content for content, _ in FAULTS_OF_ALL_RUNS]!r}[n])")
+    count = len(FAULTS_OF_ALL_RUNS)
+    assert run(project, f"n={','.join(map(str, range(count)))}", runs=2).failed == 2 * count
+    rows = project.sql("SELECT DISTINCT n, reason FROM executions JOIN points USING (run) ORDER BY n").to_pylist()
+    assert [row["n"] for row in rows] == list(range(count))
+    for row, (content, said) in zip(rows, FAULTS_OF_ALL_RUNS, strict=True):
+        assert row["reason"].startswith(f"out.csv: {said}"), content
+
+
+@pytest.mark.nightly
+def test_repeated_header_is_found_where_lines_end_in_cr(make: Make) -> None:
+    project = make("write('tick,v\\r0,0.5\\rtick,v\\r1,0.5\\r')")
     assert run(project, runs=3).failed == 3
-    header = content.strip("\ufeff").splitlines()[0]
-    hint = "did the run append to the file? write the header once, before all rows"
-    assert reasons(project) == [f"out.csv: line {line}: the header is repeated: {header!r} ({hint})"]
-
-
-@pytest.mark.integration
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, but the column names must be here: '# made by sim'"),
-        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (if such lines are comments, set comment"),
-        ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
-        (
-            "# made by sim\n# version 3\nt,v\n0,1\n",
-            "line 1: is a comment, but the column names must be here: '# made by",
-        ),
-    ],
-)
-def test_comments_in_a_csv_file_are_reported_as_faults(make: Make, content: str, said: str) -> None:
-    project = make(f"write({content!r})")
-    assert run(project, runs=2).failed == 2
-    [reason] = reasons(project)
-    assert said in reason
+    assert reasons(project) == [f"out.csv: line 3: the header is repeated: 'tick,v' ({APPENDED})"]
 
 
 @pytest.mark.integration
@@ -809,29 +774,12 @@ def test_empty_column_in_one_experiment_fits_any_type_in_others(make: Make) -> N
 
 
 @pytest.mark.integration
-def test_ragged_runs_keep_their_own_columns(make: Make) -> None:
-    project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
-    assert project.run("n=1,3", figures=False).failed == 0
-    rows = project.sql("SELECT n, count(*) AS rows, count(x0) AS x0, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n")
-    assert rows.to_pylist() == [{"n": 1, "rows": 12, "x0": 12, "x2": 0}, {"n": 3, "rows": 12, "x0": 12, "x2": 12}]
-
-
-@pytest.mark.integration
 def test_ragged_columns_accumulate_over_several_sessions(make: Make) -> None:
     project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     for n in (3, 1, 2):
         assert project.run(f"n={n}", figures=False).failed == 0
-    rows = project.sql("SELECT n, count(x1) AS x1 FROM out GROUP BY ALL ORDER BY n").to_pylist()
-    assert rows == [{"n": 1, "x1": 0}, {"n": 2, "x1": 12}, {"n": 3, "x1": 12}]
-
-
-@pytest.mark.integration
-def test_ragged_columns_may_differ_between_sibling_runs(make: Make) -> None:
-    by_seed = COLUMNS_BY_N.replace("range(n)", "range(1 + seed % 3)")
-    project = make(by_seed, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
-    assert project.run("n=1,3", runs=6, figures=False).failed == 0
-    [row] = project.sql("SELECT count(x0) > count(x2) AS fewer, count(DISTINCT run) AS runs FROM out").to_pylist()
-    assert row == {"fewer": True, "runs": 12}
+    rows = project.sql("SELECT n, count(x0) AS x0, count(x1) AS x1, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n")
+    assert [tuple(row.values()) for row in rows.to_pylist()] == [(1, 12, 0, 0), (2, 12, 12, 0), (3, 12, 12, 12)]
 
 
 def test_unnamed_columns_are_all_kept(tmp_path: Path) -> None:
@@ -913,7 +861,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_too_many_undeclared_tables_are_kept_as_files_and_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     run(make("for i in range(21): write(good, f'{i:02}.csv')"))
     assert noted() == [
@@ -941,12 +889,6 @@ def test_columns_that_only_one_run_has_are_noted(make: Make, noted: Callable[[],
     assert noted() == [
         "output 'out': one run has columns that no other run has; no other run of the experiment can confirm them"
     ]
-
-
-@pytest.mark.integration
-def test_columns_that_sibling_runs_share_are_not_noted(make: Make, noted: Callable[[], list[str]]) -> None:
-    run(make(COLUMNS_BY_N), "n=1,2", runs=2)
-    assert noted() == []
 
 
 @pytest.mark.parametrize("query", ["n=9007199254740993,0.5", "n=0.5,-9007199254740993", "n=0:9007199254740993:3"])
