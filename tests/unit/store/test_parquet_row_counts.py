@@ -68,7 +68,7 @@ def test_results_of_an_earlier_program_are_effective_again_when_it_is_restored(t
     assert sierra.open(root).statistics(again.batch, "out", "v").to_pylist()[0]["mean"] == 1
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_run_of_two_experiments_appears_at_both_points(tmp_path: Path) -> None:
     same = '[variables.idle]\nchanges = [{ set = "//swarm/@count", value = "{7 + 0 * idle}" }]\n'
     project = sierra.open(projects.make(tmp_path, projects.CONFIG + same))
@@ -87,14 +87,20 @@ def test_values_that_give_the_same_runs_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_run_of_several_batches_is_counted_once(tmp_path: Path) -> None:
+def test_a_run_of_several_batches_is_counted_once_and_sql_can_be_limited_to_one_batch(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
-    project.run("population_size=1,2", figures=False)
+    first = project.run("population_size=1,2", figures=False).batch
     project.run("population_size=1,2", runs=3, figures=False)
     project.run("population_size=1", "noise=0.1,0.2", figures=False)
     rows = project.sql("SELECT population_size, noise, count(DISTINCT run) AS runs, count(*) AS rows FROM swarm GROUP BY ALL")
     assert sum(row["runs"] for row in rows.to_pylist()) == 8
     assert sum(row["rows"] for row in rows.to_pylist()) == 40
+    count = "SELECT count(DISTINCT run) AS runs FROM swarm"
+    assert project.sql(count).to_pylist() == [{"runs": 8}]
+    assert project.sql(count, within=first).to_pylist() == [{"runs": 4}]
+    assert project.sql("SELECT count(*) AS runs FROM runs", within=first[:8]).to_pylist() == [{"runs": 4}]
+    shown = projects.quick(tmp_path, "sql", "--batch", first[:8], count, "--json")
+    assert '"runs": 4' in shown.stdout
 
 
 @pytest.mark.integration
@@ -107,7 +113,7 @@ def test_runs_with_ragged_outputs_fail_after_a_change_to_strict(tmp_path: Path) 
     assert sierra.open(root).run("population_size=1", runs=12, figures=False).failed > 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_changing_the_time_column_does_not_execute_runs_again(tmp_path: Path) -> None:
     root = projects.make(tmp_path, projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\n')
     sierra.open(root).run("population_size=1", figures=False)
@@ -130,7 +136,7 @@ def test_runs_execute_again_if_an_ignored_library_named_by_a_variable_changes(tm
     assert (second.batch, second.executed) == (first.batch, 2)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_code_in_the_folder_figures_is_part_of_the_source(tmp_path: Path) -> None:
     """No run is observed: an observed one would count, because it has not read the code."""
     root = projects.make(tmp_path, 'observe = "none"\n' + projects.CONFIG)
@@ -163,20 +169,7 @@ def test_a_note_reports_a_table_with_several_rows_at_the_same_time(tmp_path: Pat
     assert any("swarm" in note and "same time" in note for note in summary.notes)
 
 
-@pytest.mark.integration
-def test_sql_can_be_limited_to_one_batch(tmp_path: Path) -> None:
-    project = sierra.open(projects.make(tmp_path))
-    first = project.run("population_size=1,2", figures=False).batch
-    project.run("population_size=1,2", runs=3, sets=[("//noise", "0.7")], figures=False)
-    count = "SELECT count(DISTINCT run) AS runs FROM swarm"
-    assert project.sql(count).to_pylist() == [{"runs": 10}]
-    assert project.sql(count, within=first).to_pylist() == [{"runs": 4}]
-    assert project.sql("SELECT count(*) AS runs FROM runs", within=first[:8]).to_pylist() == [{"runs": 4}]
-    shown = projects.quick(tmp_path, "sql", "--batch", first[:8], count, "--json")
-    assert '"runs": 4' in shown.stdout
-
-
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_programs_are_recorded_once(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     for runs in (1, 2, 3):
@@ -185,7 +178,7 @@ def test_programs_are_recorded_once(tmp_path: Path) -> None:
     assert {row["c"] for row in rows} == {1}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_project_in_a_folder_that_git_ignores_is_outside_git(tmp_path: Path) -> None:
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     (tmp_path / ".gitignore").write_text("/demo/\n")
@@ -194,7 +187,7 @@ def test_a_project_in_a_folder_that_git_ignores_is_outside_git(tmp_path: Path) -
     assert project.sql("SELECT DISTINCT vcs FROM sources").to_pylist() == [{"vcs": "none"}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_failure_of_a_csv_file_without_a_header_suggests_header_false(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR.replace('print("tick,coverage", file=file)', "pass")
     root = projects.make(tmp_path, simulator=simulator)
@@ -210,7 +203,7 @@ def test_a_text_instead_of_a_number_of_the_template_is_reported(tmp_path: Path) 
     assert any("'1-8'" in note and "the template has the number 1" in note for note in plan.notes)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_explain_names_the_changed_program(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
@@ -222,7 +215,7 @@ def test_explain_names_the_changed_program(tmp_path: Path) -> None:
     assert re.search(r"sim: [0-9a-f]{10} recorded, [0-9a-f]{10} found", said)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", f"{program} {{project}}/sim.py"))
@@ -248,7 +241,7 @@ def test_runs_that_write_no_table_are_reported(tmp_path: Path) -> None:
     assert any("no run wrote a table" in note for note in summary.notes)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_figure_with_misspelt_columns_is_reported(tmp_path: Path) -> None:
     wrong = (
         '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tik"\n[figures.a]\ncolumn = "coverage"\n[figures.b]\ncolumn = "coverge"\n'

@@ -37,9 +37,10 @@ QUERY = "population_size=1,2"
 
 
 @pytest.mark.integration
-def test_a_changed_file_executes_all_runs_again(root: Path) -> None:
+def test_a_changed_file_executes_all_runs_again_if_they_used_it(root: Path) -> None:
     library = root.parent / "library"
     assert projects.run(root, QUERY)[0]["executed"] == 4
+    (library / "other").write_text("5")
     assert projects.run(root, QUERY)[0]["executed"] == 0
     (library / "factor").write_text("2")
     summary, said = projects.run(root, QUERY)
@@ -75,7 +76,7 @@ def test_a_file_that_comes_into_existence_executes_all_runs_again(root: Path) ->
     assert projects.sql(root, VALUES) == [{"value": 6}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_executions_count_again_once_the_file_is_restored(root: Path) -> None:
     library = root.parent / "library"
     projects.run(root, QUERY)
@@ -99,14 +100,7 @@ def test_new_runs_are_never_mixed_with_stale_ones(root: Path) -> None:
     assert projects.sql(root, "SELECT DISTINCT value FROM swarm JOIN effective USING (execution)") == [{"value": 2}]
 
 
-@pytest.mark.integration
-def test_a_file_that_no_run_used_changes_nothing(root: Path) -> None:
-    projects.run(root, QUERY)
-    (root.parent / "library" / "other").write_text("5")
-    assert projects.run(root, QUERY)[0]["executed"] == 0
-
-
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_dry_run_predicts_executions(root: Path) -> None:
     projects.run(root, QUERY)
     (root.parent / "library" / "factor").write_text("2")
