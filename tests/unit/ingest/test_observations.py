@@ -53,8 +53,10 @@ def sql(root: Path, statement: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.integration
-def test_files_that_a_run_uses_are_recorded_once_for_all_runs(root: Path) -> None:
-    run(root)
+def test_files_that_runs_use_and_write_are_recorded_once_for_all_runs(root: Path) -> None:
+    assert "runs wrote files into the project: {project}/data.log (" in run(root)
+    rows = sql(root, "SELECT path, use, count(*) AS n FROM files_written GROUP BY ALL")
+    assert rows == [{"path": "{project}/data.log", "use": "written", "n": 4}]
     observations = sql(root, "SELECT * FROM observations JOIN executions USING (execution)")
     assert [one["reason"] for one in observations] == [None] * 4
     assert len({one["files"] for one in observations}) == 1
@@ -90,13 +92,6 @@ def test_names_of_files_do_not_depend_on_where_runs_execute(root: Path, tmp_path
 
 
 @pytest.mark.integration
-def test_files_written_outside_the_runs_folders_are_named(root: Path) -> None:
-    assert "runs wrote files into the project: {project}/data.log (" in run(root)
-    rows = sql(root, "SELECT path, use, count(*) AS n FROM files_written GROUP BY ALL")
-    assert rows == [{"path": "{project}/data.log", "use": "written", "n": 4}]
-
-
-@pytest.mark.integration
 def test_a_batch_without_a_complete_observation_says_so(root: Path) -> None:
     (root / "sim.py").write_text(SIMULATOR + 'import subprocess\nsubprocess.run(["/proc/self/root/bin/true"], check=True)\n')
     said = run(root)
@@ -105,7 +100,7 @@ def test_a_batch_without_a_complete_observation_says_so(root: Path) -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize(("setting", "count"), [("none", 0), ("first", 1), ("all", 4)])
+@pytest.mark.parametrize(("setting", "count"), [("first", 1), ("none", 0), ("all", 4)])
 def test_the_setting_decides_which_runs_are_observed(root: Path, setting: str, count: int) -> None:
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace('observe = "all"', f'observe = "{setting}"\nobserve_budget = 0'))
