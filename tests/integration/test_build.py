@@ -137,6 +137,7 @@ def test_a_mistake_in_the_code_is_shown_with_its_line(root: Path) -> None:
     assert "core.c:2:" in told
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("folder", "size"), [("build", "4k"), (".sierra", "40k")])
 def test_a_full_disk_is_reported_in_one_line(root: Path, disk: Disk, folder: str, size: str) -> None:
     disk(root / folder, size)

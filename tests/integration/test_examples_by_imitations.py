@@ -139,6 +139,7 @@ def test_the_example_of_netlogo_is_a_valid_experiment_and_gives_figures(
     assert "equal (4 runs: 4 equal)" in replayed.stdout, replayed.stdout + replayed.stderr
 
 
+@pytest.mark.nightly
 def test_the_example_of_webots_changes_only_its_placeholders_and_gives_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -110,6 +110,7 @@ def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[...,
     assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]
 
 
+@pytest.mark.nightly
 def test_long_runs_are_distributed_to_many_array_tasks(
     simulate: Callable[..., Simulated], slurm: Slurm, monkeypatch: pytest.MonkeyPatch
 ) -> None:

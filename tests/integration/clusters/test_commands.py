@@ -317,6 +317,7 @@ def test_cancel_keeps_finished_runs(waiting: Waiting) -> None:
     assert "6 runs: 3 executed, 3 reused" in again.stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("command", ["attach", "cancel"])
 def test_an_id_without_cluster_jobs_is_an_error(waiting: Waiting, command: str) -> None:
     waiting.open()

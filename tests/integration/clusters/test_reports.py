@@ -38,6 +38,7 @@ def later(waiting: Waiting) -> None:
 # while the batch is on the cluster
 
 
+@pytest.mark.nightly
 def test_status_shows_the_schedulers_reason_for_queued_array_tasks(waiting: Waiting) -> None:
     later(waiting)
     waiting.submit()

@@ -95,6 +95,7 @@ def test_the_container_of_a_killed_session_is_ended_before_the_next_build(root: 
     assert containers.left(root) == []
 
 
+@pytest.mark.nightly
 def test_a_time_limit_ends_the_container(root: Path) -> None:
     (root / "code/compile.sh").write_text("#!/bin/sh\nsleep 76543\n")
     with (root / "sierra.toml").open("a") as file:

@@ -249,6 +249,7 @@ def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Pat
 BURNS = "python3 -c 'import time; x = b\"1\" * 60000000\nwhile time.process_time() < 0.8: pass'\n" + containers.SIMULATOR
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_the_recorded_cpu_time_and_memory_exclude_the_engine(tmp_path: Path, python: Path, isolation: str) -> None:
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=BURNS)
@@ -526,6 +527,7 @@ def test_variables_of_an_image_are_used_literally_and_checked_against_the_lock(t
     assert "the variables of" in says(folder, *RUN, "--runs", "3", code=3)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("engine", ["podman", "apptainer"])
 def test_a_volume_of_an_image_is_read_only(tmp_path: Path, engine: str, require: Callable[..., str]) -> None:
     require(engine)

@@ -129,6 +129,7 @@ def forge(root: Path, table: str, change: Mapping[str, Any]) -> None:
 # ---------------------------------------------------------------- shown
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["batch", "execution"])
 def test_show_displays_the_image_and_the_isolation(root: Path, batches: Mapping[str, str], kind: str) -> None:
     identity = batches["old"] if kind == "batch" else execution(root, batches["old"])

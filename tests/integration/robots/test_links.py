@@ -137,6 +137,7 @@ def test_what_login_shells_print_is_dropped(kind: str, fleet: Fleet, tmp_path: P
         MAKERS[kind](name, fleet).run(["true"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", MAKERS)
 def test_aliases_of_host_keys_and_proxy_commands_are_those_of_openssh(kind: str, fleet: Fleet, tmp_path: Path) -> None:
     jump, name, _ = fleet.names

@@ -84,6 +84,7 @@ def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet
         assert not [line for line in fleet.commands(name) if "ros" in line]
 
 
+@pytest.mark.nightly
 def test_a_run_starts_only_if_topics_have_messages(require: Callable[..., str], fleet: Fleet, tmp_path: Path) -> None:
     require("rostopic")
     name = fleet.names[0]

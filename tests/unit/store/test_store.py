@@ -215,7 +215,7 @@ def test_extending_a_batch_executes_only_new_runs(project: Project) -> None:
     assert one(project, "SELECT count(*) FROM batch_runs") == 36
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_that_batches_share_are_counted_once(project: Project) -> None:
     run(project, "n=1,2")
     shared = run(project, "n.Log4")
@@ -243,7 +243,7 @@ def test_axes_of_all_batches_are_columns_with_a_common_type(project: Project) ->
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_output_column_named_like_an_axis_keeps_its_values(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'N,n_\\n5,6\\n' > out.csv\n")
     run(project, "n=1", runs=1)
