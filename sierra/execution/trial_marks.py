@@ -18,12 +18,16 @@ from sierra.store.store import Store
 from sierra.util.hashing import short
 
 
-class _Counting(NamedTuple):
+class _Marked(NamedTuple):
     execution: str
     batch: str
 
 
 LAST = "SELECT * FROM trials WHERE execution = $e"
+OF_EXECUTION = "SELECT execution, batch FROM executions WHERE execution = $id"
+OF_RUN = """
+SELECT execution, e.batch FROM effective c JOIN executions e USING (execution) WHERE c.run = $id ORDER BY c.lamport DESC
+"""
 
 
 def mark(
@@ -70,16 +74,12 @@ def _text(given: str | None, before: str | None) -> str | None:
     return before if given is None else given.strip() or None
 
 
-def _execution(store: Store, prefix: str) -> tuple[str, str]:
-    """Return the execution that is meant, and its batch. Raises NotFound."""
+def _execution(store: Store, prefix: str) -> _Marked:
+    """Return the execution that is meant, and its own batch, among whose records the remark belongs. Raises NotFound."""
     found = store.identify(prefix)
-    if found.kind == "execution" and found.batch:
-        return found.id, found.batch
-    if found.kind != "run":
+    if found.kind not in ("execution", "run"):
         raise NotFound(f"{prefix!r} is a {found.kind}; name one execution, or a run (sierra show RUN lists its executions)")
-    counting = store.select(
-        _Counting, "SELECT execution, batch FROM effective WHERE run = $r ORDER BY lamport DESC", r=found.id
-    )
-    if not counting:
+    meant = store.select(_Marked, OF_EXECUTION if found.kind == "execution" else OF_RUN, id=found.id)
+    if not meant:
         raise NotFound(f"run {short(found.id)} has no execution that counts; name an execution of it")
-    return counting[0]
+    return meant[0]

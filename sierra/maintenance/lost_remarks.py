@@ -24,9 +24,12 @@ from sierra.store.store import Snapshot
 REASON = "remarks on executions of its batch were lost in a damaged file"
 SUCCESSES = """
 SELECT batch, execution FROM executions
-WHERE status = 'ok' AND purpose = 'run' AND batch[:12] IN (SELECT value FROM doubtful) ORDER BY ALL
+WHERE status = 'ok' AND purpose = 'run' AND (
+    batch[:12] IN (SELECT value FROM doubtful)
+    OR run IN (SELECT run FROM batch_runs WHERE batch[:12] IN (SELECT value FROM doubtful))
+) ORDER BY ALL
 """
-"""SQL: the successful executions of batches, by the beginnings of the batches' ids."""
+"""SQL: the successful executions of batches, and of their runs in other batches, by the beginnings of the batches' ids."""
 LAST = "SELECT * FROM trials WHERE list_contains($executions, execution)"
 
 

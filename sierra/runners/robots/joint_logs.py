@@ -5,7 +5,7 @@ The part of a robot whose program has failed comes last, because the end of a lo
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from sierra.runners.robots.trial import Part
@@ -24,7 +24,7 @@ def join(parts: Iterable[Part], folder: Path) -> None:
         (folder / name).write_bytes(b"".join(_joined(logs)))
 
 
-def _joined(logs: Iterable[tuple[bytes, str]]) -> Iterable[bytes]:
+def _joined(logs: Iterable[tuple[bytes, str]]) -> Iterator[bytes]:
     """Yield the parts of a joint log, from titles and paths."""
     filled = [(title, path, size) for title, path in logs if (size := kept_of(path, 0)[1])]
     room = KEPT - sum(len(title) + SPARE for title, _, _ in filled)

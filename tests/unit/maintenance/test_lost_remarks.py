@@ -11,6 +11,13 @@ import sierra
 from sierra.maintenance.findings import Kind
 from tests import projects, robots, stores
 
+SHARED = """
+SELECT run, execution, batch FROM executions SEMI JOIN (
+    SELECT run FROM batch_runs GROUP BY run HAVING count(DISTINCT batch) > 1
+) USING (run) WHERE purpose = 'run' ORDER BY run LIMIT 1
+"""
+"""SQL: an execution whose run belongs to several batches."""
+
 
 def flip(path: Path) -> None:
     content = bytearray(path.read_bytes())
@@ -28,9 +35,8 @@ def test_an_invalid_trial_whose_remark_is_lost_does_not_count(
 ) -> None:
     root = stores.copy(recorded, tmp_path / "p")
     project = sierra.open(root)
-    last = "SELECT execution, batch FROM executions WHERE purpose = 'run' AND status = 'ok' ORDER BY lamport DESC LIMIT 1"
-    [chosen] = projects.sql(root, last)
-    project.mark_trial(chosen["execution"], valid=False, reason="fell over", note="at the wall")
+    [chosen] = projects.sql(root, SHARED)
+    project.mark_trial(chosen["run"], valid=False, reason="fell over", note="at the wall")
     before = statuses(root)
     [remark] = root.glob(".sierra/segments/*/trials.parquet")
     damage(remark)
@@ -45,7 +51,8 @@ def test_an_invalid_trial_whose_remark_is_lost_does_not_count(
     assert now.keys() == before.keys(), "nothing that was measured is lost"
     assert now[chosen["execution"]] == "invalid"
     assert {now[one] for one, status in before.items() if status == "invalid"} == {"invalid"}
-    others = projects.sql(root, f"SELECT DISTINCT status FROM executions WHERE batch <> '{chosen['batch']}'")
+    of_batch = f"SELECT run FROM batch_runs WHERE batch = '{chosen['batch']}'"
+    others = projects.sql(root, f"SELECT DISTINCT status FROM executions WHERE run NOT IN ({of_batch})")
     assert others == [{"status": "ok"}]
     project.mark_trial(chosen["execution"], valid=True)
     assert statuses(root)[chosen["execution"]] == "ok"
