@@ -15,6 +15,7 @@ from sierra.deliverables.report import recorded as reports
 from sierra.deliverables.report.make import Source
 from sierra.deliverables.report.results import REPORT
 from sierra.deliverables.videos import render as videos
+from sierra.deliverables.videos.prepare import KIND as VIDEO
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
@@ -53,7 +54,7 @@ def _again(
         return comparison_figure.content(project, store, row)
     if row.kind == declared_tables.KIND:
         return declared_tables.content(project, store, row.name, row.definition, row.batches)
-    if row.kind == videos.KIND:
+    if row.kind == VIDEO:
         return videos.content(project, store, row)
     if row.kind == REPORT:
         return reports.again(Source(project, store, between), row)

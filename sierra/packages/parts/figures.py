@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from sierra.deliverables.check import check
 from sierra.deliverables.record import Checked
 from sierra.deliverables.report.results import REPORT
-from sierra.deliverables.videos.render import KIND as VIDEO
+from sierra.deliverables.videos.prepare import KIND as VIDEO
 from sierra.errors import Missing
 from sierra.packages.layout import drawn
 from sierra.packages.members import unsafe

@@ -13,8 +13,8 @@ import sierra
 from sierra.config.project_file import load
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.videos import render
 from sierra.deliverables.videos.network_painter import NetworkPainter
+from sierra.deliverables.videos.prepare import Prepared, prepare
 from sierra.deliverables.videos.scene import Scene, Words, settings
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
@@ -43,12 +43,12 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def states(root: Path, **keys: Any) -> tuple[render.Prepared, list[Any], NetworkPainter]:
+def states(root: Path, **keys: Any) -> tuple[Prepared, list[Any], NetworkPainter]:
     """Return a video, the states of its only run, and two of its painters, which are the same."""
     project, opened = load(root), sierra.open(root)
     with Frame(opened.store, opened.batch()) as frame:
         video = Video.model_validate(EDGES | keys)
-        made = render.prepare("film", video, {"": Gallery(project, opened.store, frame)})
+        made = prepare("film", video, {"": Gallery(project, opened.store, frame)})
         (one,) = made.films
         painter, again = (one.subject.painter(one.film, made.whole, one.subject.tracks) for _ in range(2))
         assert isinstance(painter, NetworkPainter)

@@ -13,7 +13,8 @@ import sierra
 from sierra.config.project_file import load
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.videos import render
+from sierra.deliverables.videos import draw
+from sierra.deliverables.videos.prepare import Prepared, prepare
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
 
@@ -56,14 +57,14 @@ def ids(root: Path) -> list[str]:
     return [str(one.batch) for one in sierra.open(root).batches]
 
 
-def prepared(root: Path, a: int, b: int, **keys: Any) -> render.Prepared:
+def prepared(root: Path, a: int, b: int, **keys: Any) -> Prepared:
     project, store, batches = load(root), sierra.open(root).store, ids(root)
     with ExitStack() as frames:
         galleries = {
             label: Gallery(project, store, frames.enter_context(Frame(store, batches[place])))
             for label, place in (("calm", a), ("noisy", b))
         }
-        return render.prepare("film", Video.model_validate(CELLS | keys), galleries)
+        return prepare("film", Video.model_validate(CELLS | keys), galleries)
 
 
 def test_two_batches_are_drawn_side_by_side_and_recorded(root: Path) -> None:
@@ -89,7 +90,7 @@ def test_limits_are_those_of_both_and_the_difference_is_of_means(root: Path) -> 
     assert (made.whole.values.low, made.whole.values.high) == pytest.approx((10.5, 17))
     assert (made.whole.differences.low, made.whole.differences.high) == pytest.approx((-4.5, -4.5))
     assert one.film.notes == ("A: mean over 2 runs", "B: mean over 1 run")
-    assert render._count(one.film, [(2,), (1,), (2, 1)]) == ", n = 2, 1"
+    assert draw._count(one.film, [(2,), (1,), (2, 1)]) == ", n = 2, 1"
     of_runs = prepared(root, 0, 1, show="run")
     assert (of_runs.whole.values.low, of_runs.whole.values.high) == pytest.approx((10, 17))
 

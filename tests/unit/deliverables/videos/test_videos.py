@@ -15,8 +15,9 @@ import sierra
 from sierra.config.project_file import load, parse
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.videos import render
+from sierra.deliverables.videos import draw
 from sierra.deliverables.videos.pose_painter import PosePainter
+from sierra.deliverables.videos.prepare import Prepared, prepare, small_print
 from sierra.deliverables.videos.scene import MatrixPainter
 from sierra.deliverables.videos.sql_tracks import completed
 from sierra.store.samples import Frame
@@ -88,12 +89,12 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def prepared(root: Path, **keys: Any) -> render.Prepared:
+def prepared(root: Path, **keys: Any) -> Prepared:
     project = load(root)
     opened = sierra.open(root)
     with Frame(opened.store, opened.batch()) as frame:
         video = Video.model_validate(CELLS | keys)
-        return render.prepare("film", video, {"": Gallery(project, opened.store, frame)})
+        return prepare("film", video, {"": Gallery(project, opened.store, frame)})
 
 
 def write(root: Path, text: str) -> None:
@@ -138,7 +139,7 @@ def test_the_mean_has_only_good_runs_and_says_how_many(root: Path) -> None:
     assert two.found.values.low == pytest.approx(20), "the second run has failed"
     assert two.film.notes == ("mean over 1 of 2 runs", "without a result: run 1")
     assert "video film_experiment1: without a result: run 1" in made.notes
-    assert "n = " not in render._count(two.film, [(1,)]), "a single run is no mean"
+    assert "n = " not in draw._count(two.film, [(1,)]), "a single run is no mean"
 
 
 def test_a_run_without_a_result_is_reported_and_not_replaced(root: Path) -> None:
@@ -200,7 +201,7 @@ def test_what_cannot_be_shown_is_an_error_in_one_line(root: Path, keys: dict[str
 def test_cells_without_a_row_have_the_value_of_fill(root: Path) -> None:
     made = prepared(root, experiments="population_size=4", fill=0)
     assert (made.whole.values.low, made.whole.empty) == (0, 0)
-    assert "cells without a row count as 0" in render._small_print(made, made.films[0])
+    assert "cells without a row count as 0" in small_print(made, made.films[0])
 
 
 def test_rows_without_any_value_are_not_cut_out(root: Path) -> None:
