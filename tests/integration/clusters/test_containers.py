@@ -26,7 +26,19 @@ def project(tmp_path: Path, slurm: Slurm, require: Callable[..., str]) -> Path:
     return folder
 
 
+RENDERS = """
+if [ -n "$2" ]; then mkdir "$2"; for tick in 0 1 2; do printf 'P1 1 1 %s' $((tick % 2)) > "$2/$tick.pbm"; done; fi
+"""
+CAPTURED = """
+SELECT frames, verdict, engine, attempt IS NOT NULL AS on_node, count(*) AS n
+FROM captures JOIN executions e USING (execution) JOIN isolations i USING (isolation) GROUP BY ALL
+"""
+
+
 def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -> None:
+    """Frames of its runs are captured there, too, in the same image."""
+    with (project / "sim.sh").open("a") as simulator:
+        simulator.write(RENDERS)
     there = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert there.returncode == 0, there.stderr
     store = sierra.open(project)
@@ -34,6 +46,11 @@ def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -
     assert store.sql(f"{nodes} WHERE e.status = 'ok' AND i.engine = 'apptainer' AND e.host = a.node").to_pylist() == [{"n": 4}]
     [batch] = store.batches
     assert str(store.replay(batch.batch).verdict) == "identical"
+    with (project / "sierra.toml").open("a") as file:
+        file.write('[capture]\narguments = "{output}/frames"\nfiles = "frames/{tick}.pbm"\n')
+    assert sierra.open(project).capture(runner="slurm").verdict == "identical"
+    frames = {"frames": 3, "verdict": "identical", "engine": "apptainer", "on_node": True, "n": 2}
+    assert store.sql(CAPTURED).to_pylist() == [frames]
 
 
 @pytest.mark.nightly
