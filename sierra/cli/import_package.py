@@ -47,7 +47,7 @@ def import_(
 
 def _print(done: Imported) -> None:
     known = f", {done.known:,} in the store before" if done.known else ""
-    replays = f", {done.replays:,} of replays left out" if done.replays else ""
+    replays = f", {done.replays:,} of replays or captures left out" if done.replays else ""
     studies = f", {done.studies:,} of studies left out" if done.studies else ""
     print(one_line(f"package {done.package[:10]}: {done.title}"))
     print(f"{counted(done.executions, 'execution')} added{known}{replays}{studies}")

@@ -105,7 +105,7 @@ def find(store: Store, found: Found, options: ReplayOptions) -> Record:
     if left < len(taken):
         record.notes.append(f"{len(taken) - left} of {counted(len(taken), 'run')} wrote only logs, and logs are not compared")
     if without := len(named) - len(good):
-        record.notes.append(f"not replayed: {without} of {counted(len(named), 'run')} without a successful execution")
+        record.notes.append(f"not executed again: {without} of {counted(len(named), 'run')} without a successful execution")
     if len({(row.programs, row.ingest_rules) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; the first ones are used")
     return record

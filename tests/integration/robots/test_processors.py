@@ -69,6 +69,8 @@ def test_each_robot_executes_the_product_for_its_processor(fleet: Fleet, tmp_pat
     assert "different processor at place 2: was i686, is now x86_64" in replayed.stderr
     assert "different machine" not in replayed.stderr
     assert replayed.returncode == 1, "the output says for which processor the program was made"
+    captured = projects.quick(root, "capture", run["run"])
+    assert (captured.returncode, "on robots, which cannot repeat a run for frames" in captured.stderr) == (2, True)
     fleet.set_machine("rb2", "i686")
 
     configure(root, fleet, [HERE])

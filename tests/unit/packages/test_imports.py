@@ -73,7 +73,7 @@ def value(root: Path, statement: str) -> Any:
 def test_a_new_batch_is_read_like_one_of_this_store_and_keeps_its_origin(lab: Path, other: Path) -> None:
     said = projects.quick(other, "import", str(lab.parent / "both.zip"))
     assert said.returncode == 0, said.stderr
-    assert ": Coverage of a swarm\n6 executions added, 2 of replays left out\n" in said.stdout
+    assert ": Coverage of a swarm\n6 executions added, 2 of replays or captures left out\n" in said.stdout
     assert said.stdout.count(": its executions count\n") == 2
     assert rows(other, NOW) == rows(lab, NOW)
     project = sierra.open(other)
