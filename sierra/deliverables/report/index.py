@@ -13,14 +13,17 @@ MOST = 1000
 """The largest number of batches that are listed: a page with more becomes slow."""
 
 
-def section(listed: Sequence[ListedBatch], shown: Collection[str]) -> Section:
-    """Return the list of batches in this order. Those in `shown` have a part of their own in the page."""
+def section(listed: Sequence[ListedBatch], shown: Collection[str], remedy: str = "") -> Section:
+    """Return the list of batches in this order. Those in `shown` have a part of their own in the page.
+
+    `remedy` says how to see the others if none has.
+    """
     headers = ("batch", "query", "controller", "scenario", "experiments", "runs", "failed", "not executed", "first submitted")
     inner: list[Node] = [table(headers, (_row(one, one.batch in shown) for one in listed[:MOST]), "", numbers=(4, 5, 6, 7))]
     if len(listed) > MOST:
         inner.append(note(f"The first {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
     if not shown:
-        inner.append(note("These are too many batches for one page; name some, as in: sierra report HASH HASH"))
+        inner.append(note(f"These are too many batches for one page; {remedy}"))
     return Section("batches", "Batches", joined(inner))
 
 

@@ -122,8 +122,9 @@ def of_batches(
 def _list(source: Source, title: str) -> Report:
     """Return the report of too many batches: the list of them, the last one first."""
     listed = list_batches.batches(source.store)[::-1]
-    data = page.of_batches(title, [index.section(listed, ())], [], Claims(()), source.received)
-    note = f"{len(listed)} batches are too many for one page, so it only has their list; name some instead of --all"
+    remedy = "name some, as in: sierra report HASH HASH" if source.received is None else "see: sierra open FILE.zip explore"
+    data = page.of_batches(title, [index.section(listed, (), remedy)], [], Claims(()), source.received)
+    note = f"{len(listed)} batches are too many for one page, so it only has their list; {remedy}"
     return Report(data, [one.batch for one in listed], (note,), complete=False)
 
 

@@ -26,7 +26,8 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         made = make.of_batches(source, subject.batches, every=package.title or f"{len(subject.batches)} batches")
     except SierraError as error:
         return Made((), notes=(f"no report is packed: {error}",))
-    return Made([Member(REPORT, recorded.named(made), "report of all batches, for a browser")])
+    page = Member(REPORT, recorded.named(made), "report of all batches, for a browser")
+    return Made([page], notes=() if made.complete else tuple(made.notes))
 
 
 def _from_members(found: Mapping[str, Member]) -> Read:

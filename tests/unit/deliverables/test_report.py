@@ -274,7 +274,7 @@ def test_ten_thousand_batches_are_a_list_that_says_how_many_it_lacks() -> None:
         list_batches.ListedBatch(f"{k:064x}", NOW, "noise=1", None, None, (), 1, 2, NOW, 0, 0, (), (), (), 0)
         for k in range(10_000)
     ]
-    section = index.section(listed, ())
+    section = index.section(listed, (), "name some, as in: sierra report HASH HASH")
     assert section.body.count("<tr>") == index.MOST + 1
     assert "The first 1,000 of 10,000 batches are listed; sierra ls lists all." in section.body
     assert "sierra report HASH HASH" in section.body
@@ -302,7 +302,7 @@ def test_a_damaged_store_writes_no_report(recorded: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.integration
-def test_the_report_of_a_package_executes_nothing_of_it(tmp_path: Path) -> None:
+def test_the_report_of_a_package_executes_nothing_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = tmp_path / "ran"
     model = f'[models.bad]\ncommand = ["touch", "{ran}"]\ncolumn = "coverage"\n'
     within = '[comparisons.sizes]\nby = "population_size"\n[comparisons.both]\ngroups = ["calm", "sizes"]\n'
@@ -325,3 +325,6 @@ def test_the_report_of_a_package_executes_nothing_of_it(tmp_path: Path) -> None:
     assert "sierra reproduce results.zip" in found.text
     assert "A B (" in found.text
     assert not ran.exists()
+    monkeypatch.setattr("sierra.deliverables.report.make.AT_MOST", 0)
+    listed = projects.quick(tmp_path, "report", "results.zip")
+    assert "1 batches are too many for one page, so it only has their list; see: sierra open FILE.zip explore" in listed.stderr
