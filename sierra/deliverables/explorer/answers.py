@@ -44,7 +44,9 @@ ROWS = 1000
 LETTERS = 10_000
 """The largest number of letters of a value."""
 WALL_S = 30.0
-REPORT_WALL_S = 600.0
+"""The time limit of an answer, in s."""
+LONG_WALL_S = 600.0
+"""That of reports and comparisons."""
 SETTINGS = ("SET memory_limit = '2GB'", "SET max_temp_directory_size = '0B'")
 """Limits on all statements: a statement from the page must not fill the memory or the disk."""
 COLUMNS = """
@@ -188,7 +190,7 @@ class Answers:
 
         project = self._project()
         options(Comparison, dict(keys), "comparison")
-        with self._one, self._limited():
+        with self._one, self._limited(LONG_WALL_S):
             groups = together.labelled(project, self._store, [self._store.batch_id(one) for one in batches])
             section = together.compared(project, self._store, name, groups, keys)
         declared = together.declared(groups, keys)
@@ -200,7 +202,7 @@ class Answers:
         from sierra.deliverables.report import make, recorded
 
         source = self._source()
-        with self._one, self._limited(REPORT_WALL_S):
+        with self._one, self._limited(LONG_WALL_S):
             made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)])
         address = self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
         return {"address": address, "notes": list(made.notes)}
