@@ -25,7 +25,8 @@ class Ended(BaseException):
 class Limit:
     """A context manager that ends what is within once its time is over or `stop` was called.
 
-    Raises SierraError with the reason then, even if what is within has just finished: it may lack what was interrupted.
+    Raises SierraError with the reason then, whatever error the interruption became, and even if what is within has just
+    finished: it may lack what was interrupted.
     """
 
     def __init__(self, interrupt: Callable[[], None], wall: float) -> None:
@@ -46,7 +47,7 @@ class Limit:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         while not self._is_over():  # it may be ended, too, as long as the other thread watches
             continue
-        if self._reason and (error is None or isinstance(error, SierraError | Ended)):
+        if self._reason and (error is None or isinstance(error, Exception | Ended)):
             raise SierraError(self._reason) from error
 
     def stop(self, reason: str) -> None:
