@@ -18,9 +18,11 @@ from sierra.store import session_numbers
 from sierra.store.lamport_clock import stamp
 from sierra.store.layout import StorePaths
 from sierra.store.row_types import TrialRow
-from sierra.store.segments import MANIFEST, REMARKS, SUFFIX, Segment
+from sierra.store.segments import MANIFEST, SUFFIX, Segment
 from sierra.store.store import Snapshot
 
+REMARKS = ("findings", "trials")
+"""The tables of remarks that take back successes of executions."""
 REASON = "remarks on executions of its batch were lost in a damaged file"
 SUCCESSES = """
 SELECT batch, execution FROM executions

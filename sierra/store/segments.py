@@ -47,8 +47,6 @@ FORMAT = "sierra store 4\n"
 MANIFEST = "MANIFEST"
 IMPORTED = "imported_sessions"
 """The table of the sessions that came in packages."""
-REMARKS = ("findings", "trials")
-"""The tables of remarks that take back successes of executions."""
 OUTPUT = "output."
 SUFFIX = ".parquet"
 REPLACES = "REPLACES"
@@ -71,6 +69,8 @@ class Segment:
     name: str = ""
     replaces: frozenset[str] = frozenset()
     after: str | None = None
+    missing: tuple[str, ...] = ()
+    """Names of the files in MANIFEST that do not exist, or that of MANIFEST itself."""
 
     def outputs(self) -> Iterator[tuple[str, str]]:
         """Yield the table name and the path of each file that holds rows of an output."""
@@ -80,17 +80,9 @@ class Segment:
 
 
 def is_whole(segment: Segment, folder: Path) -> bool:
-    """Return True; raise Damaged if a segment has lost a file without which executions would count that do not.
-
-    These are the list of its imported sessions, and remarks on executions on robots or a segment of their own.
-    """
-    if segment.files and not segment.files.keys() & {"imports", "robots"}:
-        return True
-    with contextlib.suppress(OSError):
-        recorded = (folder / segment.name / MANIFEST).read_text("utf-8", "replace")
-        for name in (IMPORTED, *REMARKS):
-            if name not in segment.files and f"  {name}{SUFFIX}\n" in recorded:
-                raise Damaged(f"{folder / segment.name / name}{SUFFIX} is missing: run sierra fsck --repair")
+    """Return True; raise Damaged if a segment has lost a file: its rows would be missing without a word."""
+    for name in segment.missing:
+        raise Damaged(f"{folder / segment.name / name} is missing: run sierra fsck --repair")
     return True
 
 
@@ -143,7 +135,14 @@ def _read(folder: str, name: str) -> Segment:
     files = {file.removesuffix(SUFFIX): path for file, path in paths.items() if file.endswith(SUFFIX)}
     replaces = frozenset(_lines(paths[REPLACES])) if REPLACES in paths else frozenset()
     after = next(iter(_lines(paths[AFTER])), "") if AFTER in paths else None
-    return Segment(name.partition("-")[0], files, name, replaces, after)
+    missing = _missing(paths) if MANIFEST in paths else (MANIFEST,)
+    return Segment(name.partition("-")[0], files, name, replaces, after, missing)
+
+
+def _missing(paths: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names in MANIFEST that are not among these paths."""
+    names = (line.partition("  ")[2] for line in _lines(paths[MANIFEST]))
+    return tuple(name for name in names if name not in paths)
 
 
 def _lines(path: str) -> list[str]:
