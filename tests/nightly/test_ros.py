@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests import clusters, projects
-
-IMAGE = "localhost/sierra/ros"
-RECIPE = Path(__file__).parents[2] / "containers" / "ros"
+from tests.support import ros_image
 
 
 @pytest.fixture
@@ -53,14 +50,10 @@ def test_the_example_runs_on_slurm(demo: Path, slurm: clusters.Slurm, require: C
 def test_podman_and_apptainer_give_the_same_results_in_an_image_from_the_recipe(
     demo: Path, require: Callable[..., str]
 ) -> None:
-    for program in ("podman", "apptainer", "mmdebstrap"):
-        require(program)
-    if subprocess.run(["podman", "image", "exists", IMAGE], check=False).returncode:
-        built = projects.quick(demo, "image", "build", str(RECIPE))
-        assert built.returncode == 0, built.stderr
+    require("apptainer")
     with (demo / "sierra.toml").open("a") as file:
-        file.write(f'[container]\nimage = "{IMAGE}"\nengine = "podman"\n')
-    assert projects.quick(demo, "image", "pin", IMAGE).returncode == 0
+        file.write(f'[container]\nimage = "{ros_image.IMAGE}"\nengine = "podman"\n')
+    ros_image.pin(demo, require)
     summary, _ = projects.run(demo, "population_size=2", "--runs", "1", "--no-figures")
     assert (summary["executed"], summary["failed"]) == (1, 0)
     replayed = projects.quick(demo, "replay", str(summary["batch"])[:10], "--engine", "apptainer")

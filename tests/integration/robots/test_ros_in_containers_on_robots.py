@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,11 +10,10 @@ import pytest
 from tests import projects
 from tests.integration.robots.test_containers_on_robots import left
 from tests.integration.robots.test_ros_on_robots import TARGETS
-from tests.support import robot_fleet
+from tests.support import robot_fleet, ros_image
 from tests.support.robot_fleet import Fleet
 
 pytestmark = [pytest.mark.nightly, pytest.mark.real]
-IMAGE = "localhost/sierra/ros"
 
 
 @pytest.mark.parametrize("engine", ["apptainer", "podman"])
@@ -23,18 +21,15 @@ def test_turtlebots_of_a_fleet_start_their_launch_files_in_the_image(
     require: Callable[..., str], tmp_path: Path, engine: str
 ) -> None:
     robot_fleet.needed(require)
-    for program in ("podman", engine):
-        require(program)
-    there = subprocess.run(("podman", "image", "exists", IMAGE), check=False).returncode == 0
-    require(f"the image {IMAGE}: sierra image build containers/ros", there=there)
+    require(engine)
     root = tmp_path / "demo"
     assert projects.quick(tmp_path, "init", "--example", "turtlebot3", "demo").returncode == 0
     with Fleet(2, disk="6g") as fleet:  # memory is only used for what is written
         robots = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
         before, mark, after = TARGETS.format(ssh_config=fleet.ssh_config, fleet=robots).partition("[targets.sim]")
-        container = f'[targets.robots.container]\nimage = "{IMAGE}"\nengine = "{engine}"\n'
+        container = f'[targets.robots.container]\nimage = "{ros_image.IMAGE}"\nengine = "{engine}"\n'
         (root / "sierra.toml").write_text(before + (root / "sierra.toml").read_text() + mark + after + container)
-        assert projects.quick(root, "image", "pin", IMAGE).returncode == 0
+        ros_image.pin(root, require)
         query = ("population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
         done = projects.quick(root, "run", *query)
         assert done.returncode == 0, done.stdout + done.stderr
