@@ -31,8 +31,9 @@ def notes(frame: Frame, output: OutputTable) -> Sequence[str]:
 
 def of_means(frame: Frame, output: OutputTable, time: str) -> str:
     """Return a proposal for an output with several rows per run and time: their mean; empty if there is no such column."""
-    column = next((one for one in output.columns if one != time), None)
-    if not time or column is None:
+    measured = (one for one in output.columns if one != time and not frame.numbers_rows(output.name, one, time))
+    column = next(measured, None) if time else None
+    if column is None:
         return ""
     table, name, at = (_name(frame, one) for one in (output.name, column, time))
     sql = f"SELECT run, {at}, avg({name}) AS {name} FROM {table} GROUP BY run, {at}"  # noqa: S608 - the user may write it

@@ -611,6 +611,13 @@ class Frame:
         )
         return next((str(value) for (value,) in rows), None)
 
+    def numbers_rows(self, table: str, column: str, time: str) -> bool:
+        """Check if whole numbers in a column tell rows of one run and time apart, as the number of a robot does."""
+        data, of, at = self._data(table), identifier(column), identifier(time)
+        fractions = f"SELECT 1 FROM {data} WHERE {of} <> floor({of}) LIMIT 1"
+        doubled = f"SELECT 1 FROM {data} GROUP BY run, {at}, {of} HAVING count(*) > 1 LIMIT 1"
+        return not self._snapshot.run(fractions) and not self._snapshot.run(doubled)
+
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
         """Return the rows of one statement on the tables of the store as instances of a row class. Raises SqlError."""
         return self._snapshot.select(kind, text, **parameters)

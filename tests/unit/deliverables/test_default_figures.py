@@ -1,4 +1,4 @@
-"""Of many possible figures, those are drawn whose columns differ most between the experiments."""
+"""Default figures: those whose columns differ most between the experiments; and notes on tables that have none."""
 
 from __future__ import annotations
 
@@ -20,6 +20,13 @@ with open("wide.csv", "w") as file:
     print(*(rng.random() for _ in names), count * 10 + rng.random(), 1e308, sep=",", file=file)
 """
 
+BODIES = """with open("way.csv", "w") as file:
+    print("tick,robot,x", file=file)
+    for tick in range(3):
+        for robot in (1, 2):
+            print(tick, robot, tick * robot + 0.5, sep=",", file=file)
+"""
+
 
 @pytest.mark.integration
 def test_columns_that_differ_between_experiments_have_figures_before_others(tmp_path: Path) -> None:
@@ -31,3 +38,14 @@ def test_columns_that_differ_between_experiments_have_figures_before_others(tmp_
     drawn = {Path(path).stem for path in json.loads(done.stdout)}
     assert "wide_energy_summary" in drawn
     assert len(drawn) == 16
+
+
+def test_a_note_proposes_the_mean_of_what_was_measured_and_not_of_the_number_of_a_robot(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", simulator=BODIES)
+    done = quick(folder, "run", "population_size=1", "--runs", "2")
+    assert (done.returncode, "figures/" in done.stdout) == (0, False), done.stderr
+    table = '[tables.way_mean] sql = "SELECT run, tick, avg(x) AS x FROM way GROUP BY run, tick"'
+    assert done.stderr.rstrip().endswith(f"or make one row of them, for example: {table}")
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(table.replace("] ", "]\n", 1) + "\n")
+    assert "way_mean_x_timeseries" in quick(folder, "figures").stdout
