@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar
@@ -108,9 +108,10 @@ class Pretend:
         self._jobs: Iterator[Job] = iter(())
         self._done = 0
 
-    def check_robots(self, counts: Collection[int], *, base: bool) -> None:
-        if max(counts) > self._options.robots:
-            raise ConfigError(f"runs take {max(counts)} robots, but the fleet has {self._options.robots}")
+    def check_robots(self, runs: Collection[Sequence[tuple[int, str]]], groups: Collection[str]) -> None:
+        most = max(place for run in runs for place, _ in run)
+        if most > self._options.robots:
+            raise ConfigError(f"runs take {most} robots, but the fleet has {self._options.robots}")
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._session, self._code = session, work.code

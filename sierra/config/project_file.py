@@ -417,6 +417,15 @@ class LoadedProject:
         """Return the names of the targets."""
         return tuple(self.declared.targets) if self.declared else ()
 
+    @property
+    def robot_groups(self) -> tuple[str, ...]:
+        """Return the groups of places of robots that are declared, for all targets."""
+        declared = [one.robots.groups for one in (self.config, self.declared) if one and one.robots]
+        own = (
+            targets.inner_table(one, "robots", "groups") for one in (self.declared.targets.values() if self.declared else ())
+        )
+        return tuple(dict.fromkeys(name for groups in (*declared, *own) for name in groups))
+
     def for_target(self, name: str | None) -> LoadedProject:
         """Return the project for another target; with None, the project itself. Raises UsageError for an unknown name."""
         if name is None or name == self.config.target:

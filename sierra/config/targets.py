@@ -78,5 +78,10 @@ def _of_target(table: object, name: str, keys: Collection[str]) -> object:
     }
 
 
+def inner_table(table: object, *names: str) -> RawTable:
+    """Return a table within another one by its path; an empty one if there is none."""
+    return inner_table(_table(table).get(names[0]), *names[1:]) if names else _table(table)
+
+
 def _table(value: object) -> RawTable:
     return value if isinstance(value, Mapping) else {}

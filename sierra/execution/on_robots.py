@@ -8,7 +8,7 @@ Each robot writes into a folder of its own, named by its place. An output with `
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from sierra.config.output_tables import PLACEHOLDER, Output
@@ -21,8 +21,8 @@ from sierra.errors import ConfigError
 from sierra.execution import commands
 from sierra.execution.plan import Plan
 from sierra.ingest.robot_files import FOLDERS, OF_ROBOT
-from sierra.model import BASE
 from sierra.runners.base import Runner, RunsMembers, check_members
+from sierra.templates.base import Files
 
 OF_PLACE = re.compile(rf"(\./)?([0-9]+/|{'|'.join(map(re.escape, FOLDERS))})")
 
@@ -101,11 +101,19 @@ def check_paths(words: Iterable[str]) -> None:
 
 
 def check_fleet(runner: Runner, name: str, plan: Plan) -> None:
-    """Raise UsageError if a runner cannot execute the runs of a plan, ConfigError if its fleet is too small for them."""
+    """Raise UsageError if a runner cannot execute the runs of a plan, ConfigError if its fleet does not fit them."""
     on_robots, contained = plan.batch.spec.robots is not None, plan.engine.name != "none"
     check_members(runner, name, on_robots=on_robots, contained=contained)
     if isinstance(runner, RunsMembers):
         first = {experiment.runs[0].id for experiment in plan.batch.experiments}
-        each = [robots.read(files) for _, files in plan.inputs.files(plan.batch, lambda run: run.id in first)]
-        counts = {sum(place.number != BASE for place, _ in one) for one in each}
-        runner.check_robots(counts, base=any(place.number == BASE for one in each for place, _ in one))
+        inputs = (files for _, files in plan.inputs.files(plan.batch, lambda run: run.id in first))
+        check_places(runner, inputs, plan.project.robot_groups)
+
+
+def check_places(runner: RunsMembers, inputs: Iterable[Files], groups: Collection[str]) -> None:
+    """Raise ConfigError if a fleet cannot take the places of runs with these inputs.
+
+    `groups` are the groups of places that the project declares; recorded runs may have others.
+    """
+    runs = {tuple((place.number, place.group) for place, _ in robots.read(files)) for files in inputs}
+    runner.check_robots(runs, dict.fromkeys((*groups, *sorted({group for places in runs for _, group in places}))))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 from sierra.errors import Missing, UsageError
+from sierra.execution.on_robots import check_places
 from sierra.runners.base import Runner, RunsMembers
 from sierra.store.store import Store
+from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.text import few
 
@@ -30,13 +32,17 @@ ORDER BY ALL
 SHOWN = 5
 
 
-def check(runner: Runner, name: str, of: str) -> None:
-    """Raise UsageError if a runner cannot execute runs on robots again. `of` is the id of what is replayed."""
+def check(runner: Runner, name: str, of: str, inputs: Iterable[Files], groups: Collection[str]) -> None:
+    """Raise UsageError if a runner cannot execute runs on robots again, ConfigError if its fleet does not fit them.
+
+    `of` is the id of what is replayed, and `groups` are the groups of places that the project declares.
+    """
     if not isinstance(runner, RunsMembers):
         raise UsageError(
             f"{short(of)} was executed on robots, and runner {name!r} cannot execute it again; use --on robots (a replay "
             "needs robots, but not the same ones)"
         )
+    check_places(runner, inputs, groups)
 
 
 def check_attended(of: str, *, supervised: bool, unattended: bool) -> None:

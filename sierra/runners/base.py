@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -172,10 +172,11 @@ class Holds(Protocol):
 class RunsMembers(Protocol):
     """A runner that executes the members of jobs (see `sierra.model.Job`), and no other jobs: on robots."""
 
-    def check_robots(self, counts: Collection[int], *, base: bool) -> None:
-        """Raise ConfigError if there are runs that take more robots than there are; it is called before `submit`.
+    def check_robots(self, runs: Collection[Sequence[tuple[int, str]]], groups: Collection[str]) -> None:
+        """Raise ConfigError if the fleet cannot execute one of the runs; it is called before anything moves.
 
-        `counts` are the numbers of robots that the runs take, without the base station; `base`: they take one.
+        `runs` are the places of each kind of run, with their groups; that of a base station is 0. `groups` are the groups of
+        places that the project declares.
         """
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, Self
 
 from pydantic import Field, StringConstraints, model_validator
@@ -11,6 +11,7 @@ from pydantic import Field, StringConstraints, model_validator
 from sierra.config.field_types import NAME, Argv, Command, Line, Positive, Size, Table
 from sierra.config.robots_table import BASE, ROBOT
 from sierra.errors import ConfigError
+from sierra.util.text import like
 
 Battery = Line | Annotated[tuple[str, ...], Field(min_length=1)]
 Topic = Annotated[str, StringConstraints(pattern=r"^/?[A-Za-z][A-Za-z0-9_/]*$")]
@@ -155,8 +156,17 @@ class FleetTable(Table):
         )
 
 
-def allocate(table: FleetTable, groups: Sequence[tuple[int, str]]) -> dict[int, str]:
-    """Return the robot for each place of a run; `groups` are the places with their groups.
+def check_groups(table: FleetTable, declared: Collection[str]) -> None:
+    """Raise ConfigError for a robot of a group that no place can have, so that no run would ever take the robot."""
+    known = list(dict.fromkeys((*declared, ROBOT, BASE)))
+    for name, one in table.used().items():
+        if one.group not in known:
+            hint = like(one.group, known, "[robots.groups] can declare it, and there are")
+            raise ConfigError(f"{name}: no place is of the group {one.group!r}; {hint}")
+
+
+def allocate(table: FleetTable, places: Sequence[tuple[int, str]]) -> dict[int, str]:
+    """Return the robot for each place of a run; `places` are their numbers, ascending, with their groups.
 
     A group that no robot names is taken by robots of the group `robot`. Raises ConfigError if there are too few of them.
     """
@@ -165,18 +175,19 @@ def allocate(table: FleetTable, groups: Sequence[tuple[int, str]]) -> dict[int, 
         free.setdefault(one.group, []).append(name)
     sizes = {group: len(names) for group, names in free.items()}
     named = {one.group for one in table.fleet.values()} | {BASE}
+    sources = {place: group if group in named else ROBOT for place, group in places}
     taken: dict[int, str] = {}
-    for place, group in groups:
-        source = group if group in named else ROBOT
+    for place, source in sources.items():
         if not free.get(source):
-            raise ConfigError(_too_few(sizes, [one if one in named else ROBOT for _, one in groups], source))
+            raise ConfigError(_too_few(source, sizes.get(source, 0), Counter(sources.values())[source], possible=place - 1))
         taken[place] = free[source].pop(0)
     return taken
 
 
-def _too_few(sizes: Mapping[str, int], groups: Iterable[str], group: str) -> str:
-    have, need = sizes.get(group, 0), Counter(groups)[group]
+def _too_few(group: str, have: int, need: int, possible: int) -> str:
+    """Return what is wrong with a fleet that has too few robots of a group for runs of more than `possible` robots."""
     if group == BASE:
         return 'a run needs a base station, but the fleet has none; give a host group = "base" in [runners.robots.fleet]'
-    possible = f"1 to {have} are possible" if have else "add some to [runners.robots.fleet]"
-    return f"a run needs {need} robots of the group {group!r}, but the fleet has {have}; {possible}"
+    sizes = "1 robot" if possible == 1 else f"1 to {possible} robots"
+    remedy = f"runs of {sizes} are possible" if possible else "add some to [runners.robots.fleet]"
+    return f"a run needs {need} robots of the group {group!r}, but the fleet has {have}; {remedy}"

@@ -23,7 +23,6 @@ from typing import ClassVar, cast
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import LINKS
-from sierra.config.robots_table import BASE
 from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
@@ -37,7 +36,7 @@ from sierra.runners.robots import fitting_programs, results
 from sierra.runners.robots.agent_link import LOCK, AgentLink
 from sierra.runners.robots.agent_messages import Record
 from sierra.runners.robots.engine_errors import classify
-from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
+from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
 from sierra.runners.robots.push import content_name, push_content, push_programs
 from sierra.runners.robots.trial import SETTLE_S, STOPPED, Part, Trial, each
 from sierra.store.layout import SessionPaths
@@ -100,17 +99,12 @@ class Robots:
         self._thread = threading.Thread(target=self._execute, args=(jobs,), daemon=True)
         self._thread.start()
 
-    def check_robots(self, counts: Collection[int], *, base: bool) -> None:
+    def check_robots(self, runs: Collection[Sequence[tuple[int, str]]], groups: Collection[str]) -> None:
         if not self._table.fleet:
             raise ConfigError(NO_FLEET)
-        robots = [one for one in self._table.used().values() if one.group != BASE]
-        if too_many := [count for count in counts if count > len(robots)]:
-            raise ConfigError(
-                f"a run takes {max(too_many)} robots, but the fleet in [runners.robots] has {len(robots)}; "
-                f"1 to {len(robots)} are possible"
-            )
-        if base:
-            allocate(self._table, [(0, BASE)])
+        check_groups(self._table, groups)
+        for places in sorted(runs, key=len, reverse=True):
+            allocate(self._table, places)
 
     def hold(self) -> None:
         self._may_begin.clear()

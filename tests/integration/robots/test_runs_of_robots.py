@@ -71,6 +71,19 @@ def test_a_replay_says_what_cannot_be_replayed(made: tuple[Path, str, str]) -> N
     assert "[equivalence] in sierra.toml says which metrics" in again.stderr
 
 
+def test_a_replay_needs_a_fleet_that_fits_the_recorded_runs(copied: tuple[Path, str]) -> None:
+    root, fleet = copied
+    config = (root / "sierra.toml").read_text()
+    for group, said in (
+        ("lead", "tb2: no place is of the group 'lead'"),
+        ("base", "a run needs 3 robots of the group 'robot', but the fleet has 1; runs of 1 robot are possible"),
+    ):
+        own = f'fleet = {{ tb1 = {{ host = "tb1.invalid" }}, tb2 = {{ host = "tb2.invalid", group = "{group}" }} }}\n'
+        (root / "sierra.toml").write_text(f"{config}[runners.robots]\nstop = []\n{own}")
+        refused = projects.quick(root, "replay", fleet, "--on", "robots")
+        assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
+
+
 def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, str], tmp_path: Path) -> None:
     root, fleet = copied
     project = sierra.open(root)
@@ -168,7 +181,7 @@ def test_a_query_in_a_simulator_and_on_robots_with_sshd(fleet: Fleet, tmp_path: 
 
     refused = projects.quick(root, "run", "population_size=4", "--target", "robots", "--no-figures")
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert "but the fleet in [runners.robots] has 3; 1 to 3 are possible" in refused.stderr
+    assert "but the fleet has 3; runs of 1 to 3 robots are possible" in refused.stderr
     [batch] = projects.sql(root, "SELECT batch FROM sessions WHERE target = 'robots' LIMIT 1")
     again = projects.quick(root, "replay", batch["batch"], "--runs", "1", "--on", "robots")
     assert again.returncode == 0, again.stderr

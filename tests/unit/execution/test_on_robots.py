@@ -202,6 +202,59 @@ def test_runners_refuse_runs_that_they_cannot_execute(tmp_path: Path) -> None:
     assert list(project.batches) == []
 
 
+LEADER = "[targets.robots.robots.groups.leader]\nplaces = [2, 4]\n"
+SUPERVISED = "[targets.robots.trials]\nsupervised = true\ncountdown = 0\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "groups", "message"),
+    [
+        (LEADER, ("robot", "laeder"), "tb2: no place is of the group 'laeder'; did you mean 'leader'?"),
+        (
+            "",
+            ("robot", "arm"),
+            "tb2: no place is of the group 'arm'; [robots.groups] can declare it, and there are robot, base",
+        ),
+        (
+            LEADER + SUPERVISED,
+            ("robot", "leader", "robot", "robot"),
+            "a run needs 2 robots of the group 'leader', but the fleet has 1; runs of 1 to 3 robots are possible",
+        ),
+        (
+            LEADER,
+            ("robot", "leader", "base"),
+            "a run needs 2 robots of the group 'robot', but the fleet has 1; runs of 1 to 2 robots are possible",
+        ),
+        (
+            LEADER,
+            ("leader", "leader"),
+            "a run needs 2 robots of the group 'robot', but the fleet has 0; add some to [runners.robots.fleet]",
+        ),
+    ],
+)
+def test_a_fleet_that_cannot_take_all_places_of_all_runs_is_refused_before_anything_moves(
+    tmp_path: Path, more: str, groups: tuple[str, ...], message: str
+) -> None:
+    fleet = "".join(
+        f'fleet.tb{number} = {{ host = "tb{number}.invalid", group = "{group}" }}\n' for number, group in enumerate(groups, 1)
+    )
+    config = robots.CONFIG.replace('"pretend"', '"robots"')
+    root = robots.project(tmp_path / "p", f"{more}[runners.robots]\nstop = []\n{fleet}", config)
+    done = projects.quick(root, "run", "population_size=1,2,3,4", "--target", "robots", "--yes", "--no-figures")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"sierra: {message}\n"
+    assert projects.sql(root, "SELECT count(*) AS sessions FROM sessions") == [{"sessions": 0}]
+
+
+def test_a_robot_may_be_of_a_group_of_another_target(tmp_path: Path) -> None:
+    fleet = 'fleet.tb1 = { host = "tb1.invalid" }\nfleet.tb2 = { host = "tb2.invalid", group = "leader" }\n'
+    other = "[targets.other.robots]\ncount = 1\ngroups.leader.places = [1]\n"
+    config = robots.CONFIG.replace('"pretend"', '"robots"')
+    root = robots.project(tmp_path / "p", f"{other}[runners.robots]\nstop = []\nlink = 'none'\n{fleet}", config)
+    with pytest.raises(SierraError, match="unknown link 'none'"):
+        sierra.open(root).run("population_size=1", target="robots", figures=False)
+
+
 @pytest.mark.integration
 def test_a_robot_without_an_output_and_an_invalid_trial_do_not_count(tmp_path: Path) -> None:
     config = robots.CONFIG.replace("{input} {robot}", "{input} {robot} silent")

@@ -34,5 +34,7 @@ def test_places_are_taken_by_robots_of_their_group():
     assert allocate(table, [(0, "base"), (1, "fast"), (2, "scouts"), (3, "robot")]) == {0: "d", 1: "b", 2: "a", 3: "c"}
     chosen = table.model_copy(update={"use": ("c", "fast")})
     assert allocate(chosen, [(1, "robot"), (2, "fast")]) == {1: "c", 2: "b"}
-    with pytest.raises(ConfigError, match="needs 2 robots of the group 'fast', but the fleet has 1; 1 to 1 are possible"):
+    with pytest.raises(
+        ConfigError, match="needs 2 robots of the group 'fast', but the fleet has 1; runs of 1 robot are possible"
+    ):
         allocate(table, [(1, "fast"), (2, "fast")])

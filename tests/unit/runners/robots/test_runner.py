@@ -299,7 +299,10 @@ def test_a_robot_that_is_lost_while_a_run_is_held_back_is_told_at_once(fleet: Fl
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (job(1, robots=5), "a run needs 5 robots of the group 'robot', but the fleet has 3; 1 to 3 are possible"),
+        (
+            job(1, robots=5),
+            "a run needs 5 robots of the group 'robot', but the fleet has 3; runs of 1 to 3 robots are possible",
+        ),
         (job(1, base=True), 'a run needs a base station, but the fleet has none; give a host group = "base"'),
     ],
 )
