@@ -9,7 +9,7 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sierra.config.field_types import Table
@@ -22,14 +22,14 @@ from sierra.runners.robots.push import content_name
 class LocalChannel:
     """A program on this machine."""
 
-    def __init__(self, argv: Sequence[str], home: Path) -> None:
+    def __init__(self, argv: Sequence[str], home: Path, variables: Mapping[str, str]) -> None:
         self.process = subprocess.Popen(
             argv,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             cwd=home,
-            env={"PATH": os.environ["PATH"], "HOME": str(home), "USER": "robot"},
+            env={"PATH": os.environ["PATH"], "HOME": str(home), "USER": "robot", **variables},
             bufsize=0,
             start_new_session=True,
         )
@@ -96,6 +96,8 @@ class LocalLink:
         self.home = home
         self.off = False
         """True: it does not answer."""
+        self.variables: dict[str, str] = {}
+        """The variables that each login gets."""
         self.channels: list[LocalChannel] = []
         self.pushed: list[str] = []
         self.lock = lock or f"{LOCK}-{secrets.token_hex(6)}"
@@ -108,7 +110,7 @@ class LocalLink:
 
     def channel(self, argv: Sequence[str]) -> LocalChannel:
         self._answers()
-        self.channels.append(LocalChannel([self.lock if word == LOCK else word for word in argv], self.home))
+        self.channels.append(LocalChannel([self.lock if word == LOCK else word for word in argv], self.home, self.variables))
         return self.channels[-1]
 
     def push(

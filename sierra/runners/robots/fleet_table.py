@@ -124,10 +124,12 @@ class FleetTable(Table):
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
-        counts = Counter(one.host for one in self.fleet.values())
-        if twice := [host for host, count in counts.items() if count > 1]:
-            names = [name for name, one in self.fleet.items() if one.host == twice[0]]
-            raise ValueError(f"{' and '.join(names)} have the same host {twice[0]!r}")
+        for key in ("host", "address"):
+            robots: dict[str | None, list[str]] = {}
+            for name, one in self.fleet.items():
+                robots.setdefault(getattr(one, key), []).append(name)
+            if twice := [value for value, names in robots.items() if value is not None and len(names) > 1]:
+                raise ValueError(f"{' and '.join(robots[twice[0]])} have the same {key} {twice[0]!r}")
         groups = {one.group for one in self.fleet.values()}
         if unknown := [name for name in self.use if name not in self.fleet and name not in groups]:
             known = ", ".join([*self.fleet, *sorted(groups)])

@@ -32,7 +32,7 @@ from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
-from sierra.runners.robots import fitting_programs, results
+from sierra.runners.robots import fitting_programs, fitting_robots, results
 from sierra.runners.robots.agent_link import LOCK, AgentLink
 from sierra.runners.robots.agent_messages import Record
 from sierra.runners.robots.engine_errors import classify
@@ -182,6 +182,7 @@ class Robots:
         each(Robot.connect, robots.values())
         if self._stopped is not None:
             return
+        fitting_robots.check_addresses({one.name: one.address for one in robots.values()})
         addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
         parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"

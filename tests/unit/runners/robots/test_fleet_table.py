@@ -17,6 +17,10 @@ TWO = {"a": {"host": "pi@a"}, "b": {"host": "pi@b", "group": "fast"}}
     ("table", "said"),
     [
         ({"fleet": {"a": {"host": "pi@a"}, "b": {"host": "pi@a"}}, "stop": []}, "a and b have the same host 'pi@a'"),
+        (
+            {"fleet": {"a": {"host": "a", "address": "10.0.0.1"}, "b": {"host": "b", "address": "10.0.0.1"}}, "stop": []},
+            "a and b have the same address '10.0.0.1'",
+        ),
         ({"fleet": TWO, "use": ["c"], "stop": []}, "use: unknown robot or group 'c'; known are a, b, fast, robot"),
         ({"fleet": TWO}, "a has no stop command; give stop"),
         ({"fleet": {"a": {"host": "pi@a", "hots": 1}}, "stop": []}, "hots"),

@@ -192,6 +192,21 @@ def test_programs_get_the_known_addresses_of_all_robots_of_their_run(fleet: Flee
     )
 
 
+@pytest.mark.parametrize("declared", [None, "10.0.2.15"])
+def test_robots_that_have_the_same_address_in_their_networks_are_refused(fleet: Fleet, declared: str | None):
+    for name in ("ada", "cy"):
+        fleet.links[name].variables["SSH_CONNECTION"] = "10.0.2.2 40000 10.0.2.15 22"
+    own = {"cy": RobotTable(host="cy", address=declared)}
+    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, **own}})
+    with pytest.raises(
+        Missing, match=r"^ada and cy have the same address 10\.0\.2\.15; give each an address by which .*"
+    ) as raised:
+        fleet.run(job(1))
+    assert "\n" not in str(raised.value)
+    assert not fleet.begun()
+    assert not any(list(link.home.rglob("runs/*")) for link in fleet.links.values()), "nothing is armed"
+
+
 @pytest.mark.integration
 def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fleet: Fleet):
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
