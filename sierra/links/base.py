@@ -103,6 +103,8 @@ class Link(Protocol):
 
     name: str
     """The name by which the user knows the host."""
+    python: str
+    """The command for Python 3.8 or newer there, by which folders are copied: `python3`, unless another one is set."""
     Options: ClassVar[type[Table]]
     """The model of `[links.NAME]`."""
 

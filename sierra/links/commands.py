@@ -137,6 +137,8 @@ class Lines:
 class Commands(ABC):
     """All methods of a Link but its connection. A back end implements `_start` and `_disconnect`."""
 
+    python = "python3"
+
     def __init__(self, host: str, options: LinkOptions) -> None:
         self.name = host
         self._address = parse(host, options.ssh_config)
@@ -184,11 +186,11 @@ class Commands(ABC):
     ) -> Folder:
         listed = copy_folder.listed(folder)
         root = folder.parent if folder.is_file() else folder
-        with self._exchange(copy_folder.program("push"), timeout) as exchange:
+        with self._exchange(copy_folder.program("push", self.python), timeout) as exchange:
             return copy_folder.push(exchange, root, listed, target, timeout, progress)
 
     def pull(self, folder: str, target: Path, *, timeout: float = 60.0) -> Folder:
-        with self._exchange(copy_folder.program("pull"), timeout) as exchange:
+        with self._exchange(copy_folder.program("pull", self.python), timeout) as exchange:
             return copy_folder.pull(exchange, folder, target, timeout)
 
     @contextlib.contextmanager

@@ -23,9 +23,9 @@ LONGEST = 1 << 28
 LOADER = "import json, sys; exec(json.loads(sys.stdin.buffer.readline()))"
 
 
-def program(way: str) -> tuple[str, ...]:
+def program(way: str, python: str) -> tuple[str, ...]:
     """Return the command that executes the part on the host, whose text is its first line of input."""
-    return ("python3", "-I", "-S", "-c", LOADER, way)  # only the standard library, which starts faster alone
+    return (python, "-I", "-S", "-c", LOADER, way)  # only the standard library, which starts faster alone
 
 
 def listed(folder: Path) -> list[Entry]:
@@ -155,7 +155,7 @@ class _Host:
             raise self._overdue() from None
         if found is None:
             said = self._errors.decode(errors="replace").strip().splitlines()[-1:]
-            raise Missing(f"{self.failure}: {said[0] if said else 'python3 ended'} (Python 3.8 or newer is needed there)")
+            raise Missing(f"{self.failure}: {said[0] if said else 'Python ended'} (Python 3.8 or newer is needed there)")
         if found[0] == 1:
             self._held += found[1]
         else:

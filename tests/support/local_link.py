@@ -89,6 +89,7 @@ class LocalLink:
     """One robot: `home` is its home folder. Its lock is its own."""
 
     Options = Table
+    python = "python3"
 
     def __init__(self, name: str, home: Path, lock: str | None = None) -> None:
         """`lock` is that of another link to the same robot."""

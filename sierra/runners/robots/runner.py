@@ -293,6 +293,7 @@ class Robots:
         if name not in self._robots:
             options = self._table.robot(name)
             link = self._make_link(name, options)
+            link.python = self._table.python
             agent = AgentLink(name, link, self._table.lease, self._events)
             self._robots[name] = Robot(name, options, self._table, agent, self._work, self._code, self._session, self._notes)
         return self._robots[name]

@@ -16,6 +16,7 @@ import pytest
 from sierra.errors import Missing
 from sierra.links.base import LinkOptions
 from sierra.links.fabric import Fabric
+from sierra.links.openssh import OpenSsh, OpenSshOptions
 from sierra.runners.robots.trial import Trial
 from tests.support.robot_fleet import Fleet, Proxy
 from tests.support.robot_runs import Runs, job
@@ -61,6 +62,30 @@ def test_programs_start_together_by_the_clock_of_each_robot(runs: Runs, fleet: F
     skews = [row["start_skew_ns"] for row in rows]
     assert max(skews) - min(skews) < 500e6  # `make bench` has the time on a machine without other work
     assert all((robot.home / "stops").read_text() == "stopped\n" * 2 for robot in fleet.robots.values())
+
+
+@pytest.mark.parametrize("kind", ["fabric", "openssh"])
+def test_robots_whose_python3_is_too_old_use_another_python_for_everything(
+    runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch, kind: str
+):
+    for name in fleet.names:
+        there = fleet.enter(name, "sh", "-c", "command -v python3").strip()
+        programs = fleet.robots[name].home / "bin"
+        programs.mkdir()
+        for program, script in (
+            ("python3", "echo python3 was called >> ~/called; exit 1"),
+            ("python-new", f'exec {there} "$@"'),
+        ):
+            (programs / program).write_text(f"#!/bin/sh\n{script}\n")
+            (programs / program).chmod(0o755)
+        fleet.configure(name, "SetEnv PATH=/home/robot/bin:/usr/local/bin:/usr/bin:/bin")
+    if kind == "openssh":
+        options = OpenSshOptions(ssh_config=str(fleet.ssh_config))
+        monkeypatch.setattr(runs, "make_link", lambda name, _: OpenSsh(name, options))
+    runs.table = runs.table.model_copy(update={"python": "python-new"})
+    [result] = runs.run(job(1, python="python-new"))
+    assert [file.path for file in result.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
+    assert not any((robot.home / "called").exists() for robot in fleet.robots.values())
 
 
 def power_cut(fleet: Fleet) -> None:

@@ -78,8 +78,8 @@ def test_contents_that_differ_from_their_hash_or_end_early_leave_nothing(tmp_pat
     digest = hashlib.sha256(b"right").hexdigest()
     for contents, digests, reason in (
         (b"wrong", [digest], "a/b changed while it was copied"),
-        (b"rig", [], "python3 ended"),
-        (b"right", [], "python3 ended"),
+        (b"rig", [], "Python ended"),
+        (b"right", [], "Python ended"),
         (b"right", [digest, digest], "no list of hashes"),
     ):
         with pytest.raises(Missing, match=reason):
@@ -110,7 +110,7 @@ def test_the_part_on_the_host_removes_what_it_wrote_when_it_is_cut_off(tmp_path:
     source = json.dumps(Path(remote_folder.__file__).read_text())
     entry = ["file", "a", hashlib.sha256(b"all").hexdigest(), 3, False]
     for sent in (b"al", b""):
-        argv = [sys.executable, *copy_folder.program("push")[1:]]
+        argv = copy_folder.program("push", sys.executable)
         with Popen(argv, stdin=PIPE, stdout=PIPE, env={"HOME": str(home)}) as process:
             out, _ = process.communicate(f"{source}\n{json.dumps(['deep/target', [entry]])}\n".encode() + sent, timeout=20)
         assert b"the connection ended" in out
@@ -119,7 +119,7 @@ def test_the_part_on_the_host_removes_what_it_wrote_when_it_is_cut_off(tmp_path:
 
 def asked(home: Path, *words: str) -> bytes:
     """Return what the part on a host answers to a request to pull."""
-    argv = [sys.executable, *copy_folder.program("pull")[1:]]
+    argv = copy_folder.program("pull", sys.executable)
     source = json.dumps(Path(remote_folder.__file__).read_text())
     with Popen(argv, stdin=PIPE, stdout=PIPE, env={"HOME": str(home)}) as process:
         return process.communicate(f"{source}\n{json.dumps(words)}\n".encode(), timeout=20)[0]
