@@ -48,7 +48,9 @@ def text_of(source):
     with open(os.path.expanduser(source), "rb") as file:
         return file.read().decode("utf-8", "replace")
 errors = found["errors"] = {}
-sources = {"battery": battery or (guessed or [None])[0], "firmware": asked["firmware"], "calibration": asked["calibration"]}
+if battery is None and guessed:
+    battery = guessed[0]
+sources = {"battery": battery, "firmware": asked["firmware"], "calibration": asked["calibration"]}
 for name in sorted(name for name in sources if sources[name]):
     try:
         text = text_of(sources[name]).strip()

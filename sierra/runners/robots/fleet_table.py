@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
@@ -15,7 +15,10 @@ from sierra.util.text import like
 
 Battery = Line | Annotated[tuple[str, ...], Field(min_length=1)]
 Topic = Annotated[str, StringConstraints(pattern=r"^/?[A-Za-z][A-Za-z0-9_/]*$")]
+Nothing = Literal[""]
 RobotName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+REPLACED = ("setup", "stop", "battery", "firmware", "calibration", "checks", "topic_rates")
+"""Keys of the fleet that a robot may have, too. Then its own value counts, also if it is empty."""
 
 
 class RobotTable(Table):
@@ -33,13 +36,17 @@ class RobotTable(Table):
     variables: Mapping[str, str] = Field(
         default_factory=dict, description="variables that its setup line, its stop command and its program get"
     )
-    setup: Line | None = Field(
-        None, description="replaces `setup` of the fleet; so do `stop`, `battery`, `firmware` and `calibration`"
+    setup: Line | Nothing | None = Field(
+        None,
+        description="replaces `setup` of the fleet; so do `stop`, `battery`, `firmware`, `calibration`, `checks` and "
+        '`topic_rates`. An empty value, such as "" or [], means none',
     )
     stop: Argv | None = Field(None, description="replaces `stop` of the fleet")
-    battery: Battery | None = Field(None, description="replaces `battery` of the fleet")
-    firmware: Command | None = Field(None, description="replaces `firmware` of the fleet")
-    calibration: Line | None = Field(None, description="replaces `calibration` of the fleet")
+    battery: Line | Nothing | tuple[str, ...] | None = Field(None, description="replaces `battery` of the fleet")
+    firmware: Argv | None = Field(None, description="replaces `firmware` of the fleet")
+    calibration: Line | Nothing | None = Field(None, description="replaces `calibration` of the fleet")
+    checks: tuple[Command, ...] | None = Field(None, description="replaces `checks` of the fleet")
+    topic_rates: Mapping[Topic, Positive] | None = Field(None, description="replaces `topic_rates` of the fleet")
     link_options: Mapping[str, Any] = Field(
         default_factory=dict, description="options of the link that differ from those of the fleet"
     )
@@ -146,16 +153,8 @@ class FleetTable(Table):
     def robot(self, name: str) -> RobotTable:
         """Return a robot with what the fleet has for it, where it has nothing of its own."""
         own = self.fleet[name]
-        return own.model_copy(
-            update={
-                "setup": own.setup or self.setup,
-                "stop": self.stop if own.stop is None else own.stop,
-                "battery": own.battery or self.battery,
-                "firmware": own.firmware or self.firmware,
-                "calibration": own.calibration or self.calibration,
-                "link_options": {**self.link_options, **own.link_options},
-            }
-        )
+        of_fleet = {key: getattr(self, key) for key in REPLACED if getattr(own, key) is None}
+        return own.model_copy(update={**of_fleet, "link_options": {**self.link_options, **own.link_options}})
 
 
 def check_groups(table: FleetTable, declared: Collection[str]) -> None:

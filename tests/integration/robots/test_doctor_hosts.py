@@ -19,6 +19,9 @@ def project(tmp_path: Path, fleet: Fleet) -> Path:
     return folder
 
 
+NOTHING = 'setup = "", battery = [], firmware = [], calibration = ""'
+
+
 def checks(folder: Path, *words: str, code: int = 0) -> dict[str, dict[str, str]]:
     done = projects.quick(folder, "doctor", "--hosts", *words, "--json")
     assert done.returncode == code, done.stdout + done.stderr
@@ -57,6 +60,7 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
             f'[runners.robots.fleet]\nfirst = {{ host = "{one}" }}\n'
             f'second = {{ host = "{other}", battery = ["echo", "85 %"], firmware = ["echo", "1.4"] }}\n'
             f'third = {{ host = "{third}", setup = "source /opt/ros/none.bash" }}\n'
+            f'base = {{ host = "{fleet.through(one, jump=other)}", {NOTHING} }}\n'
         )
     found = checks(project, code=3)
     assert (found["first: battery"]["state"], found["first: battery"]["found"]) == ("missing", "12 %")
@@ -68,6 +72,7 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
     assert "second: firmware" not in found
     assert "/opt/ros/none.bash: No such file" in found["third: setup"]["found"]
     assert found["second: disk"]["remedy"] == "free some space: 1000 MB are needed"
+    assert not {"base: battery", "base: firmware", "base: calibration", "base: setup"} & found.keys()
     assert {name.partition(":")[0] for name in checks(project, "second", code=3)} == {"second"}
 
 

@@ -13,12 +13,13 @@ from typing import Any
 
 import pytest
 
+from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing
 from sierra.ingest.observations import observed
 from sierra.model import Job
 from sierra.provenance.environment import differing
 from sierra.runners.base import Work
-from sierra.runners.robots.fleet_table import RobotTable
+from sierra.runners.robots.fleet_table import FleetTable, RobotTable
 from sierra.runners.robots.runner import Robots
 from sierra.store.layout import SessionPaths
 from sierra.testing import robots as conformance
@@ -146,6 +147,25 @@ def test_a_robot_that_is_not_ready_stops_all(fleet: Fleet, tmp_path: Path):
     (tmp_path / "battery").write_text("12")
     with pytest.raises(Missing, match=r"^ada: its battery has 12 %, less than battery_min = 30$"):
         fleet.run(job(1))
+
+
+def test_a_robot_may_have_nothing_of_what_the_fleet_has(fleet: Fleet):
+    missing = {
+        **{"setup": "false", "battery": "/nowhere/capacity", "firmware": ("false",), "calibration": "/nowhere/calibration"},
+        **{"checks": (("false",),), "topic_rates": {"/scan": 4.0}},
+    }
+    fleet.table = fleet.table.model_copy(update=missing)
+    none = {"setup": "", "battery": [], "firmware": [], "calibration": "", "checks": [], "topic_rates": {}}
+    for key in none:
+        own = {"host": "ada", **{other: value for other, value in none.items() if other != key}}
+        fleet.table = options(FleetTable, {**fleet.table.model_dump(), "fleet": {"ada": own}}, "[runners.robots]")
+        with pytest.raises(Missing, match=r"^ada: "):
+            fleet.run(job(1, robots=1))
+    fleet.table = options(
+        FleetTable, {**fleet.table.model_dump(), "fleet": {"ada": {"host": "ada", **none}}}, "[runners.robots]"
+    )
+    [result] = fleet.run(job(1, robots=1))
+    assert (result.exit_code, result.error) == (0, None)
 
 
 def test_no_robot_is_touched_if_this_machine_has_no_room_for_what_a_run_measures(fleet: Fleet):
