@@ -31,7 +31,8 @@ starts, a run is ended as by `stop`, and the agent ends. Therefore nothing is le
 If processes had to be killed, the stop command is executed once more, because they may have moved the robot since. It is also
 executed when a run has ended by itself. If it fails or takes too long, the event `ended` says so. All processes that a run
 started are found: the worker is their subreaper, and the agent is that of the worker. If an agent was killed, its worker ends
-the run, and the next agent executes the stop command.
+the run, and the next agent executes the stop command. So it does after a power cut or a restart in the middle of a run, because
+the motors may have a controller with power of its own, which obeys the last command.
 
 A run's folder is FOLDER/runs/ATTEMPT. It has `process.json` from the time when the run is armed, and `ended.json` at its end.
 An attempt whose folder exists is never started again.
@@ -93,6 +94,11 @@ class Stopping:
                 )
         except (OSError, ValueError) as error:
             self.problem = "cannot be started: " + the_worker().explain(error)
+
+    @property
+    def problems(self) -> list[str]:
+        """Return what went wrong, in at most one line."""
+        return ["the stop command %s" % self.problem] if self.problem else []
 
     def has_ended(self) -> bool:
         """Return whether it has ended; ends it if it takes too long."""
@@ -206,8 +212,7 @@ class Run:
         if self.stopping is not None:
             if not self.stopping.has_ended():
                 return False
-            if self.stopping.problem:
-                self.problems.append("the stop command %s" % self.stopping.problem)
+            self.problems += self.stopping.problems
             again, self.killed, self.stopping = self.killed and self.why is not None, False, None
             if again:
                 self.execute_stop_command()
@@ -462,20 +467,23 @@ class Agent:
             if record.get("client"):
                 the_worker().end_container(record["client"])
             report = read_record(os.path.join(folder, ENDED))
-            is_open = report is None and record.get("boot") == boot_id() and has_begun(events_in(folder))
-            if ended or is_open:  # its agent was killed before it could execute the stop command
-                self.execute_stop_command()
-            found.append({"attempt": attempt, "ended": ended, "report": report})
+            may_have_begun = record.get("boot") != boot_id() or has_begun(events_in(folder))  # a power cut loses events
+            problems = []
+            if ended or (report is None and may_have_begun):  # its agent was killed before it could execute the stop command
+                problems = self.execute_stop_command()
+            found.append({"attempt": attempt, "ended": ended, "report": report, "problems": problems})
             if attempt not in keep:
                 the_worker().remove(folder)
         return found
 
-    def execute_stop_command(self) -> None:
-        """Execute the stop command, and wait for its end."""
-        if self.stop_argv:
-            stopping = Stopping(self.stop_argv, self.environment, os.path.join(self.folder, STOP_LOG), self.stop_limit)
-            while not stopping.has_ended():
-                time.sleep(LOOK_S / 10)
+    def execute_stop_command(self) -> list[str]:
+        """Execute the stop command, and wait for its end; return its problem, if it has one."""
+        if not self.stop_argv:
+            return []
+        stopping = Stopping(self.stop_argv, self.environment, os.path.join(self.folder, STOP_LOG), self.stop_limit)
+        while not stopping.has_ended():
+            time.sleep(LOOK_S / 10)
+        return stopping.problems
 
     def check(self, request: Record) -> Record:
         """Measure battery (percent) and disk (bytes). Before a run, also describe the robot, and execute the checks."""

@@ -23,6 +23,7 @@ import socket
 import subprocess
 import tempfile
 import threading
+import uuid
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from pathlib import Path
@@ -235,6 +236,14 @@ class Fleet:
             )
         if wait:
             self.wait_for(name)
+
+    def reboot(self, name: str) -> None:
+        """Take a robot's power and start it again, with a new id of the boot, which namespaces alone do not have."""
+        self.power_cut(name)
+        self.boot(name)
+        self.robots[name].changed = True
+        (self.robots[name].own / "boot_id").write_text(f"{uuid.uuid4()}\n")
+        self.enter(name, "mount", "--bind", "/run/robot/boot_id", "/proc/sys/kernel/random/boot_id")
 
     def wait_for(self, name: str) -> None:
         """Wait until a robot's sshd answers."""

@@ -62,6 +62,7 @@ class _Leftover(_Part):
     ended: Size
     report: dict[str, Any] | None
     """The report of an earlier agent, perhaps of another version: see `as_report`."""
+    problems: list[Text]
 
 
 class _Hello(_Message):

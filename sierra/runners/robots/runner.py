@@ -34,7 +34,7 @@ from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
 from sierra.runners.robots import fitting_programs, fitting_robots, results
 from sierra.runners.robots.agent_link import LOCK, AgentLink
-from sierra.runners.robots.agent_messages import Record
+from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.engine_errors import classify
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
 from sierra.runners.robots.push import content_name, push_content, push_programs
@@ -383,9 +383,13 @@ class Robot:
         if self.container and (row := self.container.isolation.row):
             self.hello["isolation"] = row.isolation
         for left in self.hello["leftovers"]:
+            problems = list(left["problems"])
             if left["attempt"] != keep:
                 ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
                 self._notes.put(f"{self.name}: removed what an earlier run had left{ended}")
+                problems += (as_report(left["report"]) or {}).get("problems", ())
+            for problem in problems:
+                self._notes.put(f"{self.name}: after an earlier run, {problem}")
         return self.hello
 
     def _check_sessions(self) -> None:

@@ -93,8 +93,7 @@ def power_cut(fleet: Fleet) -> None:
 
 
 def reboot(fleet: Fleet) -> None:
-    fleet.power_cut(fleet.names[1])
-    fleet.boot(fleet.names[1])
+    fleet.reboot(fleet.names[1])
 
 
 def radio_down(fleet: Fleet) -> None:

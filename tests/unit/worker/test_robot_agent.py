@@ -278,6 +278,23 @@ def test_what_a_killed_agent_leaves_is_ended_and_removed(agent: Start, step: str
         assert not driver.output.exists()
 
 
+def test_a_run_of_another_boot_is_removed_with_a_stop_and_its_process_id_belongs_to_another(agent: Start) -> None:
+    driver = agent()
+    stopped, folder = driver.folder / "stopped", driver.folder / "runs" / "0"
+    folder.mkdir(parents=True)
+    with subprocess.Popen(["sleep", "60"], env={**os.environ, "SIERRA_EXECUTION": driver.attempt}) as other:
+        try:
+            known = {"pid": other.pid, "born": worker.birth(other.pid), "executions": [driver.attempt], "client": None}
+            (folder / "process.json").write_text(json.dumps({**known, "boot": "another"}))
+            [left] = driver.hello(stop=["sh", "-c", f"echo stop >> {stopped}; exit 3"])["leftovers"]
+            assert left == {"attempt": "0", "ended": 0, "report": None, "problems": ["the stop command ended with status 3"]}
+            assert stopped.read_text() == "stop\n"
+            assert not folder.exists()
+            assert other.poll() is None
+        finally:
+            other.kill()
+
+
 def test_refusals_are_one_line(agent: Start, tmp_path: Path):
     driver = agent()
     driver.send("hello", who={}, setup="echo no such robot >&2; false")
