@@ -27,14 +27,21 @@ class Recorded(NamedTuple):
     values: Mapping[str, Any] = {}
 
 
-def record(folder: Path, kind: str, messages: Iterable[Recorded], topics: Mapping[str, str] | None = None) -> Path:
-    """Write a bag; return its path. `topics` are types by topics without messages."""
+def record(
+    folder: Path,
+    kind: str,
+    messages: Iterable[Recorded],
+    topics: Mapping[str, str] | None = None,
+    store: Typestore | None = None,
+) -> Path:
+    """Write a bag; return its path. `topics` are types by topics without messages; `store` has types of one's own."""
     folder.mkdir(parents=True, exist_ok=True)
+    store = store or get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
     if kind == "bag":
-        return _write(Writer1(folder / "run.bag"), get_typestore(Stores.ROS1_NOETIC), messages, topics, folder / "run.bag")
+        return _write(Writer1(folder / "run.bag"), store, messages, topics, folder / "run.bag")
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     writer = Writer2(folder / "run", version=9, storage_plugin=plugin)
-    return _write(writer, get_typestore(Stores.ROS2_HUMBLE), messages, topics, folder / "run" / f"run.{kind}")
+    return _write(writer, store, messages, topics, folder / "run" / f"run.{kind}")
 
 
 def odometry(robots: int = 2, count: int = 3) -> list[Recorded]:
@@ -93,5 +100,5 @@ def _value(store: Typestore, detail: Any, values: Mapping[str, Any], path: str) 
         case (_, ((_, ("string", _)), _)):
             return list(values.get(path, ()))
         case (_, ((_, (name, _)), size)):
-            return np.array(values.get(path, [0] * size), dtype={"byte": "uint8", "char": "uint8"}.get(name, name))
+            return np.array(values.get(path, [0] * size), dtype="uint8" if name == "char" else name)
     raise AssertionError(detail)

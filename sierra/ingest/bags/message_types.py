@@ -5,7 +5,8 @@ The columns of a type follow from its definition alone, so all runs have the sam
 - a field of numbers, flags or text is a column; a field within a field is `pose.pose.position.x`;
 - a time or a duration is one whole number of nanoseconds, in a column that ends in `_ns`; `header.stamp` is `header_stamp_ns`;
 - an array of numbers, flags or texts is a LIST, without covariances unless they are asked for;
-- of bytes (images, point clouds, maps) and of lists of messages, there is only the number of items, as `data.length`.
+- of bytes (images, point clouds, maps) and of lists of messages, there is only the number of items, as `data.length`;
+- a `byte` has a sign in ROS 1 (-128 to 127) and none in ROS 2 (0 to 255); a `char` has none in both.
 
 Definitions in a bag are not trusted. `rosbags` makes Python code from them, so every name is checked before. Types that contain
 themselves, have too many fields, or have lists of items without any bytes are refused: a small bag could occupy a machine.
@@ -37,21 +38,21 @@ UNPARSED = re.compile(r'"(?:[^"\\]|\\.)*"|//[^\n]*|/\*.*?\*/', re.DOTALL)
 """Texts and comments in IDL."""
 PRIMITIVES = {
     "bool": "bool_",
-    "byte": "uint8",
+    "byte": "int8",
     "char": "uint8",
     **{name: name for name in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")},
     "float32": "float32",
     "float64": "float64",
     "string": "string",
 }
-"""The types of values, with Arrow's names."""
+"""The types of values, with Arrow's names; a `byte` is that of ROS 1, which `rosbags` also returns for ROS 2."""
 BYTES = ("byte", "char", "int8", "uint8")
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 STAMP, SECONDS, NANOSECONDS = "header.stamp", "sec", "nanosec"
 EMPTY = "structure_needs_at_least_one_member"
 BASE, NAMED, ARRAY, SEQUENCE = 1, 2, 3, 4
 """The kinds of fields, as `rosbags` numbers them."""
-Kind = Literal["value", "list", "time", "length", "bytes"]
+Kind = Literal["value", "list", "octet", "octets", "time", "length", "bytes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class Field:
         import pyarrow as pa
 
         plain = getattr(pa, self.type)()
-        return pa.list_(plain) if self.kind == "list" else plain
+        return pa.list_(plain) if self.kind in ("list", "octets") else plain
 
     def values(self, found: Sequence[Sequence[Any]]) -> Sequence[object]:
         """Return the values of the column from the values of its attributes in each message."""
@@ -77,6 +78,10 @@ class Field:
                 return [seconds * NS + nanoseconds for seconds, nanoseconds in zip(*found, strict=True)]
             case "length" | "bytes":
                 return [len(items) for items in found[0]]
+            case "octet":
+                return [value & 0xFF for value in found[0]]
+            case "octets":
+                return [items.view("uint8") for items in found[0]]
             case _:
                 return found[0]
 
@@ -88,6 +93,7 @@ class MessageType:
         self.name = name
         self._decode = store.deserialize_ros1 if ros1 else store.deserialize_cdr
         self._fields = store.fielddefs
+        self._ros1 = ros1
         self._visited = 0
         self._least(name)
         self.fields = tuple(self._columns(name, "", ""))
@@ -148,13 +154,18 @@ class MessageType:
             elif kind == NAMED:
                 yield from self._columns(detail, f"{column}.", f"{attribute}.")
             elif kind == BASE:
-                yield Field(column, "value", PRIMITIVES[detail[0]], (attribute,))
+                yield self._plain(column, detail[0], attribute, is_list=False)
             elif detail[0][0] == NAMED:
                 yield Field(f"{column}.length", "length", "int64", (attribute,))
             elif kind == SEQUENCE and detail[0][1][0] in BYTES:
                 yield Field(f"{column}.length", "bytes", "int64", (attribute,))
             else:
-                yield Field(column, "list", PRIMITIVES[detail[0][1][0]], (attribute,))
+                yield self._plain(column, detail[0][1][0], attribute, is_list=True)
+
+    def _plain(self, column: str, base: str, attribute: str, *, is_list: bool) -> Field:
+        if base == "byte" and not self._ros1:
+            return Field(column, "octets" if is_list else "octet", "uint8", (attribute,))
+        return Field(column, "list" if is_list else "value", PRIMITIVES[base], (attribute,))
 
 
 class MessageTypes:

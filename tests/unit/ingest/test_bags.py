@@ -99,6 +99,21 @@ def test_arrays_are_lists_and_of_images_and_lists_of_messages_there_is_the_lengt
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_bytes_are_signed_in_ros_1_and_unsigned_in_ros_2(tmp_path: Path, kind: str) -> None:
+    import numpy as np
+    from rosbags.typesys import get_types_from_msg
+
+    store = bags.get_typestore(bags.Stores.ROS1_NOETIC if kind == "bag" else bags.Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("byte one\nbyte[3] three\nchar letter\nchar[2] letters\nint8 small", "t/msg/A"))
+    pair = np.array([255, 1], dtype="uint8")
+    content = store.types["t/msg/A"](one=-1, three=np.array([-128, 127, -1], "int8"), letter=255, letters=pair, small=-1)
+    path = record(tmp_path, kind, [Recorded("/x", "t/msg/A", 1, vars(content))], store=store)
+    [row] = rows(tmp_path, path, ["/x"])
+    numbers = (-1, [-128, 127, -1]) if kind == "bag" else (255, [128, 127, 255])
+    assert values(row, "one", "three", "letter", "letters", "small") == (*numbers, 255, [255, 1], -1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_topic_without_messages_is_an_empty_table_and_an_absent_one_is_an_error(tmp_path: Path, kind: str) -> None:
     path = record(tmp_path, kind, odometry(), {"/goal": "std_msgs/msg/Float64", '/it\'s "quoted"': "std_msgs/msg/Float64"})
     assert rows(tmp_path, path, ["/goal"]) == []
