@@ -15,13 +15,31 @@ from pathlib import Path
 import pytest
 
 import sierra.simulators
-from tests import projects
+from sierra.simulators.ros_launch import Launch2
+from tests import bags, projects
 from tests.waiting import until
 
 DRIVER = Path(sierra.simulators.__file__).parent / "drivers" / "ros_driver.py"
 IMITATION = """\
-import os, re, signal, subprocess, sys, time
+import os, re, shlex, shutil, signal, subprocess, sys, time
 import xml.etree.ElementTree as tree
+
+if sys.argv[1:3] == ["bag", "record"]:
+    plugin, folder, topics = sys.argv[3:5], sys.argv[6], sys.argv[7:]
+    assert (plugin, sys.argv[5], topics) == (["-s", "mcap"], "-o", ["--regex", "/.*/odom"]), sys.argv
+    programs = os.path.dirname(os.path.abspath(__file__))
+    recorded = os.path.join(programs, "recorded", "run")
+
+    def close(number, frame):
+        if not os.path.exists(os.path.join(programs, "never_closes")):
+            shutil.copytree(recorded, folder, dirs_exist_ok=True)
+        os._exit(0)
+
+    signal.signal(signal.SIGINT, close)
+    os.mkdir(folder)
+    with open(os.path.join(folder, "run.mcap"), "wb") as file:
+        file.write(open(os.path.join(recorded, "run.mcap"), "rb").read()[:100])
+    signal.pause()
 
 if sys.argv[1:3] == ["topic", "echo"]:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -34,14 +52,26 @@ assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and os.environ
 with open(os.path.join(os.environ["SIERRA_OUTPUT"], "domain"), "w") as file:
     file.write(os.environ["ROS_DOMAIN_ID"])
 nodes = {}
-for number, node in enumerate(tree.parse(sys.argv[3]).iter("node"), 1):
-    process = subprocess.Popen(["sh", "-c", node.get("exec")], start_new_session=True)
-    nodes[f"{node.get('name')}-{number}"] = process
-    print(f"[INFO] [{node.get('name')}-{number}]: process started with pid [{process.pid}]", flush=True)
+
+def start(name, words):
+    name = f"{name}-{len(nodes) + 1}"
+    process = nodes[name] = subprocess.Popen(words, start_new_session=True)
+    print(f"[INFO] [{name}]: process started with pid [{process.pid}]", flush=True)
+
+launch = tree.parse(sys.argv[3])
+for one in launch.iter("executable"):
+    words = re.sub(r"\\$[(]env (\\w+)[)]", lambda found: os.environ[found[1]], one.get("cmd"))
+    start(one.get("name"), shlex.split(words))
+    while not os.path.exists(os.path.join(os.environ["SIERRA_OUTPUT"], "run", "run.mcap")):
+        time.sleep(0.02)
+for node in launch.iter("node"):
+    start(node.get("name"), ["sh", "-c", node.get("exec")])
 
 def end(number, frame):
     for process in nodes.values():
         process.poll() is None and os.killpg(process.pid, signal.SIGINT)
+    for process in nodes.values():
+        process.wait()
     sys.exit(0)
 
 signal.signal(signal.SIGINT, end)
@@ -56,6 +86,14 @@ while True:
                 print(f"[{level}] [{name}]: process {ended}", flush=True)
     time.sleep(0.02)
 """
+SETTINGS = """\
+platform = "ros"
+template = "swarm.launch.xml"
+platforms.ros = { ros = 2, length = 0.5, record = ["/.*/odom"] }
+observe = "none"
+outputs.walk = { file = "*.csv" }
+outputs.odom = { file = "run/*.mcap", format = "bag", topics = ["/{model}/odom"] }
+"""
 
 
 @pytest.fixture
@@ -68,10 +106,10 @@ def programs(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "TMPDIR": str(tmp_path / "tmp")}
 
 
-def start(folder: Path, programs: dict[str, str], *options: str, **nodes: str) -> subprocess.Popen[str]:
-    """Start a run whose nodes are shell commands, by name."""
+def start(folder: Path, programs: dict[str, str], *options: str, more: str = "", **nodes: str) -> subprocess.Popen[str]:
+    """Start a run whose nodes are shell commands, by name; `more` are other elements of its launch file."""
     folder.mkdir()
-    lines = "".join(f'<node pkg="p" exec="{command}" name="{name}"/>' for name, command in nodes.items())
+    lines = more + "".join(f'<node pkg="p" exec="{command}" name="{name}"/>' for name, command in nodes.items())
     (folder / "input.launch.xml").write_text(f"<launch>{lines}</launch>")
     words = (str(folder / "input.launch.xml"), str(folder), "ros2", "--ros", "2", *options)
     return subprocess.Popen(
@@ -116,6 +154,18 @@ def test_a_run_fails_with_its_reason(
     assert end_of(process) == (1, message)
 
 
+@pytest.mark.parametrize("closes", [False, True])
+@pytest.mark.each_case
+def test_a_bag_that_its_recorder_did_not_close_fails_its_run(tmp_path: Path, programs: dict[str, str], closes: bool) -> None:
+    bags.record(tmp_path / "bin" / "recorded", "mcap", bags.odometry())
+    if not closes:
+        (tmp_path / "bin" / "never_closes").touch()
+    recorder = Launch2().recorder(["/.*/odom"])
+    process = start(tmp_path / "run", programs, "--length", "0.5", "--bag", "run", more=recorder, talker="sleep 1000")
+    assert end_of(process) == ((0, "") if closes else (1, "ros: the bag run is missing or was not closed"))
+    assert (tmp_path / "run" / "run" / "run.mcap").stat().st_size  # there from the start
+
+
 @pytest.mark.nightly
 def test_awaited_nodes_and_the_simulated_time_end_a_run(tmp_path: Path, programs: dict[str, str]) -> None:
     begin = time.monotonic()
@@ -142,9 +192,12 @@ def test_a_batch_of_robots_of_ros_2(tmp_path: Path, programs: dict[str, str], mo
     node = '<node pkg="p" exec="printf \'n\\n1\\n\' &gt; $SIERRA_OUTPUT/$$.csv; sleep 1000" name="walker"/>'
     text = f'<launch><group><push_ros_namespace namespace="robot"/>{node}</group></launch>'
     (root / "swarm.launch.xml").write_text(text)
-    settings = 'platform = "ros"\ntemplate = "swarm.launch.xml"\nplatforms.ros = { ros = 2, length = 0.5 }\nobserve = "none"\n'
-    (root / "sierra.toml").write_text(settings + 'outputs.walk = { file = "*.csv" }\n')
+    bags.record(tmp_path / "bin" / "recorded", "mcap", bags.odometry())
+    (root / "sierra.toml").write_text(SETTINGS)
     summary, _ = projects.run(root, "population_size=1,3", "--runs", "2", "--jobs", "2")
     assert (summary["executed"], summary["failed"]) == (4, 0)
     rows = projects.sql(root, "SELECT population_size AS size, count(*) AS rows FROM walk GROUP BY size ORDER BY size")
     assert [tuple(row.values()) for row in rows] == [(1, 2), (3, 6)]
+    assert projects.sql(root, "SELECT count(DISTINCT execution) AS runs, count(*) AS rows FROM odom") == [
+        {"runs": 4, "rows": 24}
+    ]

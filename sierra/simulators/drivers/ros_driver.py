@@ -303,8 +303,12 @@ class Launch:
 
     def check_bag(self) -> None:
         """Check that the recorder has closed its file. Raises Failure."""
-        if self.given.bag and not (self.given.output / self.given.bag).exists():
+        if self.given.bag and not self.written_last(self.given.output / self.given.bag).exists():
             raise Failure(f"the bag {self.given.bag} is missing or was not closed")
+
+    def written_last(self, bag: Path) -> Path:
+        """Return the file that is there only after the recorder has closed its bag."""
+        return bag
 
 
 class Launch1(Launch):
@@ -576,6 +580,9 @@ class Launch2(Launch):
     def close(self) -> None:
         if self.clock is not None:
             end(self.clock.process)
+
+    def written_last(self, bag: Path) -> Path:
+        return bag / "metadata.yaml"  # the folder and its files are there from the recorder's start
 
     def mark(self) -> bool:
         self.marker.write_text(self.run)
