@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
 import sierra
 from tests import projects, robots
@@ -50,6 +51,61 @@ def test_the_gap_between_simulator_and_robots_is_that_of_their_means(made: tuple
     pairs = json.loads(ended.stdout)["pairs"]
     # the simulator writes tick * (n + 1) / 2 + seed % 10, and robot p writes tick * p + seed % 10: their means are the same
     assert [(pair["difference"], pair["n_first"], pair["n_second"]) for pair in pairs] == [(0, 6, 6), (0, 6, 6)]
+    assert [(pair["low"], pair["high"]) for pair in pairs] == [(0, 0), (0, 0)]
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, str]]:
+    """Yield a project whose robots never measure the same twice, and its batches in the simulator and on robots."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        robots.register(monkeypatch)
+        root = robots.project(tmp_path_factory.mktemp("noisy") / "p")
+        noise = "random.SystemRandom().gauss(0.3, 0.01)"
+        (root / "robot.py").write_text("import random\n" + robots.ROBOT.replace("+ x +", f"+ {noise} +"))
+        done = projects.quick(root, "run", "population_size=2", "--runs", "6", "--target", "sim,robots", "--no-figures")
+        assert done.returncode == 0, done.stderr
+        sim, fleet = (str(one.batch) for one in sierra.open(root).batches)
+        yield root, sim, fleet
+
+
+@pytest.mark.parametrize("paired", ["yes", "no"])
+@pytest.mark.each_case
+def test_the_interval_of_the_gap_has_the_differences_that_the_test_does_not_reject(
+    noisy: tuple[Path, str, str], paired: str
+) -> None:
+    root, sim, fleet = noisy
+    words = ("--column", "coverage", "--paired", paired, "--no-figure", "--json")
+    ended = projects.quick(root, "compare", f"sim={sim}", f"robots={fleet}", *words)
+    assert ended.returncode == 0, ended.stderr
+    [pair] = json.loads(ended.stdout)["pairs"]
+    last = "SELECT avg(coverage) AS value FROM swarm JOIN batch_runs USING (run) WHERE tick = 3 AND batch = '{}' GROUP BY seed"
+    simulated, measured = (
+        [row["value"] for row in projects.sql(root, f"{last.format(one)} ORDER BY seed")] for one in (sim, fleet)
+    )
+
+    def p_of(difference: float) -> float:
+        shifted = [value - difference for value in measured]
+        test = stats.wilcoxon if paired == "yes" else stats.mannwhitneyu
+        return float(test(shifted, simulated, method="exact").pvalue)
+
+    assert pair["low"] < pair["difference"] < pair["high"]
+    for end, outwards in ((pair["low"], -1e-9), (pair["high"], 1e-9)):
+        assert p_of(end + outwards) <= 0.05 < p_of(end - outwards)
+
+
+def test_a_replay_on_robots_judges_a_metric_over_all_runs(
+    noisy: tuple[Path, str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, _, fleet = noisy
+    config = (root / "sierra.toml").read_text()
+    metric = '\n[equivalence.coverage]\ntable = "swarm"\ncolumn = "coverage"\nmargin = '
+    for margin, code, verdict in (("0.5", 0, "equivalent"), ("1e-6", 1, "different")):
+        (root / "sierra.toml").write_text(config + metric + margin + "\n")
+        ended = projects.quick(root, "replay", fleet, "--on", "pretend", "--json")
+        said = json.loads(ended.stdout)
+        assert (ended.returncode, said["verdict"], said["counts"]) == (code, verdict, {"different": 6})
+        [[judged]] = [one["metrics"] for one in said["experiments"]]
+        assert (judged["n"], judged["equivalent"]) == (6, verdict == "equivalent")
 
 
 def test_a_report_has_each_robot_with_its_clock(made: tuple[Path, str, str]) -> None:
