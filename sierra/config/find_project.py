@@ -60,7 +60,12 @@ def _holds_store(folder: Path) -> bool:
 
 def settings(file: Path) -> dict[str, object] | None:
     """Return the settings in a project's file; None if a `pyproject.toml` has none. Raises as `read_toml` does."""
-    table = read_toml(file)
+    return settings_in(content(file), file)
+
+
+def settings_in(data: bytes, file: Path) -> dict[str, object] | None:
+    """Return the settings in the content of a project's file, as `settings` does. Raises ConfigError."""
+    table = _parsed(data, file)
     if file.name != PYPROJECT:
         return table
     tools = table.get("tool")
@@ -72,10 +77,19 @@ def settings(file: Path) -> dict[str, object] | None:
 
 def read_toml(file: Path) -> dict[str, object]:
     """Return the content of a TOML file. Raises ConfigError if it is not TOML, Missing if it cannot be read."""
+    return _parsed(content(file), file)
+
+
+def content(file: Path) -> bytes:
+    """Return the bytes of a file. Raises Missing if it cannot be read."""
     try:
-        with file.open("rb") as stream:
-            return tomllib.load(stream)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: not TOML: {error}") from error
+        return file.read_bytes()
     except OSError as error:
         raise Missing(f"{file}: {error.strerror}") from error
+
+
+def _parsed(data: bytes, file: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(data.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from error

@@ -43,7 +43,7 @@ from sierra.config.execution_tables import (
     StoreTable,
 )
 from sierra.config.field_types import Commands, GroupName, InProject, Name, RawTable, Scalar, Table, Words, as_words
-from sierra.config.find_project import ProjectFolder, find, settings
+from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
@@ -411,6 +411,8 @@ class LoadedProject:
     """True if the file exists. A store without a file can be read too."""
     declared: Project | None = None
     """The content of the file, with all targets; None if it has no targets."""
+    content: bytes = b""
+    """The bytes of the file from which this was read; none if it was made from a table."""
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -466,7 +468,8 @@ def read(found: ProjectFolder) -> LoadedProject:
     """Return a project with its configuration; a store alone is a project without declarations. Raises ConfigError."""
     if not found.written:
         return LoadedProject(found.root, found.file, Project(), written=False)
-    return of_table(found, settings(found.file) or {})
+    data = content(found.file)
+    return replace(of_table(found, settings_in(data, found.file) or {}), content=data)
 
 
 def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from sierra.config import project_file
 from sierra.config.find_project import ProjectFolder
+from sierra.config.project_file_changes import replace_content
 from sierra.errors import Missing, UsageError
 from sierra.store.layout import PYPROJECT
-from sierra.util.fs import write_whole
 
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
@@ -28,19 +28,17 @@ def write(found: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[s
         return
     if not found.written:
         raise Missing(f"no {found.file.name} in {found.root}; create one with: sierra init")
-    file = found.file.resolve()
     settings = ("tool", "sierra") if found.file.name == PYPROJECT else ()
     within = ("targets", target) if target else ()
     try:
-        before = file.read_bytes().decode()
-        after = _added(before, outputs, comments, (*settings, *within))
-        if not _only_added(before, after, outputs, settings, within):
-            lines = "; ".join(_lines(outputs, within))
-            raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {lines}")
-        mode = file.stat().st_mode
-        write_whole(file, after.encode()).chmod(mode)
+        before = found.file.read_bytes()
     except OSError as error:
         raise Missing(f"{found.file}: {error.strerror}") from error
+    after = _added(before.decode(), outputs, comments, (*settings, *within))
+    if not _only_added(before.decode(), after, outputs, settings, within):
+        lines = "; ".join(_lines(outputs, within))
+        raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {lines}")
+    replace_content(found.file, before, after.encode())
 
 
 def _added(before: str, outputs: Mapping[str, Keys], comments: Mapping[str, str], names: tuple[str, ...]) -> str:

@@ -237,7 +237,7 @@ class Answers:
         """Return the lines that declare this, and what `write` needs to append them."""
         return {
             "toml": declarations.lines(project.file, kind, name, keys),
-            "file": declarations.hash_of(project.file),
+            "file": declarations.hash_of(project),
             "kind": kind,
             "name": name,
             "keys": dict(keys),

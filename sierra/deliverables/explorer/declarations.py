@@ -10,9 +10,9 @@ from typing import Literal
 from sierra.config import project_file
 from sierra.config.find_project import ProjectFolder
 from sierra.config.project_file import LoadedProject
+from sierra.config.project_file_changes import replace_content
 from sierra.errors import UsageError
 from sierra.store.layout import PYPROJECT
-from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView
 
@@ -31,24 +31,24 @@ def lines(file: Path, kind: Kind, name: str, keys: Mapping[str, JsonView]) -> st
 
 
 def append(project: LoadedProject, kind: Kind, name: str, keys: Mapping[str, JsonView], file: str) -> LoadedProject:
-    """Append these lines to the project's file, which must still have the hash `file`; return the project with them.
+    """Append these lines to the project's file, which must have the hash `file`; return the project with them.
 
-    Raises UsageError if the file has changed, has one of this name, or would be invalid.
+    Raises UsageError if the file has changed, also since the project was read, has one of this name, or would be invalid.
     """
     project.check_written()
-    if hash_of(project.file) != file:
+    if hash_of(project) != file:
         raise UsageError(f"{project.file.name} has changed since this was drawn; draw it again")
     if name in getattr(project.config, kind):
         raise UsageError(f"{project.file.name} has a {kind[:-1]} {name!r} already; choose another name")
-    after = project.file.read_bytes().rstrip() + b"\n\n" + lines(project.file, kind, name, keys).encode()
+    after = project.content.rstrip() + b"\n\n" + lines(project.file, kind, name, keys).encode()
     found = _declared(project, after)
-    write_whole(project.file, after)
+    replace_content(project.file, project.content, after)
     return found
 
 
-def hash_of(file: Path) -> str:
-    """Return the SHA-256 of a file; "" if there is none."""
-    return sha256(file.read_bytes()) if file.is_file() else ""
+def hash_of(project: LoadedProject) -> str:
+    """Return the SHA-256 of the project's file as it was read; "" if there is none."""
+    return sha256(project.content) if project.written else ""
 
 
 def _declared(project: LoadedProject, data: bytes) -> LoadedProject:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import socket
+import stat
 import threading
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import sierra
+from sierra.config import project_file
+from sierra.config.project_file import LoadedProject
 from sierra.deliverables.explorer.answers import ROWS, Answers
 from sierra.deliverables.explorer.server import LONGEST, Server
 from sierra.deliverables.report.make import Source
@@ -249,6 +252,67 @@ def test_a_chart_is_written_to_the_project_and_drawn_from_there(own: Path, batch
         assert page.ask("batch", batch=batch)["figures"] == {"mine": SWARM | {"column": ["coverage"]}}
     assert own.read_text().startswith(before.rstrip())
     assert sierra.open(own.parent).config.figures["mine"].columns == ("coverage",)
+
+
+def edited_after_reading(file: Path) -> Callable[[], Source]:
+    """Return a source that reads the project, and then adds a comment to its file, the first time only."""
+    edits = iter(["\n# an edit while the chart is drawn\n"])
+
+    def source() -> Source:
+        project = sierra.open(file.parent)
+        found = Source(project._loaded, project.store)
+        with file.open("a") as stream:
+            stream.write(next(edits, ""))
+        return found
+
+    return source
+
+
+def test_an_edit_during_the_drawing_is_noticed(own: Path, batch: str) -> None:
+    answers = Answers(edited_after_reading(own), sierra.open(own.parent).store, writes=True)
+    with served(Server(answers, "project")) as page:
+        file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+        assert "has changed since this was drawn" in page.error("write", name="mine", keys=SWARM, file=file)
+        file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+        page.ask("write", name="mine", keys=SWARM, file=file)
+    assert "# an edit while the chart is drawn" in own.read_text()
+
+
+@pytest.mark.parametrize("writer", ["editor", "explorer"])
+def test_an_edit_while_lines_are_appended_is_not_lost(
+    own: Path, batch: str, monkeypatch: pytest.MonkeyPatch, writer: str
+) -> None:
+    project = sierra.open(own.parent)
+    with served(project.explorer(write=True)) as page, served(project.explorer(write=True)) as other:
+        file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+        check = project_file.of_table
+
+        def meanwhile(*about: Any) -> LoadedProject:
+            """Change the file while the lines of `mine` are checked."""
+            if "mine" in about[1].get("figures", {}):
+                monkeypatch.setattr(project_file, "of_table", check)
+                if writer == "explorer":
+                    other.ask("write", name="other", keys=SWARM, file=file)
+                else:
+                    own.write_text(own.read_text() + "# other\n")
+            return check(*about)
+
+        monkeypatch.setattr(project_file, "of_table", meanwhile)
+        assert "has changed" in page.error("write", name="mine", keys=SWARM, file=file)
+    assert "other" in own.read_text()
+    assert "mine" not in own.read_text()
+
+
+def test_a_link_and_the_mode_of_the_file_are_kept(own: Path, batch: str) -> None:
+    target = own.rename(own.parent / "elsewhere.toml")
+    target.chmod(0o600)
+    own.symlink_to(target)
+    with served(sierra.open(own.parent).explorer(write=True)) as page:
+        file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+        page.ask("write", name="mine", keys=SWARM, file=file)
+    assert own.is_symlink()
+    assert stat.S_IMODE(target.stat().st_mode) == 0o600
+    assert "mine" in target.read_text()
 
 
 def test_nothing_is_written_unless_the_user_allows_it(page: Page, recorded: Path, batch: str) -> None:
