@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.report.files import Written
     from sierra.deliverables.sample_size import RunsNeeded
+    from sierra.deliverables.videos.render import Made as MadeVideos
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
@@ -1075,12 +1076,13 @@ class Project:
         *names: str,
         jobs: int | None = None,
         progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
-    ) -> tuple[list[Path], list[str]]:
+    ) -> MadeVideos:
         """Make the videos `[videos.NAME]` of a batch, all or those with these names; return the files and notes.
 
-        Notes say what could not be shown, and which runs are not in a video. `jobs` is the number of files that are made at a
-        time, by default the number of cores. `progress` receives the number of frames that are done, that of all frames of a
-        video, and `frames read` or `frames drawn`. Raises NotFound, SierraError if a video that is named cannot be made.
+        Notes say what could not be shown, and which runs are not in a video; `complete` is False if a file could not be made.
+        `jobs` is the number of files that are made at a time, by default the number of cores. `progress` receives the number of
+        frames that are done, that of all frames of a video, and `frames read` or `frames drawn`. Raises NotFound, SierraError
+        if a video that is named cannot be made.
 
         >>> project.videos(summary.batch)
         Traceback (most recent call last):
@@ -1098,7 +1100,7 @@ class Project:
         *names: str,
         jobs: int | None = None,
         progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
-    ) -> tuple[list[Path], list[str]]:
+    ) -> MadeVideos:
         """Make the videos `[videos.NAME]` of two batches side by side: A, B and, for matrices, A − B; return files and notes.
 
         The batches are prefixes or names of queries, also as `LABEL=PREFIX`. There is a file for each experiment that both

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import AsJsonList, Jobs
-from sierra.cli.figures import PREFIX, print_files
+from sierra.cli.arguments import AsJson, Jobs
+from sierra.cli.figures import PREFIX, from_here
+from sierra.cli.output import note, print_json
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
+    from sierra.deliverables.videos.render import Made as MadeVideos
 
 
 def video(
@@ -27,13 +29,14 @@ def video(
     ] = None,
     jobs: Jobs = None,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.")] = False,
-    as_json: AsJsonList = False,
+    as_json: AsJson = False,
 ) -> None:
     """Make the videos of a batch, or of two side by side.
 
     sierra.toml declares them. They are made from recorded results; nothing is executed. Each file appears whole or not at all,
     in the folder of the batch's figures. `sierra figures --check` tells whether they still follow from the store. Videos of two
-    batches show A, B and, for matrices, A − B, for each experiment that both have.
+    batches show A, B and, for matrices, A − B, for each experiment that both have. Exit status 1 means that a file could not be
+    made; a note says why.
 
     \b
     Examples:
@@ -49,10 +52,23 @@ def video(
     with counting(quiet=quiet) as progress:
         if len(batches) > 1:
             first, second = batches
-            paths, notes = opened.videos_of_two(first, second, *names, jobs=jobs, progress=progress)
+            made = opened.videos_of_two(first, second, *names, jobs=jobs, progress=progress)
         else:
-            paths, notes = opened.videos(batches[0] if batches else None, *names, jobs=jobs, progress=progress)
-    print_files(paths, notes, as_json=as_json)
+            made = opened.videos(batches[0] if batches else None, *names, jobs=jobs, progress=progress)
+    _print(made, as_json=as_json)
+
+
+def _print(made: MadeVideos, *, as_json: bool) -> None:
+    """Print the files and the notes; end with exit status 1 if a video could not be made."""
+    for text in made.notes:
+        note(text)
+    if as_json:
+        print_json({"files": [str(path) for path in made.files], "notes": made.notes})
+    else:
+        for path in made.files:
+            print(from_here(path))
+    if not made.complete:
+        raise typer.Exit(1)
 
 
 def _split(opened: Project, words: list[str]) -> tuple[list[str], list[str]]:

@@ -84,22 +84,22 @@ class Members:
 
 
 def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[str]]:
-    """Return the files of a video, and notes on what is not shown. Raises SierraError if nothing can be shown."""
+    """Return the files of a video, and the reasons why others cannot be made. Raises SierraError if nothing can be shown."""
     if video.show == "difference":
         return [_difference(name, video, members)], []
     experiments = members.matching(video.experiments, "experiments")
     alone = len(members.cells) == 1
     made: list[Film] = []
-    notes: list[str] = []
+    failed: list[str] = []
     for experiment in experiments:
         called = name if alone else f"{name}_experiment{experiment}"
         try:
             made.append(film_of(called, video, members, experiment))
         except SierraError as error:
-            notes.append(f"video {called}: {error}")
+            failed.append(f"video {called}: {error}")
     if not made:
-        raise SierraError("; ".join(notes).replace(f"video {name}: ", ""))
-    return made, notes
+        raise SierraError("; ".join(failed).replace(f"video {name}: ", ""))
+    return made, failed
 
 
 def film_of(name: str, video: Video, members: Members, experiment: int) -> Film:

@@ -51,6 +51,8 @@ class Prepared:
     whole: Survey
     """The ranges of all films together."""
     notes: tuple[str, ...]
+    complete: bool
+    """False if the file of an experiment cannot be made; notes say why."""
 
     @property
     def frames(self) -> int:
@@ -99,8 +101,9 @@ def prepare(name: str, video: Video, galleries: Mapping[str, Gallery], progress:
     Raises SierraError if there is nothing that can be shown.
     """
     notes: list[str] = []
+    failed: list[str] = []
     shown = []
-    for film, subject in _subjects(name, video, galleries, notes):
+    for film, subject in _subjects(name, video, galleries, notes, failed):
         shown.append((film, subject, frame_times(subject.tracks, video.step)))
     told = Counter(sum(len(times) for *_, times in shown), progress, READ)
     ready, whole = [], Survey()
@@ -109,19 +112,21 @@ def prepare(name: str, video: Video, galleries: Mapping[str, Gallery], progress:
         ready.append(Ready(film, subject, times, found))
         whole = whole.joined(found)
     batches = {label: gallery.frame.batch for label, gallery in galleries.items()}
-    prepared = Prepared(name, video, batches, tuple(ready), whole, tuple(notes))
+    prepared = Prepared(name, video, batches, tuple(ready), whole, (), not failed)
     said = (f"video {one.film.name}: {note}" for one in ready for note in _told(prepared, one))
-    return replace(prepared, notes=(*notes, *said))
+    return replace(prepared, notes=(*notes, *failed, *said))
 
 
-def _subjects(name: str, video: Video, galleries: Mapping[str, Gallery], notes: list[str]) -> Iterator[tuple[Film, Subject]]:
-    """Yield the films of a video with their subjects; add notes on what is not shown."""
+def _subjects(
+    name: str, video: Video, galleries: Mapping[str, Gallery], notes: list[str], failed: list[str]
+) -> Iterator[tuple[Film, Subject]]:
+    """Yield the films of a video with their subjects; add notes, and the reasons why films cannot be made to `failed`."""
     if len(galleries) > 1:
-        yield from films_of_two(name, video, galleries, notes)
+        yield from films_of_two(name, video, galleries, notes, failed)
         return
     (gallery,) = galleries.values()
-    chosen, found = films(name, video, Members(gallery.axes, gallery.cells, tuple(gallery.frame.runs())))
-    notes += found
+    chosen, lost = films(name, video, Members(gallery.axes, gallery.cells, tuple(gallery.frame.runs())))
+    failed += lost
     subject = subjects(video, gallery)
     for film in chosen:
         yield film, subject(film)

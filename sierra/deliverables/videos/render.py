@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
@@ -28,6 +29,16 @@ from sierra.util.text import like
 MARK = "Figures drawn by SIERRA: see the table deliverables."
 
 
+@dataclass(frozen=True, slots=True)
+class Made:
+    """The videos that were made, and notes."""
+
+    files: list[Path]
+    notes: list[str]
+    complete: bool
+    """False if a video, or the file of an experiment, could not be made; notes say why."""
+
+
 def videos(
     project: LoadedProject,
     store: Store,
@@ -36,8 +47,8 @@ def videos(
     *,
     jobs: int = 1,
     progress: Progress = no_progress,
-) -> tuple[list[Path], list[str]]:
-    """Make the videos of a batch, or of two, all or those with these names; return the files, and notes.
+) -> Made:
+    """Make the videos of a batch, or of two, all or those with these names.
 
     `batches` are by label. `jobs` is the number of files that are made at a time. Notes say what could not be shown and why.
     Raises NotFound if none has that name, NotInstalled without the encoders, SierraError if a video that is named cannot be
@@ -47,6 +58,7 @@ def videos(
     wanted = _wanted(config.videos, names)
     encode.check({format for video in wanted.values() for format in video.formats})
     made: list[Path] = []
+    complete = True
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, _tables(wanted), frames)
         first = next(iter(galleries.values()))
@@ -62,14 +74,16 @@ def videos(
                     if names or (isinstance(error, Missing) and not isinstance(error, NotInstalled)):
                         raise
                     notes.append(f"video {name}: {error}")
+                    complete = False
                     continue
                 recorder.add(prepared.content(), files)
                 made += files
                 notes += prepared.notes
+                complete &= prepared.complete
         finally:
             notes += _recorded(recorder)
         notes += _once(galleries, lambda one: one.time_notes.values())
-    return made, notes
+    return Made(made, notes, complete)
 
 
 def _galleries(

@@ -54,10 +54,13 @@ class TwoSubjects:
         return self._sides[0].painter(film, survey, tracks)
 
 
-def films_of_two(name: str, video: Video, galleries: Mapping[str, Gallery], notes: list[str]) -> Iterator[tuple[Film, Subject]]:
+def films_of_two(
+    name: str, video: Video, galleries: Mapping[str, Gallery], notes: list[str], failed: list[str]
+) -> Iterator[tuple[Film, Subject]]:
     """Yield the film of each experiment that both batches have, with its subject; add notes on those that only one has.
 
-    `galleries` are by label. Raises SierraError if there is none, or if batches cannot be compared.
+    The reasons why films cannot be made are added to `failed`. `galleries` are by label. Raises SierraError if there is none,
+    or if batches cannot be compared.
     """
     if video.show in ONE_BATCH:
         raise UsageError(f'show = "{video.show}" shows one batch; "run" and "mean" can show two side by side')
@@ -69,7 +72,6 @@ def films_of_two(name: str, video: Video, galleries: Mapping[str, Gallery], note
     notes += [f"video {name}: {what} is only in {labels[side]}" for side, what in alone]
     if not pairs:
         raise SierraError(f"batches {labels[0]!r} and {labels[1]!r} have no experiment with the same values of variables")
-    failed = []
     for first, second in pairs:
         called = name if len(a.cells) == 1 else f"{name}_experiment{first}"
         try:
@@ -81,7 +83,6 @@ def films_of_two(name: str, video: Video, galleries: Mapping[str, Gallery], note
         yield _joined(sides, labels, numeric=video.kind in NUMERIC), joined
     if len(failed) == len(pairs):
         raise SierraError("; ".join(failed).replace(f"video {name}: ", ""))
-    notes += failed
 
 
 def _pairs(a: Members, b: Members, chosen: str) -> tuple[list[tuple[int, int]], list[tuple[int, str]]]:

@@ -284,7 +284,8 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
     with pytest.raises(NotFound, match="no captured frames of run 0 of experiment 0; sierra capture --runs 1 makes them"):
         project.videos(None, "seen")
     assert captured(root)[0] == 0
-    paths, notes = project.videos()
+    made = project.videos()
+    paths, notes = made.files, made.notes
     assert [path.name for path in paths] == ["seen_experiment0.mp4", "seen_experiment1.mp4"]
     assert [note for note in notes if "NOT what was measured" in note] == []
     assert "rendered apart from the measured runs, with the same results" in str(table(project, "FROM deliverables"))
@@ -295,5 +296,5 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
 
     changed = sierra.open(configured(root, CAPTURE + 'environment = { DRIFT = "0.5" }\n' + VIDEO))
     assert captured(root)[0] == 1
-    _, notes = changed.videos()
+    notes = changed.videos().notes
     assert any("NOT what was measured: run 0 differs when it is rendered (swarm.csv: " in note for note in notes), notes

@@ -122,7 +122,7 @@ def test_networks_are_made_by_the_command_and_side_by_side(root: Path) -> None:
     (root / "sierra.toml").write_text(f'{CONFIG}[videos.net]\n{keys}size = [200, 160]\nshow = "tiles"\n')
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
-    (path,) = map(Path, json.loads(done.stdout))
+    (path,) = map(Path, json.loads(done.stdout)["files"])
     assert len(videos.decoded(path)) == 3
     assert "net: follows from the store" in projects.quick(root, "figures", "--check").stdout
 

@@ -231,7 +231,7 @@ def test_recorded_files_become_videos_and_tiles(tmp_path: Path) -> None:
     stores.ask(root, "population_size=1")
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
-    tiles, cam = map(Path, json.loads(done.stdout))
+    tiles, cam = map(Path, json.loads(done.stdout)["files"])
     first, *_, last = videos.decoded(tiles)
     assert first[150, 100].tolist() == pytest.approx([10, 0, 0], abs=8)
     assert last[150, 300].tolist() == pytest.approx([250, 0, 200], abs=8)

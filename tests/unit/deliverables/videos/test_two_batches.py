@@ -71,7 +71,7 @@ def test_two_batches_are_drawn_side_by_side_and_recorded(root: Path) -> None:
     first, second, *_ = ids(root)
     done = projects.quick(root, "video", f"calm={first[:10]}", f"noisy={second[:10]}", "--json")
     assert done.returncode == 0, done.stderr
-    (path,) = map(Path, json.loads(done.stdout))
+    (path,) = map(Path, json.loads(done.stdout)["files"])
     assert (path.parent.name, path.name) == (f"{first[:10]}-{second[:10]}", "heat_experiment0.mp4")
     assert len(videos.decoded(path)) == 3
     assert "video heat: population size = 2 is only in calm" in done.stderr

@@ -110,7 +110,7 @@ def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path) -> Non
     )
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
-    heat, grid = map(Path, json.loads(done.stdout))
+    heat, grid = map(Path, json.loads(done.stdout)["files"])
     assert (heat.name, grid.name) == ("heat_experiment0.mp4", "grid_experiment0.mp4")
     frames = videos.decoded(heat)
     assert [frame.shape for frame in frames] == [(242, 322, 3)] * 4
@@ -225,10 +225,32 @@ def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
         '[videos.good]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\nexperiments = "population_size=1"\nsize = [160, 160]\n',
     )
     done = projects.quick(root, "video")
-    assert (done.returncode, done.stdout.count("\n")) == (0, 1), done.stderr
+    assert (done.returncode, done.stdout.count("\n")) == (1, 1), done.stderr
     assert "note: video bad: output 'floor' has no numeric column 'none'" in done.stderr
     assert projects.quick(root, "video", "bad").returncode == 2
     assert "there is no [videos.god]" in projects.quick(root, "video", "god").stderr
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("keys", "made", "note"),
+    [
+        ('column = ["i", "j", "none"]\n', 0, "video heat: output 'floor' has no numeric column 'none'"),
+        ('column = ["i", "j", "heat"]\nrun = 7\n', 0, "video heat: video heat_experiment0: run 7 has no successful execution"),
+        (
+            'column = ["i", "j", "heat"]\nrun = 1\nexperiments = "population_size<=2"\n',
+            1,
+            "video heat_experiment1: run 1 has no successful execution, so there is nothing to show",
+        ),
+    ],
+)
+def test_scripts_learn_that_a_file_could_not_be_made(root: Path, keys: str, made: int, note: str) -> None:
+    write(root, f'[videos.heat]\ntable = "floor"\nsize = [160, 160]\n{keys}')
+    done = projects.quick(root, "video", "--json")
+    printed = json.loads(done.stdout)
+    assert (done.returncode, len(printed["files"])) == (1, made), done.stderr
+    assert note in " ".join(printed["notes"])
+    assert note in done.stderr
 
 
 def test_only_tables_without_a_video_need_a_default_figure(root: Path) -> None:
@@ -248,7 +270,7 @@ def test_robots_are_at_their_places_with_their_headings(root: Path) -> None:
     write(root, f'[videos.paths]\n{keys}experiments = "population_size=1"\nsize = [300, 300]\n')
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
-    frames = [frame.astype(int) for frame in videos.decoded(Path(json.loads(done.stdout)[0]))]
+    frames = [frame.astype(int) for frame in videos.decoded(Path(json.loads(done.stdout)["files"][0]))]
     moved = [(frame[..., 2] - frame[..., 0] > 60) & (np.indices(frame.shape[:2])[0] > 120) for frame in frames]
     centers = [np.argwhere(one).mean(axis=0) for one in moved]
     steps = np.diff(centers, axis=0)
