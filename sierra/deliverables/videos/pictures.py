@@ -4,6 +4,9 @@ A state is the hash of a file and the place of a picture in its video; the pictu
 recorded files are written to a temporary folder first, because decoders need files. They come from the runs, so nothing in
 them is trusted: only formats that are known by the name of the file are decoded, no file leads to another one, and pictures
 that are too large are refused before they are decoded.
+
+Pictures are shown as viewers show them: upright, as their orientation says, and in their proportions, also if their pixels are
+no squares.
 """
 
 from __future__ import annotations
@@ -28,9 +31,12 @@ if TYPE_CHECKING:
     from sierra.deliverables.videos.tracks import Floats, State
     from sierra.store.recorded_files import Recorded
 
-IMAGES = {"png": "PNG", "jpg": "JPEG", "jpeg": "JPEG", "ppm": "PPM", "pgm": "PPM", "pbm": "PPM", "pnm": "PPM"}
+IMAGES = {
+    **{"png": "PNG", "jpg": "JPEG", "jpeg": "JPEG", "ppm": "PPM", "pgm": "PPM", "pbm": "PPM", "pnm": "PPM"},
+    **{"gif": "GIF", "webp": "WEBP", "bmp": "BMP", "tif": "TIFF", "tiff": "TIFF"},
+}
 """The formats of images by the ending of their files, with their names in Pillow."""
-FORMATS = ("PNG", "JPEG", "PPM")
+FORMATS = tuple(dict.fromkeys(IMAGES.values()))
 VIDEOS = {"mp4": "mov", "m4v": "mov", "mov": "mov", "avi": "avi", "webm": "matroska", "mkv": "matroska"}
 """The formats of videos by the ending of their files, with the names of their demuxers in FFmpeg."""
 MOST_PIXELS = 50_000_000
@@ -39,6 +45,8 @@ DEEP = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 """Pillow's modes of greys with more than 8 bits, which it would cut off."""
 UNREADABLE = (OSError, SyntaxError, ValueError, TypeError, IndexError, KeyError, EOFError, zlib.error, struct.error)
 """The errors that Pillow raises for damaged files."""
+ORIENTATION, ACROSS = 0x0112, (5, 6, 7, 8)
+"""The tag of Exif that says how an image is shown, and its values that make rows of columns. Pillow turns TIFF itself."""
 
 
 class Reader(Protocol):
@@ -53,7 +61,7 @@ class PictureTrack(Protocol):
 
     times: Floats
     size: tuple[int, int]
-    """Width and height in pixels."""
+    """Width and height in pixels, or in the same proportion if pixels are no squares."""
 
     def states(self) -> Iterator[State]: ...
 
@@ -138,7 +146,7 @@ class ImageFiles:
             yield _state(file, place)
 
     def reader(self) -> Reader:
-        return _ImageReader(self._files)
+        return _ImageReader(self._files, self.size)
 
 
 def _missing(where: str, output: Output, ticks: Sequence[int]) -> str:
@@ -154,7 +162,7 @@ def _missing(where: str, output: Output, ticks: Sequence[int]) -> str:
 
 
 def _checked(file: _Extracted) -> tuple[int, int]:
-    """Return the width and the height of an image by its header. Raises SierraError if it is damaged or too large."""
+    """Return the width and the height of an upright image, by its header. Raises SierraError if it is damaged or too large."""
     from PIL import Image as Pillow
 
     with warnings.catch_warnings():
@@ -163,6 +171,7 @@ def _checked(file: _Extracted) -> tuple[int, int]:
             with Pillow.open(file.path, formats=FORMATS) as image:
                 size, mode, several = image.size, image.mode, getattr(image, "n_frames", 1) > 1
                 _check_size(file, *size)
+                across = image.format != "TIFF" and Pillow.Image.getexif(image).get(ORIENTATION) in ACROSS
                 image.verify()
         except (Pillow.DecompressionBombWarning, Pillow.DecompressionBombError) as error:
             raise SierraError(f"{file.where}: more than {MOST_PIXELS} pixels") from error
@@ -172,7 +181,7 @@ def _checked(file: _Extracted) -> tuple[int, int]:
         raise SierraError(f"{file.where}: greys of more than 8 bits would be cut off; write 8 bits")
     if several:
         raise SierraError(f"{file.where}: an image that moves; write a file for each time, or a video")
-    return size
+    return size[::-1] if across else size
 
 
 def _check_size(file: _Extracted, width: int, height: int) -> None:
@@ -181,21 +190,33 @@ def _check_size(file: _Extracted, width: int, height: int) -> None:
 
 
 def _damaged(file: _Extracted, error: Exception) -> SierraError:
-    text = str(error).replace(str(file.path), "it").splitlines() or [type(error).__name__]
+    from PIL import UnidentifiedImageError
+
+    if isinstance(error, UnidentifiedImageError):
+        return SierraError(f"{file.where}: cannot be decoded: its beginning is not that of a {_either(FORMATS)} image")
+    text = (getattr(error, "strerror", None) or str(error)).replace(str(file.path), "it").splitlines() or [type(error).__name__]
     return SierraError(f"{file.where}: cannot be decoded: {text[0]}")
 
 
+def _either(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} or {names[-1]}"
+
+
 class _ImageReader:
-    def __init__(self, files: Sequence[_Extracted]) -> None:
-        self._files = files
+    def __init__(self, files: Sequence[_Extracted], size: tuple[int, int]) -> None:
+        self._files, self._size = files, size
 
     def read(self, place: int) -> Image:
         import numpy as np
         from PIL import Image as Pillow
+        from PIL import ImageOps
 
         file = self._files[place]
         try:
-            with Pillow.open(file.path, formats=FORMATS) as image:
+            with Pillow.open(file.path, formats=FORMATS) as stored:
+                image = ImageOps.exif_transpose(stored)
+                if image.size != self._size:
+                    raise SierraError(f"{file.where}: its orientation comes after its pixels; write it before them")
                 clear = image.has_transparency_data
                 behind = Pillow.new("RGBA", image.size, "white")
                 shown = Pillow.alpha_composite(behind, image.convert("RGBA")) if clear else image
@@ -217,10 +238,10 @@ class VideoFile:
         try:
             with _opened(self._file) as video:
                 stream = video.streams.video[0]
-                self.size = stream.width, stream.height
-                _check_size(self._file, *self.size)
+                _check_size(self._file, stream.width, stream.height)
                 stamps = [packet.pts for packet in video.demux(stream) if packet.size and not packet.is_discard]
                 unit, rate, said = stream.time_base, stream.average_rate, stream.frames
+            self.size = _size_shown(self._file)
         except (av.error.FFmpegError, OSError, ValueError) as error:
             raise _damaged(self._file, error) from error
         if said and said != len(stamps):
@@ -237,7 +258,7 @@ class VideoFile:
             yield _state(self._file, place)
 
     def reader(self) -> Reader:
-        return _VideoReader(self._file, len(self.times), self.size)
+        return _VideoReader(self._file, len(self.times))
 
 
 def _opened(file: _Extracted) -> Any:
@@ -251,11 +272,45 @@ def _opened(file: _Extracted) -> Any:
     return video
 
 
+def _size_shown(file: _Extracted) -> tuple[int, int]:
+    """Return the width and the height of the first picture, upright and as if its pixels were squares."""
+    with _opened(file) as video:
+        aspect = video.streams.video[0].sample_aspect_ratio or 1
+        picture = next(video.decode(video=0), None)
+        if picture is None:
+            raise SierraError(f"{file.where}: has no pictures")
+        wide, high = round(picture.width * max(aspect, 1)), round(picture.height / min(aspect, 1))
+        return (wide, high) if _turn(file, picture)[0] else (high, wide)
+
+
+def _turn(file: _Extracted, picture: Any) -> tuple[int, int, int, int]:
+    """Return the signs a, b, c and d of the matrix by which a picture is shown: x' = ax + cy, y' = bx + dy.
+
+    Raises SierraError for an angle that is not a right one.
+    """
+    import numpy as np
+
+    data = picture.side_data.get("DISPLAYMATRIX")
+    if data is None:
+        return 1, 0, 0, 1
+    a, b, _, c, d, *_ = np.sign(np.frombuffer(data, np.int32)).tolist()
+    if (bool(a), bool(b)) != (bool(d), bool(c)) or bool(a) == bool(b):
+        raise SierraError(f"{file.where}: is turned by an angle that is no multiple of 90°; write it upright")
+    return a, b, c, d
+
+
+def _upright(image: Image, turn: tuple[int, int, int, int]) -> Image:
+    import numpy as np
+
+    a, b, c, d = turn
+    return np.ascontiguousarray((image if a else image.swapaxes(0, 1))[:: b or d, :: a or c])
+
+
 class _VideoReader:
     """Decodes a video from its beginning; only one picture is in memory."""
 
-    def __init__(self, file: _Extracted, count: int, size: tuple[int, int]) -> None:
-        self._file, self._count, self._size = file, count, size
+    def __init__(self, file: _Extracted, count: int) -> None:
+        self._file, self._count = file, count
         self._pictures = self._decoded()
         self._last: tuple[int, Image] | None = None
 
@@ -270,16 +325,19 @@ class _VideoReader:
         return self._last[1]
 
     def _decoded(self) -> Iterator[Image]:
-        av = library()
+        av, first = library(), None
         try:
             with _opened(self._file) as video:
                 for number, picture in enumerate(video.decode(video=0)):
-                    if (picture.width, picture.height) != self._size:
-                        size = f"{picture.width} × {picture.height}"
-                        first = f"{self._size[0]} × {self._size[1]}"
-                        raise SierraError(f"{self._file.where}: picture {number} has {size} pixels, but the first one {first}")
+                    look = (picture.width, picture.height, _turn(self._file, picture))
+                    first = first or look
+                    if look[:2] != first[:2]:
+                        sizes = "{} × {} pixels, but the first one {} × {}".format(*look[:2], *first[:2])
+                        raise SierraError(f"{self._file.where}: picture {number} has {sizes}")
+                    if look != first:
+                        raise SierraError(f"{self._file.where}: picture {number} is turned otherwise than the first one")
                     if picture.is_corrupt:
                         raise SierraError(f"{self._file.where}: picture {number} is damaged")
-                    yield picture.to_ndarray(format="rgb24")
+                    yield _upright(picture.to_ndarray(format="rgb24"), look[2])
         except (av.error.FFmpegError, OSError, ValueError) as error:
             raise _damaged(self._file, error) from error

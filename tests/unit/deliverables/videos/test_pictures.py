@@ -8,6 +8,7 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -55,14 +56,23 @@ def image(
     return file.getvalue()
 
 
-def video(count: int = 5, *, format: str = "mp4", codec: str = "libx264", size: tuple[int, int] = (64, 48)) -> bytes:
-    """Return a video whose pictures become brighter."""
+def video(
+    count: int = 5,
+    *,
+    format: str = "mp4",
+    codec: str = "libx264",
+    size: tuple[int, int] = (64, 48),
+    change: Callable[[Any], object] = lambda stream: None,
+) -> bytes:
+    """Return a video whose pictures become brighter; their left upper corner is white. `change` is made to its stream."""
     file = io.BytesIO()
     with av.open(file, "w", format=format) as out:
         stream = out.add_stream(codec, rate=10)
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        change(stream)
         for number in range(count):
             grey = np.full((size[1], size[0], 3), 40 * number % 256, np.uint8)
+            grey[:8, :8] = 255
             out.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
         out.mux(stream.encode(None))
     return file.getvalue()
@@ -90,17 +100,86 @@ def test_all_kinds_of_images_have_their_colours(tmp_path: Path) -> None:
     assert read(left(tmp_path, {"frame-1.png": clear}))[0][0, 0].tolist() == [255, 255, 255], "transparent is white"
     for mode, colour, wanted in (("L", 70, 70), ("1", 1, 255), ("P", 0, 0)):
         assert read(left(tmp_path, {"frame-1.png": image(mode=mode, colour=colour)}))[0][0, 0].tolist() == [wanted] * 3
-    for ending, format in (("ppm", "PPM"), ("jpg", "JPEG")):
+    kinds = {"ppm": "PPM", "jpg": "JPEG", "jpeg": "JPEG", "pnm": "PPM", "gif": "GIF", "webp": "WEBP", "bmp": "BMP"}
+    for ending, format in (kinds | {"tif": "TIFF", "tiff": "TIFF"}).items():
         (found,) = read(left(tmp_path, {f"frame-1.{ending}": image(format=format)}, Output(file=f"frame-{{tick}}.{ending}")))
-        assert np.abs(found[0, 0].astype(int) - (200, 30, 60)).max() < 4
+        assert np.abs(found[0, 0].astype(int) - (200, 30, 60)).max() < 8, ending
+    for ending, mode, colour, wanted in (("pgm", "L", 70, 70), ("pbm", "1", 1, 255)):
+        plain = image(format="PPM", mode=mode, colour=colour)
+        (found,) = read(left(tmp_path, {f"frame-1.{ending}": plain}, Output(file=f"frame-{{tick}}.{ending}")))
+        assert found[0, 0].tolist() == [wanted] * 3
 
 
-@pytest.mark.parametrize(("format", "codec"), [("mp4", "libx264"), ("avi", "mpeg4"), ("webm", "libvpx-vp9")])
-def test_videos_have_all_pictures_at_their_times(tmp_path: Path, format: str, codec: str) -> None:
-    track = left(tmp_path, {f"a.{format}": video(format=format, codec=codec)}, Output(file=f"a.{format}"))
+CONTAINERS = {
+    "mp4": ("mp4", "libx264"),
+    "m4v": ("mp4", "libx264"),
+    "mov": ("mov", "libx264"),
+    "avi": ("avi", "mpeg4"),
+    "webm": ("webm", "libvpx-vp9"),
+    "mkv": ("matroska", "libx264"),
+}
+
+
+@pytest.mark.parametrize("ending", CONTAINERS)
+def test_videos_have_all_pictures_at_their_times(tmp_path: Path, ending: str) -> None:
+    format, codec = CONTAINERS[ending]
+    track = left(tmp_path, {f"a.{ending}": video(format=format, codec=codec)}, Output(file=f"a.{ending}"))
     assert isinstance(track, VideoFile)
     assert track.times.tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-    assert [float(picture.mean()) for picture in read(track)] == pytest.approx([0, 40, 80, 120, 160], abs=4)
+    assert [float(picture[8:].mean()) for picture in read(track)] == pytest.approx([0, 40, 80, 120, 160], abs=4)
+
+
+CORNERS = {1: (0, 0), 2: (0, -1), 3: (-1, -1), 4: (-1, 0), 5: (0, 0), 6: (0, -1), 7: (-1, -1), 8: (-1, 0)}
+"""The row and the column of the corner in which a white left upper corner is shown, by the orientation in Exif."""
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png", "tiff", "webp"])
+def test_images_are_upright_as_their_orientation_says(tmp_path: Path, ending: str) -> None:
+    for orientation, corner in CORNERS.items():
+        shown = Pillow.new("RGB", (64, 48))
+        shown.paste("white", (0, 0, 16, 16))
+        exif, file = Pillow.Exif(), io.BytesIO()
+        exif[0x0112] = orientation
+        shown.save(file, {"jpg": "JPEG", "tiff": "TIFF"}.get(ending, ending), exif=exif)
+        track = left(tmp_path, {f"frame-1.{ending}": file.getvalue()}, Output(file=f"frame-{{tick}}.{ending}"))
+        (found,) = read(track)
+        assert track.size == ((64, 48) if orientation < 5 else (48, 64)), orientation
+        assert found.shape[1::-1] == track.size
+        assert [place for place in ((0, 0), (0, -1), (-1, 0), (-1, -1)) if found[place].min() > 200] == [corner], orientation
+
+
+def turned(degrees: int = 0, sides: Fraction = Fraction(1), **flips: bool) -> Callable[[Any], None]:
+    def change(stream: Any) -> None:
+        stream.codec_context.sample_aspect_ratio = sides
+        stream.set_display_rotation(degrees, **flips)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "size", "corner"),
+    [
+        (turned(90, Fraction(2)), (48, 128), (-1, 0)),
+        (turned(0, Fraction(2)), (128, 48), (0, 0)),
+        (turned(0, Fraction(1, 2)), (64, 96), (0, 0)),
+        (turned(90), (48, 64), (-1, 0)),
+        (turned(180), (64, 48), (-1, -1)),
+        (turned(-90), (48, 64), (0, -1)),
+        (turned(0, hflip=True), (64, 48), (0, -1)),
+        (turned(90, hflip=True), (48, 64), (-1, -1)),
+    ],
+)
+def test_films_are_upright_and_keep_their_proportions(
+    tmp_path: Path, change: Callable[[Any], None], size: tuple[int, int], corner: tuple[int, int]
+) -> None:
+    track = left(tmp_path, {"a.mp4": video(change=change)}, Output(file="a.mp4"))
+    assert track.size == size
+    found = read(track)[0]
+    assert [place for place in ((0, 0), (0, -1), (-1, 0), (-1, -1)) if found[place].min() > 200] == [corner]
+    with settings():
+        scene = Scene((400, 300), Words("", [""], ""), PicturePainter([track]))
+    (box,) = scene.boxes()
+    assert (box.right - box.left) / (box.bottom - box.top) == pytest.approx(size[0] / size[1], rel=0.03)
 
 
 def flipped(data: bytes, place: int = -30) -> bytes:
@@ -128,7 +207,11 @@ PLAYLIST = b"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.
     [
         (lambda: {"frame-1.png": flipped(noise())}, FRAMES, "run 0 of experiment 1: frame-1.png: cannot be decoded"),
         (lambda: {"frame-1.png": noise()[:-900]}, FRAMES, "frame-1.png: cannot be decoded"),
-        (lambda: {"frame-1.png": b"GIF89a"}, FRAMES, "frame-1.png: cannot be decoded"),
+        (
+            lambda: {"frame-1.png": b"GIF90a"},
+            FRAMES,
+            "frame-1.png: cannot be decoded: its beginning is not that of a PNG, JPEG, PPM, GIF, WEBP, BMP or TIFF image",
+        ),
         (lambda: {"frame-1.png": b""}, FRAMES, "frame-1.png: cannot be decoded"),
         (
             lambda: {"frame-1.png": image(), "frame-2.png": image((30, 21))},
@@ -155,7 +238,12 @@ PLAYLIST = b"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.
         (lambda: {"a.mp4": PLAYLIST}, Output(file="a.mp4"), "run 0 of experiment 1: a.mp4: cannot be decoded"),
         (lambda: {"a.mp4": video()[:700]}, Output(file="a.mp4"), "a.mp4: cannot be decoded"),
         (lambda: {"a.avi": video(format="avi", codec="mpeg4")[:-900]}, Output(file="a.avi"), "a.avi: "),
-        (lambda: {"a.mp4": flipped(video(40), 900)}, Output(file="a.mp4"), "a.mp4: "),
+        (lambda: {"a.mp4": flipped(video(40), 850)}, Output(file="a.mp4"), "a.mp4: "),
+        (
+            lambda: {"a.mp4": video(change=turned(30))},
+            Output(file="a.mp4"),
+            "run 0 of experiment 1: a.mp4: is turned by an angle that is no multiple of 90°",
+        ),
         (lambda: {"a.mp4": b"", "b.mp4": b""}, Output(file="*.mp4"), "2 files '*.mp4'; a run needs one video file"),
     ],
 )
