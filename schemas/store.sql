@@ -133,7 +133,8 @@ CREATE TABLE robots (
     "exit_code" BIGINT,  -- exit status of its program; NULL if a signal ended it or it is unknown
     "signal" BIGINT,  -- the signal that ended its program; NULL if none did
     "isolation" VARCHAR,  -- its isolation, as in isolations, with the version of its engine; NULL without a container
-    "clock_remark" VARCHAR  -- why its stamps cannot be converted: its clock was set during the run; NULL if they can
+    "clock_remark" VARCHAR,  -- why its stamps cannot be converted: a clock was set during the run; NULL if they can
+    "uneven_ns" BIGINT  -- largest error of a line through both offsets, because clocks did not move evenly; NULL without two [ns]
 );
 
 -- Supervised executions, each with the last remark on it; the table all_trials has all remarks. An execution whose last remark is that it is not valid has the status invalid. It counts nowhere, and its run is executed again.
@@ -779,8 +780,8 @@ CREATE TABLE robot_clocks (
     "clock_ns" BIGINT,  -- its clock when the first offset was measured [ns]
     "offset_ns" BIGINT,  -- its clock minus the clock of the submitting host at that time [ns]
     "drift" DOUBLE,  -- how much the offset grows per second of its clock; NULL without a second measurement, and with a remark [s/s]
-    "uncertainty_ns" DOUBLE,  -- half of the round-trip time of the measurements [ns]
-    "remark" VARCHAR  -- why stamps cannot be converted: its clock was set during the run; NULL if they can
+    "uncertainty_ns" DOUBLE,  -- largest error of converted stamps: half of the round-trip time of the measurements, and how unevenly both clocks have moved between them; NULL if there is only one measurement [ns]
+    "remark" VARCHAR  -- why stamps cannot be converted: a clock was set during the run; NULL if they can
 );
 
 -- Runs with the values of the independent variables, which are further columns. A run that belongs to experiments with different values of one variable has a row for each value.

@@ -193,6 +193,7 @@ def _row(job: Job, one: Member, code: int) -> RobotRow:
         clock_end_ns=START_NS + 10 * SECOND,
         rtt_ns=2_000_000,
         exit_code=code,
+        uneven_ns=one.place * 1_000,
     )
 
 

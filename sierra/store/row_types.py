@@ -183,7 +183,10 @@ class RobotRow(NamedTuple):
         str | None, "its isolation, as in isolations, with the version of its engine; NULL without a container"
     ] = None
     clock_remark: Annotated[
-        str | None, "why its stamps cannot be converted: its clock was set during the run; NULL if they can"
+        str | None, "why its stamps cannot be converted: a clock was set during the run; NULL if they can"
+    ] = None
+    uneven_ns: Annotated[
+        int | None, "largest error of a line through both offsets, because clocks did not move evenly; NULL without two", "ns"
     ] = None
 
 

@@ -58,7 +58,7 @@ LATER: dict[str, tuple[str, ...]] = {
     "environments": ("packages", "workspaces"),
     "observations": ("distributions",),
     "images": ("variants",),
-    "robots": ("isolation", "clock_remark"),
+    "robots": ("isolation", "clock_remark", "uneven_ns"),
     "specs": ("named_inputs", "shared_files", "around", "robots"),
 }
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
@@ -181,8 +181,14 @@ DERIVED = {
                 "how much the offset grows per second of its clock; NULL without a second measurement, and with a remark",
                 "s/s",
             ),
-            ("uncertainty_ns", "DOUBLE", "half of the round-trip time of the measurements", "ns"),
-            ("remark", TEXT, "why stamps cannot be converted: its clock was set during the run; NULL if they can"),
+            (
+                "uncertainty_ns",
+                "DOUBLE",
+                "largest error of converted stamps: half of the round-trip time of the measurements, and how unevenly both "
+                "clocks have moved between them; NULL if there is only one measurement",
+                "ns",
+            ),
+            ("remark", TEXT, "why stamps cannot be converted: a clock was set during the run; NULL if they can"),
         ),
         _table(
             "points",

@@ -11,9 +11,11 @@ Both sides exchange lines of JSON: the driver sends requests (`do`), the agent a
 |---|---|---|
 | `hello` | `hello` or `refused` | lock the robot, end and remove leftovers, execute the setup line |
 | `check` | `checked` | measure battery and disk; before a run, also read firmware and calibration, and execute the checks |
-| `clock` | `clock` | the two clocks, in ns |
+| `watch` | `watching` | begin to watch the wall clock (see `clock_watch`) |
+| `clock` | `clock` | the wall clock, in ns |
+| `watched` | `watched` | how even the wall clock was since `watch` |
 | `arm` | `armed` or `refused` | make the run's folder, and start its worker and its container, which wait |
-| `at` | `gated` or `late` | start the run at this time (ns) of this robot's clock; a time in the past is refused |
+| `at` | `gated`, `late`, `refused` | start the run at this time (ns) of this robot's clock, if nobody set it since |
 | `stop` | (`ended`) | end the run |
 | `done` | `removed` | remove the run's folder |
 | `beat` | `beat` | the driver lives |
@@ -68,7 +70,7 @@ SETTLE_S = 3.0  # after the grace time, for a worker to end what it has killed, 
 LOOK_S = 0.1  # between two looks at a run, and at the clocks
 SILENT_S = 1.0  # for a holder of the lock that says nothing, because it is ending
 SOON_S = 60.0  # a start that is farther away is a mistake
-STEP_S = 0.05  # of the wall clock, from which on it is reported
+STEP_S = 0.05  # of the wall clock after its measurement, from which on nothing starts
 TAIL_BYTES = 400
 MOST_UNSENT = 1 << 20
 LEFT_OUT = ("_", "SHLVL", "PWD", "OLDPWD")  # variables that a shell sets
@@ -149,8 +151,6 @@ class Run:
         self.killed = False
         self.stopping: Stopping | None = None
         self.problems: list[str] = []
-        self.steps: list[float] = []
-        self.between_clocks = time.time() - time.monotonic()
         os.makedirs(os.path.dirname(folder), exist_ok=True)
         os.mkdir(folder)
         self.worker = worker
@@ -195,7 +195,6 @@ class Run:
 
     def look(self, now: float) -> bool:
         """Look at the run; return whether it has ended, with all of its processes."""
-        self.look_at_clocks()
         if self.kill_at is not None and now >= self.kill_at:
             if self.client and not self.killed:  # which the worker did not do
                 the_worker().end_container(self.client)
@@ -228,13 +227,6 @@ class Run:
         record = self.record()
         return self.why is not None and record is not None and record.get("signal") == signal.SIGKILL
 
-    def look_at_clocks(self) -> None:
-        """Note a step of the wall clock: it has moved against the monotonic one."""
-        between = time.time() - time.monotonic()
-        if abs(between - self.between_clocks) > STEP_S:
-            self.steps.append(round(between - self.between_clocks, 3))
-            self.between_clocks = between
-
     def events(self) -> list[Record]:
         return events_in(self.folder)
 
@@ -265,7 +257,6 @@ class Run:
             "why": self.why,
             "end": record,
             "problems": self.problems,
-            "steps": self.steps,
         }
 
     def close_pipe(self) -> None:
@@ -293,6 +284,7 @@ class Agent:
         self.topic_rates: Mapping[str, float] = {}
         self.environment: dict[str, str] = {}
         self.looker = load("robot_software").Looker()
+        self.watch = load("clock_watch").ClockWatch()
         self.run: Run | None = None
         self.spare: subprocess.Popen[bytes] | None = None
         self.heard = time.monotonic()
@@ -310,6 +302,7 @@ class Agent:
         while not (self.leaving and self.run is None):
             self.wait(self.until_next())
             now = time.monotonic()
+            self.watch.look()
             if self.terminated:
                 self.leave("a signal has ended the agent")
             if not self.leaving and now - self.heard > self.lease:
@@ -371,7 +364,9 @@ class Agent:
         known: dict[str, Callable[[Record], Record | None]] = {
             "hello": self.hello,
             "check": self.check,
-            "clock": lambda _: {"event": "clock", "wall": time.time_ns(), "monotonic": time.monotonic_ns()},
+            "watch": self.begin_watch,
+            "clock": lambda _: {"event": "clock", "wall": time.time_ns()},
+            "watched": lambda _: {"event": "watched", **self.watch.course()._asdict()},
             "arm": self.arm,
             "at": self.at,
             "stop": self.stop,
@@ -574,6 +569,10 @@ class Agent:
             return None, the_worker().explain(error)
         return ended.returncode, " ".join(ended.stdout.decode("utf-8", "replace").split())[-TAIL_BYTES:]
 
+    def begin_watch(self, _: Record) -> Record:
+        self.watch = load("clock_watch").ClockWatch()
+        return {"event": "watching"}
+
     def arm(self, order: Record) -> Record | None:
         """Prepare a run. Raises Refused if another one is not over, or if this one was armed before."""
         if self.lock is None:
@@ -613,7 +612,10 @@ class Agent:
         run = self.run
         if run is None or run.armed or run.gated or run.why is not None or run.attempt != request["attempt"]:
             raise Refused("attempt %s is not armed" % request["attempt"])
-        wait = request["at"] / 1e9 - time.time()
+        moved = self.watch.moved_ns() / 1e9
+        if abs(moved) > STEP_S:
+            raise Refused("its wall clock has moved by %+.3g s since it was measured, just before the start" % moved)
+        wait = (request["at"] - self.watch.now_ns()) / 1e9
         if not 0 <= wait <= SOON_S:
             run.end("late")
             return {"event": "late", "by": -wait}

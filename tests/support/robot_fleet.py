@@ -33,7 +33,13 @@ from tests.waiting import until
 
 SBIN = ":/usr/sbin:/sbin"
 PROGRAMS = ("sshd", "ssh-keygen", "ssh", "ip", "unshare", "nsenter", "tc")
-FAKETIME = "/usr/$LIB/faketime/libfaketimeMT.so.1"
+OTHER_CLOCK = {
+    "LD_PRELOAD": "/usr/$LIB/faketime/libfaketimeMT.so.1",
+    "FAKETIME_TIMESTAMP_FILE": "/run/robot/clock",
+    "FAKETIME_NO_CACHE": "1",
+    "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+}
+"""The variables of a program whose wall clock is that of `Fleet.set_clock`. `select` waits there; `time.sleep` may fail."""
 USER, UID = "robot", 5002
 SUB_IDS, SUB_UID = ("subuid", "subgid"), 500_000
 """The files with the ranges of ids of users, which images with files of several users need, and the first id of the range."""
@@ -282,14 +288,15 @@ class Fleet:
     def set_clock(self, name: str, offset: float) -> None:
         """Change the wall clock of a robot's programs, for new and for running ones. `offset` is in seconds.
 
-        Only the programs that were started after the first change follow.
+        Only programs that have OTHER_CLOCK follow: agents that were started after the first change, but not the runs' programs.
         """
         robot = self.robots[name]
-        (robot.own / "clock").write_text(f"{offset:+f}\n")
-        (robot.own / "clock").chmod(0o644)
+        part = robot.own / "clock.part"
+        part.write_text(f"{offset:+f}\n")
+        part.chmod(0o644)
+        part.replace(robot.own / "clock")  # a program may read it at any time
         if "SetEnv" not in (robot.own / "sshd_config").read_text():
-            variables = f"LD_PRELOAD={FAKETIME} FAKETIME_TIMESTAMP_FILE=/run/robot/clock"
-            self.configure(name, f"SetEnv {variables} FAKETIME_NO_CACHE=1 FAKETIME_DONT_FAKE_MONOTONIC=1")
+            self.configure(name, "SetEnv " + " ".join(f"{key}={value}" for key, value in OTHER_CLOCK.items()))
 
     def set_machine(self, name: str, machine: str = "i686") -> None:
         """Start a robot again with another processor: `uname -m` says so, to Python as well."""

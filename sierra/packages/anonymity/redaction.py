@@ -87,7 +87,8 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     ),
     "robots": _rules(
         "execution place robot_group status reason machine processor kernel firmware calibration_sha256 battery_start "
-        "battery_end offset_start_ns offset_end_ns rtt_ns clock_remark start_skew_ns exit_code signal",
+        "battery_end offset_start_ns offset_end_ns rtt_ns clock_remark uneven_ns start_skew_ns "
+        "exit_code signal",
         robot=Rule.ROBOT,
         host=Rule.HOST,
         boot_id=Rule.NOTHING,

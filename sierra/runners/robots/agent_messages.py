@@ -89,6 +89,13 @@ class _Clock(_Message):
     wall: Annotated[int, Field(ge=0, lt=LATEST_NS)]
 
 
+class _Watched(_Message):
+    """See `sierra.worker.clock_watch.Course`."""
+
+    uneven: Annotated[int, Field(ge=0, lt=LATEST_NS // 8)]
+    moved: Annotated[int, Field(gt=-LATEST_NS, lt=LATEST_NS)]
+
+
 class OutputFile(_Part):
     """See `sierra.worker.worker.OutputFile`."""
 
@@ -131,7 +138,6 @@ class _Report(_Part):
     why: Text | None
     end: End | None
     problems: list[Text]
-    steps: list[float]
 
     @model_validator(mode="after")
     def _has_a_reason(self) -> Self:
@@ -160,11 +166,12 @@ MODELS: dict[str, type[_Message]] = {
     "hello": _Hello,
     "checked": _Checked,
     "clock": _Clock,
+    "watched": _Watched,
     "started": _Started,
     "ended": _Ended,
     "refused": _Refused,
     "late": _Late,
-    **dict.fromkeys(("armed", "gated", "removed", "beat"), _Message),
+    **dict.fromkeys(("armed", "gated", "removed", "beat", "watching"), _Message),
 }
 """The messages by their events."""
 

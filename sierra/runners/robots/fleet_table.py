@@ -109,7 +109,9 @@ class FleetTable(Table):
         description="free space below which no run starts, on each robot and on this machine, in bytes or as in `1 GB`",
     )
     clock_error: Positive = Field(
-        0.05, description="largest error of the measurement of a robot's clock with which a run starts, in seconds"
+        0.05,
+        description="largest error of the measurement of a robot's clock with which a run starts, and largest error by clocks "
+        "that were set or slewed during a run with which stamps are converted, in seconds",
     )
     clock_drift: Positive | None = Field(
         None,

@@ -80,7 +80,9 @@ def _first_failed(parts: Iterable[Part]) -> worker.End | None:
 
 def failure(trial: Trial) -> str | None:
     """Return what happened to which robot, in one line; None if the run has ended well on all of them."""
-    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial.table.clock_drift))]
+    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial))]
+    if own := clock_changes.failure_here(trial.course, trial.table.clock_drift):
+        found.append(f"this machine {own}")
     if not found and trial.stopped not in (None, OVER, STOPPED):
         found = [str(trial.stopped)]
     elif found and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
@@ -88,7 +90,7 @@ def failure(trial: Trial) -> str | None:
     return "; ".join(found) or None
 
 
-def _trouble(part: Part, clock_drift: float | None) -> str | None:
+def _trouble(part: Part, trial: Trial) -> str | None:
     """Return what went wrong with one robot; None if nothing did, or if it was only told to stop."""
     if part.lost is not None:
         return f"was lost: {part.lost}" + ("" if part.files else "; its outputs are missing")
@@ -101,7 +103,7 @@ def _trouble(part: Part, clock_drift: float | None) -> str | None:
         return f"{part.ended['why']}"
     if part.problem and part.files is None:
         return f"has kept its outputs: {part.problem}"
-    return _changed(part) or clock_changes.failure(part, clock_drift)
+    return _changed(part) or clock_changes.failure(part, trial.course, trial.table.clock_drift)
 
 
 def _changed(part: Part) -> str | None:
@@ -173,13 +175,14 @@ def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[t
                 "clock_start_ns": part.clock.at_ns if part.clock else None,
                 "clock_end_ns": part.clock_after.at_ns if part.clock_after else None,
                 "rtt_ns": _slower(part.clock, part.clock_after),
-                "clock_remark": clock_changes.remark(part, trial.table.clock_error),
-                "start_skew_ns": round((times.began - trial.at_ns / 1e9) * 1e9) if times else None,
+                "clock_remark": _clock(part, trial),
+                "start_skew_ns": _skew_ns(times, trial),
                 "started": datetime.fromtimestamp(times.began, UTC) if times else None,
                 "ended": datetime.fromtimestamp(times.ended, UTC) if times else None,
                 "exit_code": end["exit_code"] if end else None,
                 "signal": end["signal"] if end else None,
                 "isolation": part.hello.get("isolation"),
+                "uneven_ns": clock_changes.error_ns(part, trial.course),
             },
         )
 
@@ -195,30 +198,43 @@ def _status(part: Part) -> str:
 def _remarks(part: Part, trial: Trial) -> str | None:
     """Return everything that is worth knowing about how a part ended."""
     ended = part.ended or {}
-    clock = clock_changes.remark(part, trial.table.clock_error)
     why = [ended["why"]] if ended.get("why") else []
     failed = [text for text in (part.lost, part.failure, part.problem) if text]
-    late = _delay(part)
-    found = dict.fromkeys((*failed, *why, *ended.get("problems", ()), *([late] if late else []), *([clock] if clock else [])))
-    return "; ".join(found) or None
+    more = [text for text in (_late(part, trial), _clock(part, trial)) if text]
+    return "; ".join(dict.fromkeys((*failed, *why, *ended.get("problems", ()), *more))) or None
 
 
-def _delay(part: Part) -> str | None:
+def _clock(part: Part, trial: Trial) -> str | None:
+    """Return why stamps of a robot cannot be converted; None if they can."""
+    return clock_changes.remark(part, trial.course, trial.table.clock_error)
+
+
+def _late(part: Part, trial: Trial) -> str | None:
     """Return how late a program may have begun, because its container was not started before; None if it was."""
     delay = part.end.get("delay_s") if part.end else None
-    return None if delay is None else f"its program began up to {delay:.2f} s after the common start, with its container"
+    if delay is not None:
+        return f"its program began up to {delay:.2f} s after the common start, with its container"
+    return None
+
+
+def _skew_ns(times: Times | None, trial: Trial) -> int | None:
+    """Return by how much a part began after the common start."""
+    return round((times.began - trial.at_ns / 1e9) * 1e9) if times else None
 
 
 def notes(trial: Trial) -> Iterator[str]:
     """Yield what the user must know, whether the run has succeeded or not."""
+    moved: dict[str, list[str]] = {}
     for part in trial.parts:
         ended = part.ended or {}
         for problem in ended.get("problems", ()):
             yield f"{part.name}: {problem}"
-        if late := _delay(part):
+        if late := _late(part, trial):
             yield f"{part.name}: {late}"
-        if clock := clock_changes.remark(part, trial.table.clock_error):
-            yield f"{part.name}: {clock}, so that its stamps cannot be converted to one time axis"
+        if clock := _clock(part, trial):
+            moved.setdefault(clock, []).append(part.name)
+    for clock, names in moved.items():  # that of this machine concerns all robots
+        yield f"{', '.join(names)}: {clock}, so that stamps cannot be converted to one time axis"
 
 
 def _slower(*clocks: Clock | None) -> int | None:

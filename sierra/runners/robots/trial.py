@@ -25,6 +25,7 @@ from sierra.runners.robots.agent_link import AgentLink, Refused
 from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.worker import worker
+from sierra.worker.clock_watch import ClockWatch, Course
 
 ARM_S = worker.START_S + 30.0
 """The seconds in which a robot must have its input files, and must have started its container."""
@@ -63,6 +64,8 @@ class Part:
     after: Record = field(default_factory=dict)
     clock: Clock | None = None
     clock_after: Clock | None = None
+    course: Course | None = None
+    """How even its clock was between both measurements; None if it was measured once."""
     armed: bool = False
     """True if its agent may have the run."""
     started: bool = False
@@ -127,6 +130,8 @@ class Trial:
         """The common start by this host's clock."""
         self.waits = False
         """True while all robots are armed, and the run may not begin."""
+        self.course: Course | None = None
+        """How even the clock of this host was between the measurements of the robots' clocks; None before the last ones."""
         self.table = table
         self._events = events
         self._stopping = stopping
@@ -135,6 +140,7 @@ class Trial:
         self._by_name = {part.name: part for part in parts}
         self._stopped_at = 0.0
         self._silent: set[str] = set()
+        self._watch = ClockWatch()
 
     def execute(self) -> bool:
         """Execute the run until it has ended on all robots; return False if it was stopped before it began.
@@ -204,8 +210,14 @@ class Trial:
             self.waits = False
 
     def _measure(self) -> None:
-        """Measure all clocks. Raises Missing if one cannot be measured well enough."""
-        for part, clock in zip(self.parts, self._each(lambda part: part.agent.clock()), strict=True):
+        """Measure all clocks, and begin to watch them. Raises Missing if one cannot be measured well enough."""
+
+        def measure(part: Part) -> Clock:
+            part.agent.ask("watch")
+            return part.agent.clock()
+
+        self._watch = ClockWatch()
+        for part, clock in zip(self.parts, self._each(measure), strict=True):
             part.clock = clock
             if clock.rtt_ns / 2e9 > self.table.clock_error:
                 raise Missing(
@@ -216,11 +228,11 @@ class Trial:
     def _start(self) -> None:
         """Tell all robots when to start. Raises Missing if one does not confirm this in time."""
         slowest = max(part.clock.rtt_ns for part in self.parts if part.clock)
-        self.at_ns = time.time_ns() + int(LEAD_S * 1e9) + ROUND_TRIPS * slowest
+        self.at_ns = self._watch.now_ns() + int(LEAD_S * 1e9) + ROUND_TRIPS * slowest
 
         def tell(part: Part) -> None:
             offset = part.clock.offset_ns if part.clock else 0
-            wait = (self.at_ns - time.time_ns()) / 1e9 - CANCEL_S
+            wait = (self.at_ns - self._watch.now_ns()) / 1e9 - CANCEL_S
             answer = part.agent.ask("at", max(wait, 0.01), attempt=self.attempt, at=self.at_ns + offset)
             if answer["event"] != "gated":
                 raise Missing(f"{part.name}: the start reached it {answer['by']:.3f} s too late")
@@ -256,6 +268,7 @@ class Trial:
         looked = time.monotonic()
         while any(part.is_open for part in self.parts):
             self._take(POLL_S)
+            self._watch.look()
             if time.monotonic() - looked > self.table.lease / 2:  # this process was stopped, and may have much to read
                 for part in self.parts:
                     part.agent.heard = time.monotonic()
@@ -319,10 +332,11 @@ class Trial:
         """
 
         def finished(part: Part) -> None:
+            if part.problem is not None:
+                return
             try:
                 if part.lost is not None:
                     self._find(part, rejoin(part))
-                part.clock_after = part.agent.clock()
                 if part.started:
                     target = folder / str(part.place)
                     part.agent.link.pull(f"{part.hello['folder']}/runs/{self.attempt}/1", target)
@@ -333,7 +347,19 @@ class Trial:
             except SierraError as error:
                 part.problem = str(error).removeprefix(f"{part.name}: ")
 
+        each(self._measure_again, self.parts)
+        self.course = self._watch.course()
         each(finished, self.parts)
+
+    def _measure_again(self, part: Part) -> None:
+        """Measure a clock after the run. Nobody has watched that of a robot that was lost."""
+        if part.lost is not None:
+            return
+        try:
+            clock, watched = part.agent.clock(), part.agent.ask("watched")
+            part.clock_after, part.course = clock, Course(watched["uneven"], watched["moved"])
+        except SierraError as error:
+            part.problem = str(error).removeprefix(f"{part.name}: ")
 
     def _find(self, part: Part, hello: Record) -> None:
         """Take the report of a lost robot that has come back."""

@@ -114,6 +114,18 @@ def test_a_robot_that_is_lost_before_the_start_prevents_it(
     assert [one.error for one in runs.run(job(2))] == [None]
 
 
+def test_a_clock_that_is_set_between_its_measurement_and_the_start_prevents_it(
+    runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+):
+    fleet.set_clock("rb2", 5)
+    monkeypatch.setattr(Trial, "_start", after(Trial._start, lambda: fleet.set_clock("rb2", -25)))
+    with pytest.raises(Missing, match=r"^rb2: its wall clock has moved by -30 s since it was measured, just before the start$"):
+        runs.run(job(1))
+    assert runs.begun() == []
+    monkeypatch.undo()
+    assert [one.error for one in runs.run(job(2))] == [None]
+
+
 def after(step: Callable[[Trial], None], fault: Callable[[], None]) -> Callable[[Trial], None]:
     """Return a step of a run before which a fault happens."""
 

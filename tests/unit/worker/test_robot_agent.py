@@ -22,7 +22,7 @@ import pytest
 from sierra.containers import held_start
 from sierra.containers.engines import on_host
 from sierra.runners.robots.push import PROGRAMS
-from sierra.worker import robot_agent, worker
+from sierra.worker import worker
 from tests.waiting import until
 
 IGNORES = "import signal, time; signal.signal(15, signal.SIG_IGN); print('on', flush=True); time.sleep(60)"
@@ -330,17 +330,6 @@ def test_refusals_are_one_line(agent: Start, tmp_path: Path):
     assert driver.process.stdin
     driver.process.stdin.write(b'{"do": 5}\n')
     assert driver.receive("refused")["reason"] == "unknown request 5"
-
-
-def test_a_step_of_the_wall_clock_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    order = {"attempt": "a", "job": job("", "a")}
-    waiting = robot_agent.start_worker(os.environ)
-    run = robot_agent.Run(str(tmp_path / "runs" / "a"), order, waiting, dict(os.environ), (), 0.2, 0.2)
-    wall = time.time
-    monkeypatch.setattr(time, "time", lambda: wall() - 137.0)
-    run.end("a test")
-    until(lambda: run.look(time.monotonic()))
-    assert run.ended()["steps"] == [pytest.approx(-137, abs=0.1)]
 
 
 CLIENT = """

@@ -20,7 +20,7 @@ END = {
     **{"started": 1e9, "ended": 1e9, "exit_code": 0, "signal": None, "stopped": None, "error": None},
     **{"user_s": 0, "system_s": 0.5, "max_rss_bytes": 1, "outputs": [FILE]},
 }
-ENDED = {"event": "ended", "attempt": "1", "started": True, "why": None, "end": END, "problems": [], "steps": [0.1]}
+ENDED = {"event": "ended", "attempt": "1", "started": True, "why": None, "end": END, "problems": []}
 
 
 def with_end(**changes: Any) -> dict[str, Any]:
@@ -60,7 +60,9 @@ def test_a_report_is_passed_on_without_what_nobody_knows():
         {"event": "refused"},
         {"event": "ended", "attempt": "1"},
         {**ENDED, "end": None},
-        {**ENDED, "steps": [float("inf")]},
+        {"event": "watched", "uneven": -1, "moved": 0},
+        {"event": "watched", "uneven": 1, "moved": 1.5},
+        {"event": "watched", "uneven": 1 << 60, "moved": 0},
         with_end(started=float("nan")),
         with_end(ended=1e30),
         with_end(exit_code="0"),

@@ -46,12 +46,12 @@ def trial_of(folder: Path) -> Trial:
         for log in worker.LOGS:
             (folder / str(place) / log).touch()
         agent = AgentLink(name, LocalLink(name, folder / "home"), 1.0, queue.SimpleQueue())
-        ended = {"started": True, "why": STOPPED, "end": dict(END), "problems": [], "steps": []}
+        ended = {"started": True, "why": STOPPED, "end": dict(END), "problems": []}
         clock = Clock(0, 1000, 0)
         parts.append(Part(place, "robot", agent, {}, JOB, clock=clock, started=True, ended=ended, files=folder / str(place)))
     table = FleetTable(fleet={"ada": {"host": "ada"}, "bob": {"host": "bob"}}, stop=[])
     trial = Trial("1", parts, table, queue.SimpleQueue(), stopping=lambda: None, notice=lambda text: None)
-    trial.stopped = STOPPED
+    trial.stopped, trial.at_ns = STOPPED, round(END["started"] * 1e9)
     return trial
 
 

@@ -85,11 +85,31 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
         assert abs(row["offset_start_ns"]) < 50_000_000
         assert 0 <= row["start_skew_ns"] < 500_000_000
         assert row["clock_remark"] is None
+        assert 0 < row["uneven_ns"] < 50_000_000
     environments = {row["environment"]: row for table, row in fleet.rows if table == "environments"}
     assert '"GREETING": "hello"' in environments[row["environment"]]["variables"]
     assert "abracadabra" not in str(fleet.rows)
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
     assert [name.split("/")[2] for name in fleet.links["ada"].pushed] == ["programs", "sources"]
+
+
+@pytest.mark.parametrize("limit", [None, pytest.param(10.0, marks=pytest.mark.nightly)])
+def test_a_step_of_the_clock_of_this_machine_is_not_blamed_on_robots(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch, limit: float | None
+):
+    fleet.table = fleet.table.model_copy(update={"clock_drift": limit})
+    runner = fleet.submit(job(1))
+    fleet.all_begun()
+    wall = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: wall() - 20_000_000_000)
+    [result] = fleet.follow(runner)
+    moved = "the wall clock of this machine has moved by -20 s while the run was executed"
+    failed = "this machine has a clock that moved by -20 s during the run, more than clock_drift = 10 in [runners.robots]"
+    assert result.error == (failed if limit else None)
+    assert fleet.notes == [f"ada, bob, cy: {moved}, so that stamps cannot be converted to one time axis"]
+    for row in fleet.rows_by_place.values():
+        assert row["offset_end_ns"] - row["offset_start_ns"] > 19e9
+        assert row["clock_remark"] == moved
 
 
 def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
