@@ -18,7 +18,7 @@ from sierra.worker import worker
 
 INTERRUPTED = "interrupted"
 LATE_S = 1.0
-"""The seconds that a start may be off the common one before it is noted."""
+"""The seconds that a program may begin after the common start before it is noted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,11 +210,12 @@ def _clock(part: Part, trial: Trial) -> str | None:
 
 
 def _late(part: Part, trial: Trial) -> str | None:
-    """Return how late a program may have begun, because its container was not started before; None if it was."""
+    """Return how late a program has begun, or may have begun because its container was not started before; None if in time."""
     delay = part.end.get("delay_s") if part.end else None
     if delay is not None:
         return f"its program began up to {delay:.2f} s after the common start, with its container"
-    return None
+    skew = (_skew_ns(times_of(part), trial) or 0) / 1e9
+    return f"its program began {skew:.1f} s after the common start" if skew > LATE_S else None
 
 
 def _skew_ns(times: Times | None, trial: Trial) -> int | None:

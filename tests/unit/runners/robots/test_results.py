@@ -68,6 +68,19 @@ def test_a_robot_that_is_gone_after_its_files_were_copied_is_only_remarked(tmp_p
     assert [rows[name]["reason"] for name in ("ada", "bob")] == [STOPPED, f"no answer for 10 s; {STOPPED}"]
 
 
+@pytest.mark.parametrize(("late_s", "said"), [(0.9, None), (3.0, "its program began 3.0 s after the common start")])
+def test_a_program_that_begins_late_is_noted_in_a_run_that_is_good(tmp_path: Path, late_s: float, said: str | None):
+    trial = trial_of(tmp_path)
+    trial.stopped, trial.at_ns = None, round((END["started"] - late_s) * 1e9)
+    for part in trial.parts:
+        part.ended = {**(part.ended or {}), "why": None, "end": {**END, "stopped": None}}
+    trial.parts[0].clock = Clock(round(late_s * 1e9), 1000, 0)  # its clock is ahead, so that it has begun in time
+    assert results.result(trial, JOB, tmp_path)["error"] is None
+    rows = {row["robot"]: row for _, row in results.rows(trial, JOB)}
+    assert [rows[name]["reason"] for name in ("ada", "bob")] == [None, said]
+    assert list(results.notes(trial)) == ([f"bob: {said}"] if said else [])
+
+
 @pytest.mark.parametrize("path", ["/proc/kmsg", "../../2/stdout", "here.csv"])
 def test_reports_name_only_files_that_were_copied(tmp_path: Path, path: str):
     """A file outside the folder may never end, or belong to somebody else."""
