@@ -169,23 +169,23 @@ def test_a_robot_that_is_not_ready_stops_all(fleet: Fleet, tmp_path: Path):
         fleet.run(job(1))
 
 
-def test_a_robot_may_have_nothing_of_what_the_fleet_has(fleet: Fleet):
-    missing = {
-        **{"setup": "false", "battery": "/nowhere/capacity", "firmware": ("false",), "calibration": "/nowhere/calibration"},
-        **{"checks": (("false",),), "topic_rates": {"/scan": 4.0}},
+NOTHING: dict[str, Any] = {"setup": "", "battery": [], "firmware": [], "calibration": "", "checks": [], "topic_rates": {}}
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("kept", [None, *NOTHING])
+def test_a_robot_may_have_nothing_of_what_the_fleet_has(fleet: Fleet, kept: str | None):
+    for_all = {
+        **{"setup": "false", "battery": "/nowhere/capacity", "firmware": ["false"], "calibration": "/nowhere/calibration"},
+        **{"checks": [["false"]], "topic_rates": {"/scan": 4.0}, "stop": [], "disk_min": 1},
     }
-    fleet.table = fleet.table.model_copy(update=missing)
-    none = {"setup": "", "battery": [], "firmware": [], "calibration": "", "checks": [], "topic_rates": {}}
-    for key in none:
-        own = {"host": "ada", **{other: value for other, value in none.items() if other != key}}
-        fleet.table = options(FleetTable, {**fleet.table.model_dump(), "fleet": {"ada": own}}, "[runners.robots]")
+    own = {key: value for key, value in NOTHING.items() if key != kept}
+    fleet.table = options(FleetTable, {**for_all, "fleet": {"ada": {"host": "ada", **own}}}, "[runners.robots]")
+    if kept is None:
+        assert [(one.exit_code, one.error) for one in fleet.run(job(1, robots=1))] == [(0, None)]
+    else:
         with pytest.raises(Missing, match=r"^ada: "):
             fleet.run(job(1, robots=1))
-    fleet.table = options(
-        FleetTable, {**fleet.table.model_dump(), "fleet": {"ada": {"host": "ada", **none}}}, "[runners.robots]"
-    )
-    [result] = fleet.run(job(1, robots=1))
-    assert (result.exit_code, result.error) == (0, None)
 
 
 def test_no_robot_is_touched_if_this_machine_has_no_room_for_what_a_run_measures(fleet: Fleet):
