@@ -9,7 +9,7 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +26,17 @@ from sierra.setup.doctor import Check, State
 PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")
 INSTALL = "install Python 3.8 or newer there"
 OLDEST = (3, 8)
+ZONE = "time zone"
 CLOCK_S = 1.0
 """The offset of a clock from which on a check names a remedy."""
 LOOK = r"""
-import json, os, platform, shutil, subprocess, sys
+import json, os, platform, shutil, subprocess, sys, time
 asked = json.loads(sys.argv[1])
 found = {"python": list(sys.version_info[:3]), "system": platform.platform(), "machine": platform.machine()}
 folder = os.path.expanduser(asked["folder"] if asked["folder"].startswith(("~", "/")) else "~/" + asked["folder"])
 while not os.path.isdir(folder):
     folder = os.path.dirname(folder)
+found["utc_offset"] = time.localtime().tm_gmtoff
 found["folder"], found["free"] = folder, shutil.disk_usage(folder).free
 found["writable"] = os.access(folder, os.W_OK)
 found["programs"] = [name for name in asked["programs"] if shutil.which(name)]
@@ -84,6 +86,7 @@ class HostToCheck:
     link: str = "fabric"
     link_options: Mapping[str, Any] = field(default_factory=dict)
     python: str = "python3"
+    variables: Mapping[str, str] = field(default_factory=dict)
     setup: str | None = None
     folder: str = "~"
     battery: str | tuple[str, ...] | None = None
@@ -100,7 +103,14 @@ def all_checks(names: Sequence[str], link: str | None = None) -> list[Check]:
     """
     hosts = _hosts(_project(), [part for name in names for part in name.split(",") if part], link)
     with ThreadPoolExecutor(min(32, len(hosts))) as pool:
-        return [check for found in pool.map(lambda host: list(_checks(host)), hosts) for check in found]
+        found = [check for checks in pool.map(lambda host: list(_checks(host)), hosts) for check in checks]
+    zones = [check.found for check in found if check.name.endswith(ZONE)]
+    return [_of_several_zones(check) if check.name.endswith(ZONE) and len(set(zones)) > 1 else check for check in found]
+
+
+def _of_several_zones(check: Check) -> Check:
+    """Return the check of a host's time zone, if others have another one."""
+    return replace(check, state="absent", remedy='robots of a run need one time zone; declare variables = { TZ = "UTC" }')
 
 
 def _project() -> Project | None:
@@ -133,6 +143,7 @@ def _fleet(links: Mapping[str, RawTable], runners: Mapping[str, RawTable], link:
             chosen,
             robot.link_options if chosen == table.link else links.get(chosen, {}),
             python=table.python,
+            variables=robot.variables,
             setup=robot.setup,
             folder=table.folder,
             battery=robot.battery,
@@ -165,13 +176,14 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
 
 def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
     asked = {name: getattr(host, name) for name in ("folder", "battery", "firmware", "calibration")}
-    argv = [host.python, "-c", LOOK, json.dumps({**asked, "programs": PROGRAMS})]
+    given = ["env", *(f"{name}={value}" for name, value in host.variables.items())]
+    argv = [*given, host.python, "-c", LOOK, json.dumps({**asked, "programs": PROGRAMS})]
     if host.setup:
-        ended = link.run(["bash", "-c", host.setup])
+        ended = link.run([*given, "bash", "-c", host.setup])
         if ended.status != 0:
             yield Check(f"{host.name}: setup", "missing", _last_words(ended), "correct setup in sierra.toml")
             return
-        argv = ["bash", "-c", f'{host.setup} > /dev/null\nexec "$@"', "bash", *argv]
+        argv = [*given, "bash", "-c", f'{host.setup} > /dev/null\nexec "$@"', "bash", *argv[len(given) :]]
     ended = link.run(argv)
     if ended.status != 0:
         yield Check(f"{host.name}: python", "missing", _last_words(ended).removeprefix("timeout: "), INSTALL)
@@ -185,6 +197,7 @@ def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
     yield _check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
     yield _disk(host, found)
     yield _clock(host, link)
+    yield Check(f"{host.name}: {ZONE}", "ok", f"UTC{found['utc_offset'] / 3600:+g} h now")
     yield from _facts(host, found)
     yield Check(f"{host.name}: installed", "ok", ", ".join(found["programs"]) or "none of the programs that runs may need")
 

@@ -404,6 +404,7 @@ class Agent:
             "python": "%d.%d.%d" % sys.version_info[:3],
             "executable": sys.executable,
             "facts": load("machine").facts(),
+            "utc_offset": utc_offset(self.environment.get("TZ")),
             "software": self.looker.news(self.environment),
             "home": os.path.expanduser("~"),
             "variables": variables,
@@ -843,6 +844,23 @@ def own_address() -> str | None:
     """Return the address of this robot at which its driver has reached it, in the robot's own network; None without SSH."""
     words = os.environ.get("SSH_CONNECTION", "").split()  # address and port of the client, then of the server
     return words[2] if len(words) == 4 else None
+
+
+def utc_offset(zone: str | None) -> int:
+    """Return the seconds by which local time is ahead of UTC now, with this value of TZ; None: in the system's time zone."""
+    before = os.environ.get("TZ")
+    try:
+        set_zone(zone)
+        return time.localtime().tm_gmtoff
+    finally:
+        set_zone(before)
+
+
+def set_zone(zone: str | None) -> None:
+    os.environ.pop("TZ", None)
+    if zone is not None:
+        os.environ["TZ"] = zone
+    time.tzset()
 
 
 def boot_id() -> str:

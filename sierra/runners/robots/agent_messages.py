@@ -24,6 +24,8 @@ Raw = InstanceOf[str]
 """The name of a file or the value of a variable, which may have bytes that are no text."""
 LATEST_NS = 1 << 62
 """The latest time of a clock in ns since 1970: in 2116."""
+LONGEST_OFFSET_S = 7 * 24 * 3600
+"""A limit on the seconds between local time and UTC, as in the values of TZ that POSIX allows."""
 Moment = Annotated[float, Field(ge=0, le=LATEST_NS / 1e9)]
 Amount = Annotated[float, Field(ge=0)]
 Size = Annotated[int, Field(ge=0, lt=1 << 63)]
@@ -70,6 +72,7 @@ class _Hello(_Message):
     boot: Text
     address: Text | None
     facts: Facts
+    utc_offset: Annotated[int, Field(gt=-LONGEST_OFFSET_S, lt=LONGEST_OFFSET_S)]
     software: Software
     home: Text
     variables: dict[Text, Raw]

@@ -34,7 +34,7 @@ class RobotTable(Table):
         ROBOT, description="the group of places that it can take: `robot`, `base`, or a name in `[robots.groups]`"
     )
     variables: Mapping[str, str] = Field(
-        default_factory=dict, description="variables that its setup line, its stop command and its program get"
+        default_factory=dict, description="variables that it has in addition to those of the fleet, or instead"
     )
     setup: Line | Nothing | None = Field(
         None,
@@ -73,6 +73,12 @@ class FleetTable(Table):
         ".cache/sierra-robot", description="folder for runs on each robot: absolute, or within the home folder there"
     )
     python: Line = Field("python3", description="the command for Python 3.8 or newer on the robots")
+    variables: Mapping[str, str] = Field(
+        default_factory=dict,
+        description="variables that the setup line, the stop command and the program get on each robot; those of "
+        "`[environment]` replace them for the program",
+        examples=[{"TZ": "UTC"}],
+    )
     setup: Line | None = Field(
         None,
         description="a line that bash executes on each robot; programs get the variables that it sets",
@@ -156,7 +162,8 @@ class FleetTable(Table):
         """Return a robot with what the fleet has for it, where it has nothing of its own."""
         own = self.fleet[name]
         of_fleet = {key: getattr(self, key) for key in REPLACED if getattr(own, key) is None}
-        return own.model_copy(update={**of_fleet, "link_options": {**self.link_options, **own.link_options}})
+        merged = {key: {**getattr(self, key), **getattr(own, key)} for key in ("variables", "link_options")}
+        return own.model_copy(update={**of_fleet, **merged})
 
 
 def check_groups(table: FleetTable, declared: Collection[str]) -> None:

@@ -183,6 +183,7 @@ class Robots:
         if self._stopped is not None:
             return
         fitting_robots.check_addresses({one.name: one.address for one in robots.values()})
+        fitting_robots.check_time_zones({one.name: one.hello for one in robots.values()})
         addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
         parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"

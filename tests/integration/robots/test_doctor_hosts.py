@@ -37,6 +37,8 @@ def test_hosts_are_reported_with_what_they_have_and_lack(project: Path, fleet: F
         assert found[f"{other}: python"]["found"].startswith("3.")
         assert "MB free in /home/robot" in found[f"{one}: disk"]["found"]
         assert "git" in found[f"{one}: installed"]["found"]
+        assert found[f"{one}: time zone"]["found"] == found[f"{other}: time zone"]["found"]
+    fleet.configure(other, "SetEnv TZ=NPT-5:45")
     fleet.set_clock(one, 137)
     fleet.read_only(other)
     fleet.new_host_key(third)
@@ -48,6 +50,8 @@ def test_hosts_are_reported_with_what_they_have_and_lack(project: Path, fleet: F
     assert "differs" in found[f"{third}: key"]["found"]
     assert found["nowhere.invalid: connection"]["state"] == "missing"
     assert len({name.partition(":")[0] for name in found}) == 4
+    assert found[f"{other}: time zone"]["found"] == "UTC+5.75 h now"
+    assert found[f"{one}: time zone"]["state"] == found[f"{other}: time zone"]["state"] == "absent"
 
 
 def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) -> None:

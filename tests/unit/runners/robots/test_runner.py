@@ -69,7 +69,7 @@ def test_the_log_of_each_robot_is_kept_however_much_others_print(fleet: Fleet):
 
 def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
     ada = RobotTable(host="ada", variables={"TZ": "Asia/Kathmandu"}, firmware=("echo", "1.4"))
-    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": ada}})
+    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": ada}, "variables": {"TZ": "UTC"}})
     first, second = fleet.run(job(1), job(2))
     assert (first.exit_code, first.error, first.stopped) == (0, None, None)
     assert [file.path for file in first.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
@@ -240,6 +240,48 @@ def test_robots_that_have_the_same_address_in_their_networks_are_refused(fleet: 
     fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, **own}})
     with pytest.raises(
         Missing, match=r"^ada and cy have the same address 10\.0\.2\.15; give each an address by which .*"
+    ) as raised:
+        fleet.run(job(1))
+    assert "\n" not in str(raised.value)
+    assert not fleet.begun()
+    assert not any(list(link.home.rglob("runs/*")) for link in fleet.links.values()), "nothing is armed"
+
+
+NEPAL = "NPT-5:45"
+"""A value of TZ that needs no database of time zones."""
+CY_IN_NEPAL = f'case "$HOME" in */cy) export TZ={NEPAL};; esac'
+
+
+@pytest.mark.parametrize(
+    ("logins", "of_fleet", "own", "setup", "refused"),
+    [
+        ({"cy": NEPAL}, {}, {}, None, r"UTC\+00:00\) and cy \(.*, UTC\+05:45"),
+        ({}, {}, {"cy": NEPAL}, None, r"UTC\+00:00\) and cy \(NPT-5:45, UTC\+05:45"),
+        (
+            {},
+            {},
+            {},
+            f'[ "$HOME" != "${{HOME%cy}}" ] && export TZ={NEPAL}; true',
+            r"UTC\+00:00\) and cy \(NPT-5:45, UTC\+05:45",
+        ),
+        ({"cy": NEPAL}, {"TZ": "UTC"}, {}, None, None),
+        ({}, {"TZ": "UTC"}, {"cy": NEPAL}, None, None),
+    ],
+)
+@pytest.mark.integration
+def test_robots_with_different_time_zones_are_refused_unless_all_zones_are_declared(
+    fleet: Fleet, logins: dict[str, str], of_fleet: dict[str, str], own: dict[str, str], setup: str | None, refused: str | None
+):
+    for name in NAMES:
+        fleet.links[name].variables["TZ"] = logins.get(name, "UTC0")
+    robots = {name: RobotTable(host=name, variables={"TZ": own[name]} if name in own else {}) for name in NAMES}
+    fleet.table = fleet.table.model_copy(update={"fleet": robots, "variables": of_fleet, "setup": setup})
+    if refused is None:
+        assert [(one.exit_code, one.error) for one in fleet.run(job(1))] == [(0, None)]
+        return
+    remedy = r'declare variables = \{ TZ = "UTC" \} in \[runners.robots\]$'
+    with pytest.raises(
+        Missing, match=rf"^ada \(.*, {refused}\) have different time zones, and local times on them differ; {remedy}"
     ) as raised:
         fleet.run(job(1))
     assert "\n" not in str(raised.value)
