@@ -5,6 +5,7 @@ After each fault, no program is left on any robot within its lease, the result s
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -86,6 +87,31 @@ def test_robots_whose_python3_is_too_old_use_another_python_for_everything(
     [result] = runs.run(job(1, python="python-new"))
     assert [file.path for file in result.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
     assert not any((robot.home / "called").exists() for robot in fleet.robots.values())
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("", r"^rb\d: there is no key for the login; make one \(ssh-keygen\) or load it \(ssh-add\)$"),
+        ("encrypted", r"^rb\d: the key needs a passphrase; load it into an agent \(ssh-add\)$"),
+    ],
+    ids=["no-key", "encrypted-key"],
+)
+def test_a_login_without_a_usable_key_is_refused(
+    runs: Runs, fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, said: str
+):
+    monkeypatch.setenv("HOME", str(tmp_path))  # without keys in ~/.ssh
+    monkeypatch.delenv("SSH_AUTH_SOCK", raising=False)
+    shutil.copy(fleet.key, tmp_path / "encrypted")
+    subprocess.run(["ssh-keygen", "-q", "-p", "-P", "", "-N", "a secret", "-f", tmp_path / "encrypted"], check=True)
+    line = f"  IdentityFile {fleet.key}\n"
+    text = fleet.ssh_config.read_text()
+    assert line in text
+    fleet.ssh_config.write_text(text.replace(line, f"  IdentityFile {tmp_path / key}\n" if key else ""))
+    with pytest.raises(Missing, match=said):
+        runs.run(job(1))
+    assert not any(list(robot.home.iterdir()) for robot in fleet.robots.values())
 
 
 def power_cut(fleet: Fleet) -> None:
