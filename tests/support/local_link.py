@@ -14,7 +14,9 @@ from pathlib import Path
 
 from sierra.config.field_types import Table
 from sierra.errors import Missing
-from sierra.links.base import Ended, Overdue, Unreachable
+from sierra.links.base import Ended, LinkOptions, Overdue, Unreachable
+from sierra.links.commands import Commands, Lines
+from sierra.links.process_stream import ProcessStream
 from sierra.runners.robots.agent_link import LOCK
 from sierra.runners.robots.push import content_name
 
@@ -83,6 +85,25 @@ class LocalChannel:
             self.process.stdin.close()
         if self.process.poll() is not None and self.process.stdout and not self._reading:
             self.process.stdout.close()
+
+
+class ProcessLink(Commands):
+    """One robot on this machine, to which everything is sent as over SSH. `programs` comes first on the PATH there."""
+
+    def __init__(self, name: str, home: Path, programs: Path) -> None:
+        super().__init__(name, LinkOptions())
+        self._lock = f"{LOCK}-{secrets.token_hex(6)}"
+        self._environment = {"PATH": f"{programs}:{os.environ['PATH']}", "HOME": str(home), "USER": "robot"}
+        home.mkdir()
+
+    def channel(self, argv: Sequence[str]) -> Lines:
+        return super().channel([self._lock if word == LOCK else word for word in argv])
+
+    def _start(self, line: str) -> ProcessStream:
+        return ProcessStream(["sh", "-c", f"cd\n{line}"], self._environment)
+
+    def _disconnect(self) -> None:
+        """There is no connection."""
 
 
 class LocalLink:

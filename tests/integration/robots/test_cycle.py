@@ -89,7 +89,6 @@ def test_robots_whose_python3_is_too_old_use_another_python_for_everything(
     assert not any((robot.home / "called").exists() for robot in fleet.robots.values())
 
 
-@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("key", "said"),
     [

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from sierra.config.validate import options
+from sierra.containers.engines.hosts import OtherHost
 from sierra.errors import ConfigError, Missing
 from sierra.ingest.observations import observed
 from sierra.model import Job
@@ -25,8 +26,9 @@ from sierra.store.layout import SessionPaths
 from sierra.testing import robots as conformance
 from sierra.util.kept_log import kept_of
 from sierra.worker import worker
-from tests.support.local_link import LocalLink
-from tests.support.robot_runs import Runs, job
+from tests.pythons import python_of
+from tests.support.local_link import LocalLink, ProcessLink
+from tests.support.robot_runs import GO, Runs, job
 from tests.waiting import until
 
 NAMES = ("ada", "bob", "cy")
@@ -143,6 +145,31 @@ def test_the_runner_passes_its_conformance_suite(fleet: Fleet, tmp_path: Path):
     conformance.check(lambda: Robots(1, fleet.table, fleet.make_link), folder)
 
 
+@pytest.mark.nightly
+def test_the_oldest_supported_python_is_enough_for_all_that_executes_on_a_robot(tmp_path: Path, require: Callable[..., str]):
+    oldest = str(python_of("3.8"))
+    require("Python 3.8", there=oldest != "None")
+    programs, home = tmp_path / "bin", tmp_path / "ada"
+    programs.mkdir()
+    for name, script in (("python3", "exit 1"), ("rostopic", "while echo average rate: 5.0; do sleep 0.1; done")):
+        (programs / name).write_text(f"#!/bin/sh\n{script}\n")
+        (programs / name).chmod(0o755)
+    link = ProcessLink("ada", home, programs)
+    runs = Runs(tmp_path, {"ada": home}, lambda *_: link, python=oldest, topic_rates={"/scan": 4.0}, setup="export SPEED=1")
+    [result] = runs.run(replace(job(1, robots=1, python=oldest), observe={"project": "not there"}))
+    assert (result.exit_code, result.error, [file.path for file in result.outputs]) == (0, None, ["1/here.csv"])
+    assert observed(result)
+    assert {"environments", "robots"} <= {table for table, _ in runs.rows}
+
+    host = OtherHost("ada", link, "engines", oldest)
+    placed = host.place(runs.code / "go.py", hashlib.sha256(GO.encode()).hexdigest(), "images", runs.notes.append)
+    assert Path(placed.path).read_text() == GO
+    assert host.facts.home == str(home)
+    assert host.call("unusable", ["/dev/nothing"], False)
+    assert host.call("run", ["echo", "1"], None, 10)[:2] == [0, "1\n"]
+    link.close()
+
+
 class Careless(Robots):
     """A runner that claims to use containers, but does not."""
 
@@ -232,6 +259,7 @@ def test_programs_get_the_known_addresses_of_all_robots_of_their_run(fleet: Flee
     )
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("declared", [None, "10.0.2.15"])
 def test_robots_that_have_the_same_address_in_their_networks_are_refused(fleet: Fleet, declared: str | None):
     for name in ("ada", "cy"):
