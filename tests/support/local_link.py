@@ -37,7 +37,7 @@ class LocalChannel:
         )
         self.stalled = False
         self._unread = b""
-        self._reading = False
+        self._reading = self._closed = False
 
     def send(self, line: str) -> None:
         while self.stalled:
@@ -50,6 +50,14 @@ class LocalChannel:
 
     def receive(self, timeout: float) -> str | None:
         self._reading = True
+        try:
+            return self._receive(timeout)
+        finally:
+            self._reading = False
+            if self._closed:
+                self._close_output()
+
+    def _receive(self, timeout: float) -> str | None:
         assert self.process.stdout
         give_up = time.monotonic() + timeout
         while b"\n" not in self._unread:
@@ -83,7 +91,12 @@ class LocalChannel:
         assert self.process.stdin
         with contextlib.suppress(OSError):
             self.process.stdin.close()
-        if self.process.poll() is not None and self.process.stdout and not self._reading:
+        self._closed = True
+        if not self._reading:
+            self._close_output()
+
+    def _close_output(self) -> None:
+        if self.process.poll() is not None and self.process.stdout:
             self.process.stdout.close()
 
 

@@ -38,7 +38,7 @@ from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.engine_errors import classify
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
 from sierra.runners.robots.push import content_name, push_content, push_programs
-from sierra.runners.robots.trial import SETTLE_S, STOPPED, Part, Trial, each
+from sierra.runners.robots.trial import SETTLE_S, STOPPED, Late, Part, Trial, each
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.json_types import RecordValue
@@ -53,6 +53,8 @@ HELLO_S = 90.0
 SESSION_S = 10.0
 """The seconds in which a host must execute one more command while its agent serves."""
 REJOIN_S = 0.3
+TRIES = 3
+"""The number of times that a run is tried which has not started."""
 OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 NO_FLEET = 'the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml'
 MakeLink = Callable[[str, RobotTable], Link]
@@ -163,18 +165,22 @@ class Robots:
     def _run(self, job: Job) -> None:
         """Execute one run, and append its result to the journal. Raises SierraError if it was not started.
 
-        If the connection to a robot was lost since the last run, the run is tried once more with a new one.
+        It is tried again if a robot did not confirm the start in time, as on a busy machine, or if a connection was lost since
+        the last run.
         """
-        try:
-            self._try(job)
-        except Unreachable as error:
-            if self._stopped or not any(robot.forget_if_lost() for robot in self._robots.values()):
-                raise
-            log.warning("connecting again: %s", error)
-            self._try(job)
+        for more in reversed(range(TRIES)):
+            try:
+                self._try(job)
+            except (Late, Unreachable) as error:
+                lost = [robot for robot in self._robots.values() if robot.forget_if_lost()]
+                if not more or self._stopped or not (lost or isinstance(error, Late)):
+                    raise
+                log.warning("trying again: %s", error)
+            else:
+                return
 
     def _try(self, job: Job) -> None:
-        """Execute one run as `_run` does, once."""
+        """Execute one run as `_run` does, once. Raises SierraError."""
         self._check_room()
         taken = allocate(self._table, [(one.place, one.group) for one in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
+from sierra.links.base import Unreachable
 from sierra.links.clock import Clock
 from sierra.runners.robots.agent_link import AgentLink, Refused
 from sierra.runners.robots.agent_messages import Record, as_report
@@ -45,6 +46,10 @@ OVER = "the run is over"
 STOPPED = "the runs were ended by the user"
 Item = TypeVar("Item")
 Made = TypeVar("Made")
+
+
+class Late(Missing):
+    """A common start that a robot did not confirm in time, so that none has started."""
 
 
 @dataclass
@@ -226,16 +231,21 @@ class Trial:
                 )
 
     def _start(self) -> None:
-        """Tell all robots when to start. Raises Missing if one does not confirm this in time."""
+        """Tell all robots when to start. Raises Late if one does not confirm this in time."""
         slowest = max(part.clock.rtt_ns for part in self.parts if part.clock)
         self.at_ns = self._watch.now_ns() + int(LEAD_S * 1e9) + ROUND_TRIPS * slowest
 
         def tell(part: Part) -> None:
             offset = part.clock.offset_ns if part.clock else 0
             wait = (self.at_ns - self._watch.now_ns()) / 1e9 - CANCEL_S
-            answer = part.agent.ask("at", max(wait, 0.01), attempt=self.attempt, at=self.at_ns + offset)
+            try:
+                answer = part.agent.ask("at", max(wait, 0.01), attempt=self.attempt, at=self.at_ns + offset)
+            except Unreachable:
+                if part.agent.lost is not None:
+                    raise
+                raise Late(f"{part.name}: did not confirm the common start in time") from None
             if answer["event"] != "gated":
-                raise Missing(f"{part.name}: the start reached it {answer['by']:.3f} s too late")
+                raise Late(f"{part.name}: the start reached it {answer['by']:.3f} s too late")
 
         self._each(tell)
 

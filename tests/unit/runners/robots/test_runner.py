@@ -27,7 +27,7 @@ from sierra.testing import robots as conformance
 from sierra.util.kept_log import kept_of
 from sierra.worker import worker
 from tests.pythons import python_of
-from tests.support.local_link import LocalLink, ProcessLink
+from tests.support.local_link import LocalChannel, LocalLink, ProcessLink
 from tests.support.robot_runs import GO, Runs, job
 from tests.waiting import until
 
@@ -400,6 +400,23 @@ def test_a_run_that_is_held_back_begins_soon_after_the_word(fleet: Fleet):
     [result] = fleet.follow(runner)
     assert result.error is None
     assert 0 < min(row["started"].timestamp() for row in fleet.rows_by_place.values()) - said < 2.0
+
+
+def test_a_start_that_a_robot_does_not_confirm_in_time_is_tried_again(fleet: Fleet, monkeypatch: pytest.MonkeyPatch):
+    fleet.table = fleet.table.model_copy(update={"lease": 30.0})
+    send, starts = LocalChannel.send, 0
+
+    def slow(channel: LocalChannel, line: str) -> None:
+        nonlocal starts
+        if '"do":"at"' in line and channel in fleet.links["bob"].channels:
+            starts += 1
+            time.sleep(2.0 if starts == 1 else 0.0)  # later than any start with this limit on the error of clocks
+        send(channel, line)
+
+    monkeypatch.setattr(LocalChannel, "send", slow)
+    assert [(one.exit_code, one.error) for one in fleet.run(job(1))] == [(0, None)]
+    assert starts > 1
+    assert sorted(row["place"] for table, row in fleet.rows if table == "robots") == [1, 2, 3]
 
 
 def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
