@@ -19,7 +19,8 @@ from sierra.runners.base import Look, Runner, Work
 from sierra.store.store import Store
 from sierra.util.signals import noted
 
-POLL_S = 0.05
+POLL_S, WATCHED_S = 0.05, 0.01
+"""Seconds between two looks, and while a person watches a run."""
 MANY = 100
 """Number of results in one poll from which on the next poll follows without a pause."""
 
@@ -127,7 +128,7 @@ class _Following:
                 self._runner.stop()
             alive = look.alive
             if alive and len(look.results) < MANY:
-                time.sleep(POLL_S)
+                time.sleep(WATCHED_S if look.watched else POLL_S)
         self._flush()
         if self.left:
             self._session.leave()

@@ -92,6 +92,8 @@ class Look:
     """The last signs of life of the robots that execute runs now."""
     ready: bool = False
     """True while a run is prepared and waits until it may begin: see `Holds`."""
+    watched: bool = False
+    """True while a person may stop the run with a key, so that the next look must follow soon."""
 
 
 class Runner(Protocol):

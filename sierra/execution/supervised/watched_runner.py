@@ -60,7 +60,8 @@ class WatchedRunner:
         self.seconds = time.monotonic() - self._began if self.decision is Start.GO else 0.0
         if look.alive and not self._over:
             self._attend(look)
-        return replace(look, results=tuple(map(self._own, look.results)))
+        watched = look.alive and self.decision is Start.GO and not self.stopped
+        return replace(look, results=tuple(map(self._own, look.results)), watched=watched)
 
     def _attend(self, look: Look) -> None:
         """Let the person decide if the trial begins; once it has, let the person stop it."""

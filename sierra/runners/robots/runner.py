@@ -55,6 +55,8 @@ SESSION_S = 10.0
 REJOIN_S = 0.3
 TRIES = 3
 """The number of times that a run is tried which has not started."""
+WAKE: tuple[str, Record] = ("", {})
+"""An event of no robot: the thread that executes the run looks at once why it must end."""
 OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 NO_FLEET = 'the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml'
 MakeLink = Callable[[str, RobotTable], Link]
@@ -143,6 +145,7 @@ class Robots:
 
     def stop(self) -> None:
         self._stopped = self._stopped or STOPPED
+        self._events.put(WAKE)
 
     def close(self) -> None:
         self.stop()
