@@ -42,6 +42,22 @@ NUMBER = rf"{INTEGER}|DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)"
 """The types of whole numbers, and of all numbers, as regular expressions."""
 SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBER}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
 """The types of values that are the same as Python objects from DuckDB and from Arrow; `HUGEINT` is more exact."""
+TIMES = re.compile(r"DATE|TIME|BIT")
+"""A pattern in the names of types with values that Python cannot hold: infinity, years before 1 and after 9999, for example."""
+HELD = {
+    "DATE": "#{0} BETWEEN DATE '0001-01-01' AND DATE '9999-12-31'",
+    "TIMESTAMP": "#{0} BETWEEN TIMESTAMP '0001-01-01' AND TIMESTAMP '9999-12-31 23:59:59.999999'",
+    INSTANT: "#{0} BETWEEN TIMESTAMPTZ '0001-01-01 00:00:00+00' AND TIMESTAMPTZ '9999-12-31 23:59:59.999999+00'",
+    "TIMESTAMP_NS": "isfinite(#{0})",
+    "TIME": "#{0} < TIME '24:00:00'",
+    "TIME WITH TIME ZONE": "false",
+    "BIT": "false",
+}
+"""Conditions that a value of a type can be a Python object, by the type; those of TIMESTAMP_S and _MS are TIMESTAMP's."""
+NESTED_HELD = r"NOT regexp_matches(#{0}::VARCHAR, 'infinity|\(BC\)|\d{{5,}}-\d\d-\d\d|24:00:00')"
+"""The condition for values of other types, such as lists of dates; also false if they have a text like such a time."""
+TEXTS = {INSTANT: "(#{0} AT TIME ZONE 'UTC')::VARCHAR || CASE WHEN isfinite(#{0}) THEN '+00' ELSE '' END"}
+"""The texts of values that cannot be Python objects, by the type, if they are not DuckDB's own."""
 
 
 class Answer:
@@ -64,30 +80,46 @@ class Answer:
         return Answer(self._relation.limit(count), self.notes)
 
     def rows(self) -> list[tuple[SqlValue, ...]]:
-        """Return all rows as Python objects; times are in UTC."""
-        if not all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self.types):
-            return [tuple(row.values()) for row in self.arrow().to_pylist()]
-        instants = [place for place, kind in enumerate(self.types) if kind == INSTANT]
-        if not instants:
-            rows: list[tuple[SqlValue, ...]] = self._relation.fetchall()
-            return rows
-        return [_with_times(row, instants) for row in self._microseconds().fetchall()]
+        """Return all rows as Python objects; times are in UTC. What Python cannot hold, such as infinite dates, is text."""
+        times = [place for place, kind in enumerate(self.types) if TIMES.search(kind)]
+        simple = all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self.types)
+        relation = self._held(times, simple=simple) if times else self._relation
+        rows: list[tuple[SqlValue, ...]] = relation.fetchall() if simple else _through_arrow(relation)
+        return [_with_times(row, times, len(self.types)) for row in rows] if times else rows
 
     def arrow(self) -> pa.Table:
         """Return the result as an Arrow table."""
         return self._relation.to_arrow_table().rename_columns(self.columns)
 
-    def _microseconds(self) -> duckdb.DuckDBPyRelation:
-        """Return the relation with times as microseconds since 1970: DuckDB needs a further library to convert times."""
-        kinds = enumerate(self.types, start=1)
-        texts = [f"epoch_us(#{place})" if kind == INSTANT else f"#{place}" for place, kind in kinds]
-        return self._relation.project(", ".join(texts))
+    def _held(self, times: list[int], *, simple: bool) -> duckdb.DuckDBPyRelation:
+        """Return the relation with NULL for times that Python cannot hold, followed by columns with the texts of these.
+
+        If all columns are simple, instants are microseconds since 1970: DuckDB needs a further library to convert them.
+        """
+        columns = [f"#{place}" for place in range(1, len(self.types) + 1)]
+        texts = []
+        for place in times:
+            kind, value = self.types[place], columns[place]
+            held = HELD.get(re.sub("_M?S$", "", kind), NESTED_HELD).format(place + 1)
+            text = TEXTS.get(kind, "#{0}::VARCHAR").format(place + 1)
+            exact = f"epoch_us({value})" if simple and kind == INSTANT else value
+            columns[place] = f"CASE WHEN {held} THEN {exact} END"
+            texts.append(f"CASE WHEN NOT ({held}) THEN {text} END")
+        return self._relation.project(", ".join((*columns, *texts)))
 
 
-def _with_times(row: tuple[SqlValue, ...], places: list[int]) -> tuple[SqlValue, ...]:
-    values = list(row)
-    for place in places:
-        if isinstance(value := values[place], int):
+def _through_arrow(relation: duckdb.DuckDBPyRelation) -> list[tuple[SqlValue, ...]]:
+    table = relation.to_arrow_table()
+    return [tuple(row.values()) for row in table.rename_columns(list(map(str, range(table.num_columns)))).to_pylist()]
+
+
+def _with_times(row: tuple[SqlValue, ...], times: list[int], count: int) -> tuple[SqlValue, ...]:
+    """Return the first `count` values of a row, with the texts after them in place of times that Python cannot hold."""
+    values = list(row[:count])
+    for place, text in zip(times, row[count:], strict=True):
+        if text is not None:
+            values[place] = text
+        elif isinstance(value := values[place], int):
             values[place] = EPOCH + timedelta(microseconds=value)
     return tuple(values)
 
