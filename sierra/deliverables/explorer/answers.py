@@ -19,8 +19,9 @@ from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
 from sierra.deliverables.explorer import batch_list, declarations, recorded_files
 from sierra.deliverables.explorer.batch_list import BatchList
-from sierra.deliverables.explorer.kept import Kept
-from sierra.deliverables.explorer.limit import Limit
+from sierra.deliverables.explorer.checked_files import Hashes
+from sierra.deliverables.explorer.kept import Kept, T
+from sierra.deliverables.explorer.limit import AGAIN_S, Limit
 from sierra.deliverables.explorer.opened import Opened
 from sierra.deliverables.explorer.tickets import Made, Tickets
 from sierra.deliverables.gallery import Gallery
@@ -75,7 +76,7 @@ class Answers:
         self._limit: Limit | None = None
         self._snapshots, self._frames = Kept[Snapshot](), Kept[Frame]()
         self._batches: BatchList | None = None
-        self.tickets = Tickets()
+        self.tickets, self._hashes = Tickets(), Hashes()
 
     def overview(self) -> JsonView:
         """Return the facts about the project, and the choices of forms."""
@@ -126,7 +127,7 @@ class Answers:
                 "variables": [axis.name for axis in frame.axes()],
                 "figures": {name: _keys(figure) for name, figure in figures.items()},
                 "notes": [*notes, *gallery.notes],
-                "videos": recorded_files.videos(source, self._store, frame.batch, self.tickets),
+                "videos": recorded_files.videos(source, self._store, frame.batch, self.tickets, self._hashes),
             }
 
     def _facts(self, batch: str) -> dict[str, JsonView]:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
 
+from sierra.deliverables.explorer.checked_files import Hashes
 from sierra.deliverables.explorer.tickets import Content, Made, Tickets
 from sierra.deliverables.report import films
 from sierra.deliverables.report.make import Source
@@ -14,7 +15,7 @@ from sierra.errors import SierraError
 from sierra.store import deliverable_records
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
-from sierra.util.hashing import sha256, sha256_file
+from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView
 
 KIND = "video"
@@ -23,13 +24,17 @@ AT_MOST = 100
 LARGEST = 64 << 20
 """The largest size in bytes of a video of a package, which is read as a whole."""
 CHANGED = "the file is not there, or is not the recorded one"
+TOO_LARGE = f"the file is too large to be played from a package (more than {LARGEST >> 20} MiB); extract the package"
 Find = Callable[[str, str], Content | None]
-"""A function that returns the content of a file by its name and its SHA-256 in records, if it is that file."""
+"""A function that returns the content of a file by its name and its SHA-256 in records, if it is that file.
+
+Raises TooLarge for a file that cannot be played because of its size.
+"""
 
 
-def videos(source: Source, store: Store, batch: str, tickets: Tickets) -> list[JsonView]:
+def videos(source: Source, store: Store, batch: str, tickets: Tickets, hashes: Hashes) -> list[JsonView]:
     """Return the recorded videos of a batch: of each, the address of the first file that is as it was recorded, or why not."""
-    find = _in_project(source.project.root) if source.read is None else _in_package(source.read)
+    find = _in_project(source.project.root, hashes) if source.read is None else _in_package(source.read)
     rows = [row for row in deliverable_records.latest(store, batch) if row.kind == KIND]
     every = [(row, name, files) for row in rows for name, files in (films.by_name(row.files) or {row.name: ()}).items()]
     shown: list[JsonView] = [_video(row, name, files, find, tickets) for row, name, files in every[:AT_MOST]]
@@ -39,21 +44,26 @@ def videos(source: Source, store: Store, batch: str, tickets: Tickets) -> list[J
 
 def _video(row: DeliverableRow, name: str, files: Sequence[str], find: Find, tickets: Tickets) -> dict[str, JsonView]:
     hashes = dict(zip(row.files, row.sha256s, strict=True))
+    problem = CHANGED
     for file in files:
-        if content := find(file, hashes[file]):
+        try:
+            content = find(file, hashes[file])
+        except films.TooLarge:
+            content, problem = None, TOO_LARGE
+        if content:
             kind = films.FORMATS[PurePosixPath(file).suffix]
             address = tickets.issue(Made(kind, content))
             return {"name": films.captions(row)(name), "file": file, "address": address, "picture": kind == "image/gif"}
-    return {"name": name, "file": ", ".join(files or row.files), "problem": CHANGED}
+    return {"name": name, "file": ", ".join(files or row.files), "problem": problem}
 
 
-def _in_project(root: Path) -> Find:
+def _in_project(root: Path, hashes: Hashes) -> Find:
     """Return a function that finds files within a project's folder."""
 
     def find(name: str, recorded: str) -> Content | None:
         path = (root / name).resolve()
         there = path.is_relative_to(root.resolve()) and path.is_file()
-        return path if there and sha256_file(path) == recorded else None
+        return hashes.checked(path, recorded) if there else None
 
     return find
 
@@ -62,16 +72,18 @@ def _in_package(read: films.Read) -> Find:
     """Return a function that finds files of a package, which are read again each time that a browser asks for a part."""
 
     def find(name: str, recorded: str) -> Content | None:
-        with suppress(SierraError):
-            if (data := read(name, LARGEST)) is not None and sha256(data) == recorded:
-                return partial(_again, read, name)
+        again = partial(_checked, read, name, recorded)
+        with suppress(SierraError, FileNotFoundError):
+            again()
+            return again
         return None
 
     return find
 
 
-def _again(read: films.Read, name: str) -> bytes:
+def _checked(read: films.Read, name: str, recorded: str) -> bytes:
+    """Return the content of a file in a package. Raises FileNotFoundError if it is not there or not the recorded one."""
     data = read(name, LARGEST)
-    if data is None:
+    if data is None or sha256(data) != recorded:
         raise FileNotFoundError(name)
     return data

@@ -24,7 +24,11 @@ FORMATS = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
 LARGEST, IN_ALL = 2 << 20, 6 << 20
 """The largest size in bytes of a video in a page, and of all videos together."""
 Read = Callable[[str, int], bytes | None]
-"""A function that returns the content of a deliverable's file if it exists and has at most this number of bytes."""
+"""A function that returns the content of a deliverable's file; None if there is none. Raises TooLarge above this many bytes."""
+
+
+class TooLarge(Exception):
+    """A file has more bytes than wanted."""
 
 
 def from_project(root: Path) -> Read:
@@ -33,7 +37,11 @@ def from_project(root: Path) -> Read:
     def read(name: str, most: int) -> bytes | None:
         try:
             file = inside(root, name)
-            return file.read_bytes() if file.is_file() and file.stat().st_size <= most else None
+            if not file.is_file():
+                return None
+            if file.stat().st_size > most:
+                raise TooLarge(name)
+            return file.read_bytes()
         except (OSError, Damaged):
             return None
 
@@ -70,7 +78,10 @@ class Films:
 
     def _taken(self, file: str, recorded: str) -> bytes | None:
         """Return the content of a file if the page has room for it, and it is the recorded one."""
-        data = self._read(file, min(LARGEST, self._left))
+        try:
+            data = self._read(file, min(LARGEST, self._left))
+        except TooLarge:
+            return None
         if data is None or sha256(data) != recorded:
             return None
         self._left -= len(data)

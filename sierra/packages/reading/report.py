@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sierra.deliverables.report import files, make, recorded
 from sierra.deliverables.report.files import Written
-from sierra.deliverables.report.films import Read
+from sierra.deliverables.report.films import Read, TooLarge
 from sierra.deliverables.report.reproduce import Received as About
 from sierra.packages.archive import Archive
 from sierra.packages.layout import drawn
@@ -44,8 +44,10 @@ def _from_archive(package: Received) -> Read:
     def read(name: str, most: int) -> bytes | None:
         member = drawn(name)
         with Archive(package.path) as archive:
-            if member not in archive.hashes or archive.size(member) > most:
+            if member not in archive.hashes:
                 return None
+            if archive.size(member) > most:
+                raise TooLarge(name)
             return archive.read(member)
 
     return read

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,14 @@ import pytest
 
 import sierra
 from sierra.deliverables.explorer.ranges import BadRange, Range
-from sierra.deliverables.explorer.tickets import MOST, Made, Tickets
+from sierra.deliverables.explorer.answers import Answers
+from sierra.deliverables.explorer.server import Server
+from sierra.deliverables.explorer.tickets import Made, Tickets
 from sierra.deliverables.figures.drawing import Drawing, explorable, explored, rendered
 from sierra.deliverables.record import Content, Recorder
 from sierra.errors import UsageError
+from sierra.deliverables.report.films import TooLarge
+from sierra.deliverables.report.make import Source
 from sierra.model import Axis
 from sierra.store import read_lock
 from tests import projects, stores
@@ -184,13 +190,78 @@ def test_a_range_behind_the_end_is_refused(header: str) -> None:
         Range.of(header, 10)
 
 
-def test_old_addresses_end() -> None:
+def test_old_addresses_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.deliverables.explorer.tickets.MOST_BYTES", 10)
+    monkeypatch.setattr("sierra.deliverables.explorer.tickets.MOST", 3)
     tickets = Tickets()
-    first = tickets.issue(Made("text/html", b""))
-    for _ in range(MOST):
-        last = tickets.issue(Made("text/html", b""))
-    assert tickets.find(first) is None
-    assert tickets.find(last) == Made("text/html", b"")
+    pages = [tickets.issue(Made("text/html", b"1234")) for _ in range(3)]
+    films = [tickets.issue(Made("video/mp4", bytes)) for _ in range(4)]
+    assert [tickets.find(address) is not None for address in pages] == [False, True, True]
+    assert [tickets.find(address) is not None for address in films] == [False, True, True, True]
+    large = tickets.issue(Made("text/html", b"1" * 11))
+    assert [tickets.find(address) is not None for address in (*pages, large)] == [False, False, False, True]
+
+
+def replaced_by_a_link(film: Path) -> None:
+    film.unlink()
+    film.symlink_to("/etc/hostname")
+
+
+def written_again(film: Path) -> None:
+    film.write_bytes(film.read_bytes()[::-1])
+    os.utime(film, (1, 1))
+
+
+def rendered_again(film: Path) -> None:
+    before = film.stat()
+    film.rename(film.with_suffix(".old"))
+    film.write_bytes(bytes(before.st_size))
+    os.utime(film, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+@pytest.mark.parametrize("change", [replaced_by_a_link, written_again, rendered_again, Path.unlink])
+def test_the_address_of_a_video_never_has_another_file(own: Path, change: Callable[[Path], object]) -> None:
+    batch = ids(own)[0]
+    film = recorded_film(own, batch)
+    with served(sierra.open(own).explorer()) as page:
+        [video] = page.ask("batch", batch=batch)["videos"]
+        assert page.send("GET", video["address"])[:2] == (200, film.read_bytes())
+        change(film)
+        assert page.send("GET", video["address"])[0] == 404
+
+
+def test_a_video_is_hashed_once(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    batch, digest, hashed = ids(own)[0], hashlib.file_digest, []
+    film = recorded_film(own, batch)
+    monkeypatch.setattr("hashlib.file_digest", lambda *about: hashed.append(about) or digest(*about))
+    with served(sierra.open(own).explorer()) as page:
+        assert all("address" in page.ask("batch", batch=batch)["videos"][0] for _ in range(3))
+        assert len(hashed) == 1
+        film.write_bytes(b"another film")
+        assert "not the recorded one" in page.ask("batch", batch=batch)["videos"][0]["problem"]
+
+
+def test_a_video_that_is_too_large_to_be_played_is_no_missing_one(own: Path) -> None:
+    def read(name: str, most: int) -> bytes | None:
+        raise TooLarge(name)
+
+    batch, project = ids(own)[0], sierra.open(own)
+    recorded_film(own, batch)
+    answers = Answers(lambda: Source(project._loaded, project.store, read=read), project.store)
+    with served(Server(answers, "project")) as page:
+        assert "too large to be played" in page.ask("batch", batch=batch)["videos"][0]["problem"]
+        assert page.ask("report", batch=batch)["address"]
+
+
+def recorded_film(root: Path, batch: str) -> Path:
+    """Write a file that is recorded as a video of a batch."""
+    film = root / "films" / "one.webm"
+    film.parent.mkdir()
+    film.write_bytes(bytes(range(256)) * 4)
+    recorder = Recorder(sierra.open(root).store, root, batch)
+    recorder.add(Content("video", "films", (batch,), {}, "", "0" * 64, ()), (film,))
+    recorder.close()
+    return film
 
 
 def test_an_explorer_hinders_nobody_between_questions(page: Page, recorded: Path) -> None:
