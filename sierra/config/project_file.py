@@ -52,12 +52,15 @@ from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.config.video_table import Video
 from sierra.errors import ConfigError, Missing, UsageError
-from sierra.store.layout import CONFIG, PYPROJECT
+from sierra.store.layout import CONFIG, PYPROJECT, user_packages
 from sierra.util.processors import ARCH
 from sierra.util.text import like
 
 if TYPE_CHECKING:
-    from sierra.store.derived_tables import Definition, Rules
+    from sierra.store.derived_tables import Definition, Limits, Rules
+
+OF_PACKAGES = "or import the package: its own [sql] cannot raise {} above the default"
+"""The advice for somebody who needs larger limits for a received package."""
 
 
 def _not_options(table: object) -> object:
@@ -411,6 +414,8 @@ class LoadedProject:
     """True if the file exists. A store without a file can be read too."""
     declared: Project | None = None
     """The content of the file, with all targets; None if it has no targets."""
+    received: bool = False
+    """True for the verified copy of a package that somebody else may have made."""
     content: bytes = b""
     """The bytes of the file from which this was read; none if it was made from a table."""
 
@@ -435,11 +440,18 @@ class LoadedProject:
         return replace(self, config=(self.declared or self.config).for_target(name))
 
     def rules(self) -> Rules:
-        """Return the derived tables with their statements, and the limits on these."""
-        from sierra.store.derived_tables import Limits, Rules
+        """Return the derived tables with their statements, and the limits on these; at most the default ones for a package."""
+        from sierra.store.derived_tables import Rules
 
         tables = {name.lower(): self.definition(name, table, f"[tables.{name}]") for name, table in self.config.tables.items()}
-        return Rules(tables, Limits(self.config.sql.wall, self.config.sql.memory))
+        return Rules(tables, self._sql_limits())
+
+    def _sql_limits(self) -> Limits:
+        from sierra.store.derived_tables import Limits
+
+        wanted = Limits(self.config.sql.wall, self.config.sql.memory)
+        received = self.received or self.root.parent == user_packages().resolve()
+        return wanted.within(Limits(remedy=OF_PACKAGES)) if received else wanted
 
     def definition(self, name: str, table: DerivedTable | Model, origin: str) -> Definition:
         """Return the statement of a table or a model, which may be in a file; messages call it `origin`."""

@@ -32,7 +32,7 @@ OWN_NAMES = frozenset(("samples", "wanted", "membership", "these"))
 """Names of temporary tables that statistics use."""
 SETTINGS = ("threads", "disabled_optimizers", "memory_limit", "max_temp_directory_size", "TimeZone")
 ON_DISK = 4
-"""The largest amount written to the disk, as a multiple of the limit on memory. Tables that were made before count too."""
+"""The default of `Limits.on_disk`."""
 SHARE_OF_MEMORY = 0.8
 """The largest part of the machine's memory that a statement may use, whatever the limit is."""
 
@@ -43,6 +43,16 @@ class Limits:
 
     wall: float = 300.0
     memory: int = 4_000_000_000
+    on_disk: int = ON_DISK
+    """The largest amount written to the disk, as a multiple of the memory. Tables that were made before count too."""
+    remedy: str = "or raise {} in [sql]"
+    """The advice for somebody who needs more."""
+
+    def within(self, most: Limits) -> Limits:
+        """Return these limits, or those of `most` where they are smaller, with its advice if one is."""
+        smaller = min(self.wall, most.wall), min(self.memory, most.memory), min(self.on_disk, most.on_disk)
+        fits = smaller == (self.wall, self.memory, self.on_disk)
+        return self if fits else Limits(*smaller, most.remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,11 +257,11 @@ def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iter
     Messages call the statement `origin`.
     """
     memory = min(limits.memory, int(SHARE_OF_MEMORY * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
-    values = ("1", "'join_order,build_side_probe_side'", f"'{memory}B'", f"'{ON_DISK * memory}B'", "'UTC'")
+    values = ("1", "'join_order,build_side_probe_side'", f"'{memory}B'", f"'{limits.on_disk * memory}B'", "'UTC'")
     try:
         for name, value in zip(SETTINGS, values, strict=True):
             connection.execute(f"SET {name} = {value}")
-        with _explained(origin, limits), _Timer(connection, limits.wall, origin):
+        with _explained(origin, limits), _Timer(connection, limits, origin):
             yield connection
     finally:
         for name in SETTINGS:
@@ -261,13 +271,13 @@ def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iter
 class _Timer:
     """A context manager that interrupts a connection's statement after some time, and then raises an error that says so."""
 
-    def __init__(self, connection: DuckDBPyConnection, wall: float, origin: str) -> None:
+    def __init__(self, connection: DuckDBPyConnection, limits: Limits, origin: str) -> None:
         self._connection = connection
-        self._wall = wall
+        self._limits = limits
         self._origin = origin
         self._lock = threading.Lock()
         self._ended = self._late = False
-        self._timer = threading.Timer(wall, self._interrupt)
+        self._timer = threading.Timer(limits.wall, self._interrupt)
         self._timer.daemon = True
 
     def __enter__(self) -> None:
@@ -280,9 +290,8 @@ class _Timer:
             self._ended = True
         self._timer.cancel()
         if self._late and isinstance(_[1], duckdb.InterruptException):
-            raise SierraError(
-                f"{self._origin}: the statement did not end within {self._wall:g} s; correct it, or raise wall in [sql]"
-            ) from _[1]
+            wall, remedy = self._limits.wall, self._limits.remedy.format("wall")
+            raise SierraError(f"{self._origin}: the statement did not end within {wall:g} s; correct it, {remedy}") from _[1]
 
     def _interrupt(self) -> None:
         with self._lock:
@@ -299,10 +308,10 @@ def _explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
     try:
         yield
     except duckdb.OutOfMemoryException as error:
-        most = f"{limits.memory / 1e9:g} GB" if limits else "the limit"
+        most, remedy = (f"{limits.memory / 1e9:g} GB", limits.remedy) if limits else ("the limit", Limits().remedy)
         raise SierraError(
             f"{origin}: out of memory: the derived tables of a command have {most}; "
-            "correct the statement, or raise memory in [sql]"
+            f"correct the statement, {remedy.format('memory')}"
         ) from error
     except duckdb.InterruptException:
         raise

@@ -7,6 +7,7 @@ other, each within a time limit.
 from __future__ import annotations
 
 import copy
+import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -28,6 +29,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
 from sierra.deliverables.record import origin_of
 from sierra.errors import NotFound, UsageError
+from sierra.store.derived_tables import Limits, Rules
 from sierra.store.read_lock import Shared
 from sierra.store.samples import Frame
 from sierra.store.schema import TABLE_NAMES
@@ -48,8 +50,11 @@ WALL_S = 30.0
 """The time limit of an answer, in s."""
 LONG_WALL_S = 600.0
 """That of reports and comparisons."""
-SETTINGS = ("SET memory_limit = '2GB'", "SET max_temp_directory_size = '0B'")
+MEMORY = 2_000_000_000
+SETTINGS = (f"SET memory_limit = '{MEMORY}B'", "SET max_temp_directory_size = '0B'")
 """Limits on all statements: a statement from the page must not fill the memory or the disk."""
+LIMITS = Limits(math.inf, MEMORY, 0, "or use a command such as sierra figures, which has the limits of [sql]")
+"""The same limits on derived tables."""
 COLUMNS = """
 SELECT table_name, column_name, data_type FROM information_schema.columns WHERE table_schema = 'main'
 ORDER BY table_name, ordinal_position
@@ -69,6 +74,7 @@ class Answers:
         self._unlimited.opened = self._opened.add
         self._store = copy.copy(self._unlimited)
         self._store.settings = (*store.settings, *SETTINGS)
+        self._store.rules = lambda: _within_limits(store.rules())
         self._writes = writes
         self._wall = wall
         self._one = threading.Lock()
@@ -293,6 +299,10 @@ class Answers:
 
 def _keys(figure: Figure) -> JsonView:
     keys: JsonView = figure.model_dump(mode="json", exclude_unset=True, by_alias=True)
+def _within_limits(rules: Rules) -> Rules:
+    return replace(rules, limits=rules.limits.within(LIMITS))
+
+
     return keys
 
 

@@ -8,6 +8,7 @@ Clusters and engines are those of the user's own configuration.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -37,7 +38,7 @@ def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
             notes += _confine(target, f"targets.{name}.")
     if clusters := user.load().runners:
         table["runners"] = dict(clusters)
-    return project_file.of_table(ProjectFolder(root, file), table), tuple(notes)
+    return replace(project_file.of_table(ProjectFolder(root, file), table), received=True), tuple(notes)
 
 
 def _confine(table: dict[str, Any], where: str) -> Iterator[str]:

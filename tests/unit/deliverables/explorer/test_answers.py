@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shutil
 import tomllib
@@ -16,23 +17,25 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.deliverables.explorer.ranges import BadRange, Range
 from sierra.deliverables.explorer.answers import Answers
+from sierra.deliverables.explorer.ranges import BadRange, Range
 from sierra.deliverables.explorer.server import Server
 from sierra.deliverables.explorer.tickets import Made, Tickets
 from sierra.deliverables.figures.drawing import Drawing, explorable, explored, rendered
 from sierra.deliverables.record import Content, Recorder
-from sierra.errors import UsageError
 from sierra.deliverables.report.films import TooLarge
 from sierra.deliverables.report.make import Source
+from sierra.errors import UsageError
 from sierra.model import Axis
-from sierra.store import read_lock
+from sierra.store import derived_tables, read_lock, several_batches
+from sierra.store.derived_tables import Limits
 from tests import projects, stores
 from tests.support import many_batches
 from tests.support.explorer_page import Page, served
 from tests.unit.deliverables.test_figures import NAMES, SIZES, drawing, table
 
 SWARM = {"table": "swarm", "column": "coverage", "kind": "timeseries"}
+SETTINGS = "SELECT current_setting('memory_limit'), current_setting('max_temp_directory_size')"
 DATA = re.compile(r"data ([0-9a-f]{64})")
 NEGATIVE = {"energy": table(4, 20, **{name: [-1.0] * 80 for name in ("mean", "mean_low", "mean_high")})}
 
@@ -297,14 +300,61 @@ def test_a_damaged_store_is_reported_and_answers_again_when_it_is_repaired(own: 
         assert "removed" in page.error("batch", batch=batch) or page.error("batch", batch=batch)
 
 
+HOSTILE = '[sql]\nmemory = "400 GB"\nwall = 1e9\n[tables.few]\nsql = "SELECT run, tick, coverage FROM swarm"\n'
+Limited = list[tuple[float, list[tuple[str, str]]]]
+
+
+@pytest.fixture
+def limited(monkeypatch: pytest.MonkeyPatch) -> Limited:
+    """Return the time limits and the settings that statements of derived tables have while they are executed."""
+    found: Limited = []
+    set_up = derived_tables.limited
+
+    @contextmanager
+    def recording(connection: Any, limits: Limits, origin: str) -> Iterator[Any]:
+        with set_up(connection, limits, origin) as ready:
+            found.append((limits.wall, ready.execute(SETTINGS).fetchall()))
+            yield ready
+
+    for module in (derived_tables, several_batches):
+        monkeypatch.setattr(module, "limited", recording)
+    return found
+
+
+def test_a_project_cannot_raise_the_limits_of_the_explorer(tmp_path: Path, limited: Limited) -> None:
+    root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{HOSTILE}")
+    batches = [stores.ask(root, "population_size=1,2", runs=2), stores.ask(root, "population_size=2,3", runs=2)]
+    keys = {"table": "few", "column": "coverage"}
+    with served(sierra.open(root).explorer()) as page:
+        page.ask("query", statement="SELECT count(*) FROM few", batch=batches[0])
+        page.ask("chart", batch=batches[0], name="mine", keys={"sql": "SELECT run, tick FROM few", "column": "tick"})
+        page.ask("chart", batch=batches[0], name="mine", keys=keys)
+        page.ask("compare", batches=batches, name="mine", keys=keys)
+    assert len(limited) >= 4
+    assert {settings for _, [settings] in limited} == {("1.8 GiB", "0 bytes")}
+
+
+def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited: Limited) -> None:
+    claim = '[claims.few]\nsays = "x"\npaper = "1"\nquery = "population_size=1,2"\nsql = "SELECT count(*) > 0 AS x FROM few"\n'
+    figure = '[figures.few]\ntable = "few"\ncolumn = "coverage"\n[package]\ntitle = "T"\nlicense = "MIT"\n'
+    root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{HOSTILE}{figure}authors = [{{ name = 'J' }}]\n{claim}")
+    package = str(tmp_path / "one.zip")
+    sierra.open(root).package(stores.ask(root, "population_size=1,2", runs=2), report=False, path=package)
+    limited.clear()
+    for words in (["report", package], ["open", package, "sql", "SELECT * FROM few"], ["open", package, "claims"]):
+        assert projects.quick(tmp_path, *words).returncode == 0
+        assert {wall for wall, _ in limited} == {300.0}
+        assert {settings for _, [settings] in limited} == {("3.7 GiB", "14.9 GiB")}
+        limited.clear()
+
+
 def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + '\n[tables.few]\nsql = "SELECT run, tick FROM swarm"\n')
     batch = stores.ask(root, "population_size=1", runs=1)
-    limits = "SELECT current_setting('memory_limit'), current_setting('max_temp_directory_size')"
     with served(sierra.open(root).explorer()) as page:
-        before = page.ask("query", statement=limits, batch=batch)["rows"]
+        before = page.ask("query", statement=SETTINGS, batch=batch)["rows"]
         page.ask("query", statement="SELECT count(*) FROM few", batch=batch)
-        assert page.ask("query", statement=limits, batch=batch)["rows"] == before == [["1.8 GiB", "0 bytes"]]
+        assert page.ask("query", statement=SETTINGS, batch=batch)["rows"] == before == [["1.8 GiB", "0 bytes"]]
 
 
 @pytest.mark.parametrize(
