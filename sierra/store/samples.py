@@ -97,8 +97,7 @@ class Frame:
         """`these`: the execution, or the judgement of it, to use for each run instead of the effective one."""
         self.batch = batch
         self._folder = store.paths.extracted
-        self._closing = ExitStack()
-        self._snapshot: Snapshot = self._closing.enter_context(store.snapshot(batch))
+        self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
         self._checked: set[tuple[str, str]] = set()
         """The tables and conditions of valid pairs."""
@@ -111,9 +110,15 @@ class Frame:
         """The results of `once`."""
         self.problems: dict[str, SierraError] = {}
         """Why derived tables cannot be used for statistics, by name; known after `outputs`."""
+        with ExitStack() as opening:
+            opening.enter_context(self._snapshot)
+            self._read(these)
+            self._closing = opening.pop_all()
+
+    def _read(self, these: Mapping[str, str] | None) -> None:
         self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches", "specs"))
         self._members(these)
-        self._on_robots = bool(self._snapshot.run(ON_ROBOTS, {"b": batch}))
+        self._on_robots = bool(self._snapshot.run(ON_ROBOTS, {"b": self.batch}))
         """True if the runs of the batch take robots."""
         self._files = self._output_files()
         """The files of each output, by name; a derived table has none."""

@@ -10,7 +10,7 @@ import copy
 import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -100,7 +100,7 @@ class Answers:
 
         `again`: also read what is not recorded yet, such as the state of clusters.
         """
-        with self._one:
+        with self._one, self._limited():
             state = self.state()
             if again or self._batches is None or self._batches.state != state:
                 self._batches = batch_list.read(self._store, state)
@@ -230,10 +230,13 @@ class Answers:
 
     def close(self) -> None:
         """End the answer that is computed now, and close what is open."""
-        self.stop()
-        with self._one:
+        while not self._one.acquire(timeout=AGAIN_S):  # several questions may wait for their turn
+            self.stop()
+        try:
             self._snapshots.close()
             self._frames.close()
+        finally:
+            self._one.release()
 
     def _project(self) -> LoadedProject:
         return self._source().project
@@ -252,34 +255,33 @@ class Answers:
 
     @contextmanager
     def _snapshot(self, batch: str | None) -> Iterator[Snapshot]:
-        with self._reading() as key:
+        with self._reading(self._snapshots) as key:
             within = self._id(batch, key[0]) if batch else None
-            with self._snapshots.opened((*key, within), lambda: self._open(within), self._limited()) as snapshot:
-                yield snapshot
+            yield self._snapshots.opened((*key, within), lambda: self._open(within))
 
     def _open(self, within: str | None) -> Snapshot:
         """Return a snapshot that many statements will use."""
-        snapshot = self._store.snapshot(within)
-        snapshot.settle()
+        with ExitStack() as opening:
+            snapshot = opening.enter_context(self._store.snapshot(within))
+            snapshot.settle()
+            opening.pop_all()
         return snapshot
 
     @contextmanager
     def _frame(self, batch: str, sql: str = "") -> Iterator[Frame]:
         """Yield the data of a batch. `sql`: the statement of a figure, which is added to the frame as a table."""
-        with self._reading() as key:
+        with self._reading(self._frames) as key:
             whole = self._id(batch, key[0])
-            with self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole), self._limited()) as frame:
-                yield frame
+            yield self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole))
 
     @contextmanager
-    def _reading(self) -> Iterator[tuple[object, ...]]:
-        """Protect the segments of the store while a question is answered. Yield what all answers depend on."""
-        with self._one:
-            shared = Shared(self._store.paths.reading)
-            try:
-                yield self.state(), self._store.rules()
-            finally:
-                shared.close()
+    def _reading(self, kept: Kept[T]) -> Iterator[tuple[object, ...]]:
+        """Protect the segments of the store while a question is answered from what is kept, within the time limit.
+
+        Yield what all answers depend on.
+        """
+        with self._one, closing(Shared(self._store.paths.reading)), kept, self._limited():
+            yield self.state(), self._store.rules()
 
     def _id(self, batch: str, state: object) -> str:
         """Return the id of a batch from a prefix; quickly, if the list of batches in this state of the store has it."""
@@ -297,12 +299,12 @@ class Answers:
             self._limit = None
 
 
-def _keys(figure: Figure) -> JsonView:
-    keys: JsonView = figure.model_dump(mode="json", exclude_unset=True, by_alias=True)
 def _within_limits(rules: Rules) -> Rules:
     return replace(rules, limits=rules.limits.within(LIMITS))
 
 
+def _keys(figure: Figure) -> JsonView:
+    keys: JsonView = figure.model_dump(mode="json", exclude_unset=True, by_alias=True)
     return keys
 
 

@@ -6,11 +6,8 @@ held only while a question is answered: in between, other processes can remove s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
-
-from sierra.deliverables.explorer.limit import Limit
 
 
 class Open(Protocol):
@@ -25,28 +22,27 @@ T = TypeVar("T", bound=Open)
 
 
 class Kept(Generic[T]):
-    """The one thing that was opened last, with the key that says what it is right for."""
+    """The one thing that was opened last, with the key that says what it is right for; and a context manager for its use."""
 
     def __init__(self) -> None:
         self._key: object = None
         self._opened: T | None = None
 
-    @contextmanager
-    def opened(self, key: object, opening: Callable[[], T], limit: AbstractContextManager[Limit]) -> Iterator[T]:
-        """Yield what is open for this key, or open it; `limit` is for what the caller does.
+    def __enter__(self) -> None:
+        pass
 
-        The caller holds the lock of the segments. What is open is closed after an error; an interruption is one, too.
-        """
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Close what is open after an error; an interruption is one, too."""
+        if kind is not None:
+            self.close()
+
+    def opened(self, key: object, opening: Callable[[], T]) -> T:
+        """Return what is open for this key, or open it. The caller holds the lock of the segments."""
         if self._opened is None or self._key != key:
             self.close()
             self._opened, self._key = opening(), key
             self._opened.unlock()
-        try:
-            with limit:
-                yield self._opened
-        except BaseException:
-            self.close()
-            raise
+        return self._opened
 
     def close(self) -> None:
         """Close what is open."""

@@ -182,6 +182,7 @@ def test_an_answer_that_takes_too_long_is_ended_and_the_next_one_comes(recorded:
     answers = Answers(lambda: Source(project._loaded, project.store), project.store, wall=0.2)
     with served(Server(answers, "project")) as page:
         assert page.error("query", statement=FOR_EVER).startswith("no answer within 0.2 s")
+        answers._wall = 60.0  # opening the store again may take longer on a busy machine
         assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
 
 
@@ -215,6 +216,46 @@ def test_work_in_python_is_stopped_inside(
     monkeypatch.setattr("sierra.deliverables.explorer.limit.PATIENCE_S", 0.05)
     assert stopped(page, question, **asked[question]) == "stopped"
     assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
+
+
+SLOW_OPENINGS = [
+    ("query", "store.views.Views.settle", {"statement": "SELECT 1"}),
+    ("tables", "store.store.Store.batch_id", {"batch": "0123"}),
+    ("batch", "store.samples.Frame._members", {"batch": "BATCH"}),
+    ("batches", "execution.list_batches.batches", {}),
+]
+
+
+@pytest.mark.parametrize(("question", "slow", "content"), SLOW_OPENINGS)
+@pytest.mark.parametrize("by", ["stop", "time", "end"])
+def test_opening_the_store_ends_like_an_answer(
+    recorded: Path, batch: str, monkeypatch: pytest.MonkeyPatch, question: str, slow: str, content: dict[str, str], by: str
+) -> None:
+    begun, project = threading.Event(), sierra.open(recorded)
+
+    def opening(*_: object) -> None:
+        begun.set()
+        for _ in range(1000):
+            time.sleep(0.01)
+
+    monkeypatch.setattr(f"sierra.{slow}", opening)
+    monkeypatch.setattr("sierra.deliverables.explorer.limit.PATIENCE_S", 0.05)
+    asked = {name: value.replace("BATCH", batch) for name, value in content.items()}
+    wall = 0.1 if by == "time" else 60
+    server = Server(Answers(lambda: Source(project._loaded, project.store), project.store, wall=wall), "project")
+    said: list[str] = []
+    with served(server) as page:
+        asking = threading.Thread(target=lambda: said.append(page.error(question, **asked)))
+        asking.start()
+        assert by == "time" or begun.wait(60)
+        if by == "stop":
+            page.ask("stop")
+        if by != "end":
+            asking.join()
+    asking.join()
+    assert said == [
+        "no answer within 0.1 s; ask for less, or use sierra sql, which has no time limit" if wall < 1 else "stopped"
+    ]
 
 
 def test_a_statement_within_a_comparison_or_a_report_is_stopped(recorded: Path, batch: str, tmp_path: Path) -> None:
