@@ -12,11 +12,11 @@ from sierra.util.hashing import digest
 IDENTIFYING = tuple(name for name in DeliverableRow._fields if name not in ("deliverable", "made", "lamport"))
 """The columns that the id is made from."""
 LATEST = """
-FROM deliverables WHERE batch = $b
+FROM deliverables WHERE batch = $b OR list_contains(batches, $b)
 QUALIFY row_number() OVER (PARTITION BY kind, name, files ORDER BY lamport DESC, made DESC) = 1
 ORDER BY kind, name, lamport DESC, made DESC
 """
-"""The last record of each set of files."""
+"""The last record of each set of files that show a batch, alone or beside others."""
 
 
 def deliverable_id(row: DeliverableRow) -> str:
@@ -41,7 +41,7 @@ def rows(store: Source, text: str, **parameters: object) -> list[DeliverableRow]
 
 
 def latest(store: Source, batch: str) -> list[DeliverableRow]:
-    """Return the last record of each file of a batch's deliverables, sorted by kind and name, from the last one on.
+    """Return the last record of each file of the deliverables that show a batch, sorted by kind and name, from the last one on.
 
     A deliverable can have several records if it was made in several formats. Each has only the files that no later one has.
     Raises Damaged, as `rows` does.

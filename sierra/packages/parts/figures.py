@@ -26,11 +26,15 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     `Options.videos` leaves videos out.
     """
     made: list[Member] = []
+    done: set[Checked] = set()
     notes: list[str] = []
     without = (REPORT,) if subject.options.videos else (REPORT, VIDEO)
     for batch in subject.batches:
         try:
             for one in check(subject.project, subject.store, batch, without=without):
+                if one in done:  # it shows several batches
+                    continue
+                done.add(one)
                 reason = one.problem or next(filter(None, map(unsafe, one.files)), "")
                 made += () if reason else _files(subject, one)
                 notes += [f"{one.kind} {one.name!r} of batch {short(batch)} is not packed: {reason}"] if reason else []

@@ -17,6 +17,7 @@ from sierra.deliverables.videos import draw
 from sierra.deliverables.videos.prepare import Prepared, prepare
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
+from tests.support.explorer_page import served
 
 pytestmark = pytest.mark.integration
 SIMULATOR = """\
@@ -67,7 +68,7 @@ def prepared(root: Path, a: int, b: int, **keys: Any) -> Prepared:
         return prepare("film", Video.model_validate(CELLS | keys), galleries)
 
 
-def test_two_batches_are_drawn_side_by_side_and_recorded(root: Path) -> None:
+def test_two_batches_are_drawn_side_by_side_and_recorded_for_both(root: Path, tmp_path: Path) -> None:
     first, second, *_ = ids(root)
     done = projects.quick(root, "video", f"calm={first[:10]}", f"noisy={second[:10]}", "--json")
     assert done.returncode == 0, done.stderr
@@ -78,9 +79,15 @@ def test_two_batches_are_drawn_side_by_side_and_recorded(root: Path) -> None:
     assert "video heat: population size = 3 is only in noisy" in done.stderr
     (row,) = projects.sql(root, "SELECT name, batches, sql FROM deliverables")
     assert (row["name"], row["batches"]) == ("heat_calm_noisy", [first, second])
-    assert "heat_calm_noisy: follows from the store" in projects.quick(root, "figures", first, "--check").stdout
+    for batch in (first, second):
+        assert "heat_calm_noisy: follows from the store" in projects.quick(root, "figures", batch, "--check").stdout
+        assert "Video. heat_experiment0" in sierra.open(root).report(batch, to=tmp_path / "page.html").file.read_text()
+        with served(sierra.open(root).explorer()) as page:
+            (shown,) = page.ask("batch", batch=batch)["videos"]
+        assert shown["file"] == path.relative_to(root).as_posix()
     path.write_bytes(path.read_bytes()[:-1])
-    assert "is not the file that SIERRA made" in projects.quick(root, "figures", first, "--check").stdout
+    for batch in (first, second):
+        assert "is not the file that SIERRA made" in projects.quick(root, "figures", batch, "--check").stdout
 
 
 def test_limits_are_those_of_both_and_the_difference_is_of_means(root: Path) -> None:
