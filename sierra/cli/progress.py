@@ -53,9 +53,9 @@ def watching(*, quiet: bool) -> Iterator[Display]:
 
 @contextlib.contextmanager
 def telling(*, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Yield a receiver of the name of what is being made, which a terminal shows meanwhile, unless `quiet`."""
+    """Yield a receiver of the part that is being made, unless `quiet`: a terminal shows it meanwhile, a log now and then."""
     if quiet or not sys.stderr.isatty():
-        yield lambda text: None
+        yield (lambda text: None) if quiet else _lines()
         return
     from rich.console import Console
     from rich.text import Text
@@ -88,17 +88,19 @@ def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
 
             yield show
     else:
-        yield _counted_lines()
+        tell = _lines()
+        yield lambda done, every, things: tell(f"{done} of {every} {things}")
 
 
-def _counted_lines() -> Callable[[int, int, str], None]:
+def _lines() -> Callable[[str], None]:
+    """Return a function that prints a text if the last one is `FIRST_S` ago."""
     said = time.monotonic()
 
-    def tell(done: int, every: int, things: str) -> None:
+    def tell(text: str) -> None:
         nonlocal said
         if time.monotonic() - said >= FIRST_S:
             said = time.monotonic()
-            print(f"{done} of {every} {things}", file=sys.stderr, flush=True)
+            print(safe(text), file=sys.stderr, flush=True)
 
     return tell
 

@@ -152,14 +152,18 @@ def _several(
     of_claims = claims.section(source.project, found, Place())
     of_groups = comparisons.section(compared.between(), compared.notes, Place())
     every, films = [], source.films()
-    for state in states:
+    for number, state in enumerate(states, 1):
         place = Chapter(state, ()).place
         within = comparisons.section(compared.within(state.id), (), place)
-        every.append(_parts(source, state, place, (within,), films, tell))
+        every.append(_parts(source, state, place, (within,), films, _within(tell, f"batch {number} of {len(states)}")))
     chapters = [Chapter(state, parts.sections) for state, parts in zip(states, every, strict=True)]
     first = [index.section(listed, ids), *filter(None, (of_claims, of_groups))]
     data = page.of_batches(title, first, chapters, found, source.received)
     return _made(data, states, every, (*compared.notes, *dict.fromkeys(note for parts in every for note in parts.notes)))
+
+
+def _within(tell: Callable[[str], None], place: str) -> Callable[[str], None]:
+    return lambda text: tell(f"{place}, {text}")
 
 
 def _made(data: bytes, states: Sequence[BatchState], every: Sequence[_Parts], notes: Sequence[str]) -> Report:
@@ -179,6 +183,7 @@ def _parts(
 ) -> _Parts:
     """Return the sections about a batch, with some after its results."""
     figures = results.figures(state, tell)
+    tell("tables and facts")
     tables, failed = results.table_section(state, place)
     sections = [
         question.section(state),

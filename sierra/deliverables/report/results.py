@@ -58,7 +58,7 @@ class Figures:
 
 
 def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
-    """Return the figures that `sierra figures` draws. `tell` receives the name of each before it is drawn.
+    """Return the figures that `sierra figures` draws. `tell` receives the number and the name of each before it is drawn.
 
     Raises Missing if something necessary is missing; other errors become notes.
     """
@@ -67,8 +67,8 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
     with Frame(state.store, state.id) as frame:
         gallery = Gallery(state.project, state.store, frame)
         wanted, notes = gallery.wanted(None)
-        for name, figure in wanted.items():
-            tell(name)
+        for number, (name, figure) in enumerate(wanted.items(), 1):
+            tell(f"figure {number} of {len(wanted)}: {name}")
             try:
                 contents.append(_content(*explorable(gallery.drawing(name, figure))))
                 libraries.update(made_by(figure.kind))

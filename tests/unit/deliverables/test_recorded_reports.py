@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.cli import progress
 from sierra.deliverables.record import Content, Recorder
 from sierra.deliverables.report import films
 from sierra.packages.reading import received
@@ -39,6 +40,22 @@ def project(made: tuple[Path, str], tmp_path: Path) -> tuple[Path, str]:
 def checked(root: Path) -> dict[str, str | None]:
     """Return the problem of each deliverable of the last batch by its kind, as `sierra figures --check` tells it."""
     return {one["kind"]: one["problem"] for one in json.loads(projects.quick(root, "figures", "--check", "--json").stdout)}
+
+
+def test_a_log_has_lines_on_parts_of_a_report_and_frames_of_videos(
+    project: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, _ = project
+    monkeypatch.setattr(progress, "FIRST_S", 0.0)
+    alone = projects.quick(root, "report").stderr
+    assert "figure 1 of 1: coverage\n" in alone
+    drawn = projects.quick(root, "video").stderr.splitlines()
+    assert [line for line in drawn if line.endswith("frames read")] == [f"{k} of 10 frames read" for k in range(1, 11)]
+    assert [line for line in drawn if line.endswith("frames drawn")] == [f"{k} of 20 frames drawn" for k in range(1, 21)]
+    assert "figure" not in projects.quick(root, "report", "--json").stderr.replace("of the figure", "")
+    assert "frames" not in projects.quick(root, "video", "-q").stderr
+    stores.ask(root, "population_size=1", runs=1)
+    assert "batch 2 of 2, figure 1 of 1: coverage\n" in projects.quick(root, "report", "--all").stderr
 
 
 def test_a_report_is_recorded_once_and_checked_like_figures(project: tuple[Path, str], tmp_path: Path) -> None:
