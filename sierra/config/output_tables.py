@@ -212,9 +212,14 @@ class Output(Table):
         """Return the names of the numbers in the names of its files, such as `tick` in `floor-{tick}.csv`."""
         return tuple(PLACEHOLDER.findall(self.file))
 
+    @property
+    def numbered(self) -> re.Pattern[str]:
+        """The regular expression for the paths of its files, in which names in braces stand for whole numbers."""
+        return _numbered(self.file.removeprefix("./"))
+
     def ticks_of(self, path: str) -> tuple[int, ...] | None:
         """Return the numbers in the name of a file; None if the file does not belong to this output."""
-        found = _numbered(self.file.removeprefix("./")).fullmatch(path)
+        found = self.numbered.fullmatch(path)
         return None if found is None else tuple(map(int, found.groups()))
 
     def matches(self, path: str) -> bool:

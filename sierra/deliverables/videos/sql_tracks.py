@@ -5,11 +5,13 @@ A statement reads the rows of some consecutive times, so that memory does not gr
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
+from sierra.config.output_tables import Output
 from sierra.config.video_table import Video
 from sierra.errors import NotFound, UsageError
 from sierra.store.samples import ChosenRun, Frame, OutputTable
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 MOST_CELLS = 10_000
 """The largest number of rows, and of columns, that a matrix with `fill` has."""
+GLOB = re.compile(r"[*?[]")
+"""A character that makes the name of a file a pattern."""
 AT_ONCE = 200_000
 """The number of rows that one statement reads, unless a single time has more."""
 Columns = Mapping[str, "npt.NDArray[np.generic]"]
@@ -70,10 +74,20 @@ class Source:
         return f"{derived}\n\n{statement}" if derived else statement
 
 
-def shown_files(glob: str, runs: Sequence[ChosenRun]) -> str:
-    """Return the statement, for `sierra sql`, whose rows are the files that a video of these runs shows."""
+def shown_files(output: Output, batch: str, runs: Sequence[ChosenRun]) -> str:
+    """Return the statement, for `sierra sql`, whose rows are the files that a video of these runs of a batch shows."""
     ids = ", ".join(dict.fromkeys(quote(run.run) for run in runs))
-    return f"SELECT run, path, sha256 FROM artifacts WHERE run IN ({ids}) AND path GLOB {quote(glob)} ORDER BY run, path"
+    effective = f"SELECT execution FROM effective WHERE batch = {quote(batch)} AND run IN ({ids})"
+    files = f"execution IN ({effective}) AND {_belongs(output)}"
+    return f"SELECT run, path, sha256 FROM artifacts WHERE {files} ORDER BY run, path"
+
+
+def _belongs(output: Output) -> str:
+    """Return the condition that the files of an output meet, and no others: see `Output.matches`."""
+    if output.ticks:
+        return f"regexp_full_match(path, {quote(output.numbered.pattern)})"
+    file = quote(output.file.removeprefix("./"))
+    return f"(path = {file} OR path GLOB {file})" if GLOB.search(output.file) else f"path = {file}"
 
 
 class Rows:

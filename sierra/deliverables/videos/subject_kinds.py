@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias, cast
 
-from sierra.config.output_tables import PLACEHOLDER
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos.films import Film
@@ -211,7 +210,7 @@ class PictureSubject:
         self.unit = "s" if per_second or not output.ticks else output.units.get(self.time, "")
         self.units: Mapping[str, str] = {}
         self.layout: Layout = {}
-        self.sql = shown_files(PLACEHOLDER.sub("*", output.file.removeprefix("./")), film.runs)
+        self.sql = shown_files(output, gallery.frame.batch, film.runs)
 
     def left_out(self) -> Sequence[str]:
         return [track.missing for track in self.tracks if track.missing]

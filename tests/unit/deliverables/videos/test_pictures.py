@@ -277,16 +277,19 @@ def test_pictures_fill_their_panels_without_distortion(tmp_path: Path) -> None:
 
 
 SIMULATOR = """\
-import shutil, sys
+import os, shutil, sys
 number = int(open(sys.argv[1]).read().split('run="')[1].split('"')[0])
 for tick in (0, 5, 10):
     with open(f"Frame {tick}.ppm", "wb") as file:
         file.write(b"P6 6 4 255 " + bytes((250 if number else 10, 0, 20 * tick)) * 24)
-shutil.copy(sys.argv[2], "cam.mp4")
+shutil.copy(sys.argv[2], "cam[1].mp4")
+tried = f"{sys.argv[3]}-{number}"
+if not os.path.exists(tried):
+    sys.exit(open(tried, "x").close() or 3)
 """
 CONFIG = """\
 template = "arena.xml"
-command = "python3 sim.py {input} {project}/cam.mp4"
+command = "python3 sim.py {input} {project}/cam.mp4 TRIED"
 seed = "//random/@seed"
 runs = 2
 observe = "none"
@@ -298,7 +301,7 @@ file = "Frame {tick}.ppm"
 time = "tick"
 ticks_per_second = 10
 [outputs.cam]
-file = "cam.mp4"
+file = "cam[1].mp4"
 [videos.tiles]
 kind = "pictures"
 table = "frames"
@@ -314,9 +317,11 @@ size = [200, 160]
 @pytest.mark.integration
 def test_recorded_files_become_videos_and_tiles(tmp_path: Path) -> None:
     template = projects.TEMPLATE.replace("<arena ", '<arena run="0" ')
-    root = projects.make(tmp_path / "p", CONFIG, simulator=SIMULATOR, template=template)
+    config = CONFIG.replace("TRIED", str(tmp_path / "tried"))
+    root = projects.make(tmp_path / "p", config, simulator=SIMULATOR, template=template)
     (root / "cam.mp4").write_bytes(video())
-    stores.ask(root, "population_size=1")
+    for _ in range(2):  # the first executions fail, and leave the same files
+        stores.ask(root, "population_size=1")
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
     tiles, cam = map(Path, json.loads(done.stdout)["files"])
@@ -327,9 +332,10 @@ def test_recorded_files_become_videos_and_tiles(tmp_path: Path) -> None:
     assert list((root / ".sierra/extracted").iterdir()) == []
     assert "cam: follows from the store" in projects.quick(root, "figures", "--check").stdout
     assert projects.quick(root, "fsck").returncode == 0
-    (row, *_) = projects.sql(root, "SELECT sql FROM deliverables WHERE name = 'tiles'")
-    assert len(projects.sql(root, row["sql"])) == 6
+    of_cam, of_tiles = (row["sql"] for row in projects.sql(root, "SELECT sql FROM deliverables ORDER BY name"))
+    assert len(projects.sql(root, of_tiles)) == 6
+    assert [row["path"] for row in projects.sql(root, of_cam)] == ["cam[1].mp4"]
     shutil.rmtree(root / ".sierra/extracted")
-    (root / "sierra.toml").write_text(CONFIG.replace('"frames"\nshow', '"frame"\nshow'))
+    (root / "sierra.toml").write_text(config.replace('"frames"\nshow', '"frame"\nshow'))
     wrong = projects.quick(root, "video", "tiles")
     assert (wrong.returncode, "sierra.toml has no [outputs.frame]" in wrong.stderr) == (2, True), wrong.stderr
