@@ -108,7 +108,7 @@ def page(project: tuple[Path, str], tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_elements_escape_every_text_and_keep_what_is_markup_already() -> None:
     inner = element("b", "<i>", title='"x" \u202e')
-    assert inner == '<b title="&quot;x&quot;  ">&lt;i&gt;</b>'
+    assert inner == '<b title="&quot;x&quot; \\u202e">&lt;i&gt;</b>'
     assert element("p", inner, " & ", None, class_="a", hidden=True, id=None, aria_label="l", tabindex=0) == (
         f'<p class="a" hidden aria-label="l" tabindex="0">{inner} &amp; </p>'
     )
