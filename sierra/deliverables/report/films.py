@@ -1,7 +1,7 @@
 """Videos in a report: those that are small are played in the page, all are named.
 
 A film may have several files, one for each format. The page has at most one of them: the first of `FORMATS` that is small
-enough, and that is the recorded file by its SHA-256.
+enough, and that is the recorded file by its SHA-256. A GIF would play for ever, so that readers unfold it to play it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ValidationError
 
 from sierra.deliverables.html.elements import Markup, element
-from sierra.deliverables.report.parts import auto
+from sierra.deliverables.report.parts import auto, details
 from sierra.errors import Damaged
 from sierra.store.row_types import DeliverableRow
 from sierra.util.fs import inside
@@ -118,7 +118,7 @@ def captions(row: DeliverableRow) -> Callable[[str], str]:
 def _player(caption: str, kind: str, data: bytes) -> Markup:
     address = f"data:{kind};base64,{base64.b64encode(data).decode()}"
     if kind.startswith("image/"):
-        shown = element("img", src=address, alt=f"Moving picture. {caption}")
+        shown = details("Play the GIF; close it to stop", element("img", src=address, alt=f"Moving picture. {caption}"))
     else:
         label = f"Video. {caption}"
         shown = element("video", src=address, controls=True, loop=True, muted=True, preload="metadata", aria_label=label)
