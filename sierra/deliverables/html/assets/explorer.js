@@ -159,8 +159,11 @@
   function showVideo(shelf, { name, file, address, picture, problem }) {
     const figure = make("figure", shelf);
     if (problem) return void make("p", figure, { class: "note", dir: "auto" }, `Video ${name}: ${problem}.`);
-    if (picture) make("img", figure, { src: address, alt: `Video ${name}` });
-    else make("video", figure, { src: address, controls: "", loop: "", preload: "metadata", "aria-label": `Video ${name}` });
+    if (picture) {
+      const details = make("details", figure);  // a GIF would play for ever
+      make("summary", details, {}, "Play the GIF; close it to stop");
+      make("img", details, { src: address, alt: `Video ${name}` });
+    } else make("video", figure, { src: address, controls: "", loop: "", preload: "metadata", "aria-label": `Video ${name}` });
     make("figcaption", figure, { dir: "auto" }, `${name} (${file})`);
   }
 
@@ -243,9 +246,11 @@
 
   function nameTables(place, tables) {
     for (const [name, columns] of Object.entries(tables)) {
-      const details = make("details", place);
-      const summary = make("summary", details);
-      make("button", summary, { type: "button", dir: "auto" }, name).addEventListener("click", () => insert(quoted(name)));
+      const row = make("div", place, { class: "table" });
+      const details = make("details", row);
+      make("summary", details, { dir: "auto" }, name);
+      const button = make("button", row, { type: "button", "aria-label": `Insert ${name}` }, "Insert");
+      button.addEventListener("click", () => insert(quoted(name)));
       const list = make("ul", details);
       for (const [column, kind] of columns) {
         const item = make("li", list);
@@ -277,7 +282,7 @@
   function fillChoices() {
     const { table, x, series, facet } = form();
     choices(table, page.outputs, table.value, "the statement below");
-    for (const select of [x, series, facet]) choices(select, page.variables, select.value, "");
+    for (const select of [x, series, facet]) choices(select, page.variables, select.value, "automatic");
     listColumns();
   }
 
@@ -285,7 +290,7 @@
     const numbers = /INT|DOUBLE|FLOAT|DECIMAL/;
     const columns = (page.tables[form().table.value] ?? []).filter(([, kind]) => numbers.test(kind));
     of("columns").replaceChildren();
-    for (const [name] of columns) make("option", of("columns"), { value: name });
+    for (const [name] of columns) make("option", of("columns"), {}, name);
   }
 
   function keysOfForm() {
