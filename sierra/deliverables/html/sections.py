@@ -64,7 +64,7 @@ def _origin(content: Content) -> Iterator[str]:
         yield f"<dt>{text(name)}</dt><dd>{text(fact)}</dd>"
     yield "</dl>"
     if content.sql:
-        yield f'<pre class="scroll" tabindex="0">{text(content.sql)}</pre>'
+        yield f'<pre class="scroll" tabindex="0" role="group" aria-label="SQL">{text(content.sql)}</pre>'
     yield "</details>"
 
 

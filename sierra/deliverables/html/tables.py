@@ -62,13 +62,17 @@ def _lines(table: Table, place: int) -> Iterator[str]:
     yield "<details><summary>Data" + (f": {text(table.name)}" if table.name else "") + "</summary>"
     yield f'<p><button type="button" data-csv="{place}">Copy as CSV</button> <span role="status"></span> {text(note)}</p>'
     yield f'<div class="scroll" tabindex="0" role="region" aria-label="{text(f"Data {table.name}".strip())}"><table>'
-    yield (
-        "<thead><tr>" + "".join(f'<th scope="col" dir="auto">{text(header)}</th>' for header in table.headers) + "</tr></thead>"
-    )
+    heads = zip(table.headers, table.columns, strict=True)
+    yield f"<thead><tr>{''.join(_head_element(header, column) for header, column in heads)}</tr></thead>"
     yield "<tbody>"
     for row in zip(*(column[:SHOWN] for column in table.columns), strict=True):
         yield "<tr>" + "".join(map(_cell_element, row)) + "</tr>"
     yield "</tbody></table></div></details>"
+
+
+def _head_element(header: str, column: Sequence[Cell]) -> str:
+    kind = "" if any(isinstance(value, str) for value in column[:SHOWN]) else ' class="number"'
+    return f'<th scope="col" dir="auto"{kind}>{text(header)}</th>'
 
 
 def _cell_element(value: Cell) -> str:

@@ -87,7 +87,10 @@ def _code(state: BatchState) -> dict[str, Node]:
 def _variables(found: Mapping[str, str]) -> Iterator[Markup]:
     if found:
         lines = "\n".join(f"{name}={value}" for name, value in found.items())
-        yield details(f"Declared environment variables ({len(found)})", element("pre", lines, tabindex=0, dir="auto"))
+        yield details(
+            f"Declared environment variables ({len(found)})",
+            element("pre", lines, tabindex=0, role="group", aria_label="Environment variables", dir="auto"),
+        )
 
 
 def _hosts(state: BatchState) -> Iterator[Markup]:

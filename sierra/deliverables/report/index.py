@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from sierra.deliverables.html.elements import Markup, Node, element, joined
-from sierra.deliverables.report.parts import Section, note, table
+from sierra.deliverables.report.parts import Section, filled_table, note
 from sierra.execution.list_batches import ListedBatch
 from sierra.util.hashing import short
 
@@ -19,7 +19,8 @@ def section(listed: Sequence[ListedBatch], shown: Collection[str], remedy: str =
     `remedy` says how to see the others if none has.
     """
     headers = ("batch", "query", "controller", "scenario", "experiments", "runs", "failed", "not executed", "first submitted")
-    inner: list[Node] = [table(headers, (_row(one, one.batch in shown) for one in listed[:MOST]), "", numbers=(4, 5, 6, 7))]
+    rows = [_row(one, one.batch in shown) for one in listed[:MOST]]
+    inner: list[Node] = [filled_table(headers, rows, numbers=(4, 5, 6, 7, 8))]
     if len(listed) > MOST:
         inner.append(note(f"The first {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
     if not shown:

@@ -96,7 +96,8 @@ def code(text: str, label: str) -> Markup:
     """Return commands or SQL with a button that copies them; `label` says to screen readers what is copied."""
     button = element("button", "Copy", type="button", class_="copy", aria_label=f"Copy {label}")
     status = element("span", role="status")
-    return element("div", element("pre", element("code", text), tabindex=0), element("p", button, status), class_="code")
+    shown = element("pre", element("code", text), tabindex=0, role="group", aria_label=label)
+    return element("div", shown, element("p", button, status), class_="code")
 
 
 def sql(statement: str, batch: str = "", summary: str = "SQL behind this") -> Markup:
