@@ -14,12 +14,13 @@ import pytest
 import sierra
 from tests import projects, stores
 from tests.browser import Browser
-from tests.integration.test_report_in_browser import CONTRAST
 from tests.support import filmed, many_batches
+from tests.support.photographs import flaws, unfold, unnamed
 
 pytestmark = pytest.mark.real
 FILM = "heat_experiment0: <script>alert(1)</script>, population size = 1, run 0"
 DRAWN = "document.querySelector('#drawn canvas') !== null || document.getElementById('chart-error').textContent"
+READY = "document.getElementById('stop').disabled && document.querySelectorAll('#figures button').length > 0"
 TEXT = "document.getElementById({!r}).innerText"
 
 
@@ -62,17 +63,8 @@ def answered(browser: Browser, statement: str) -> str:
     return text
 
 
-def unnamed(browser: Browser) -> list[str]:
-    """Return the roles of the controls that screen readers cannot name."""
-    roles = {"button", "textbox", "searchbox", "combobox", "checkbox", "link", "listbox", "option", "Iframe"}
-    nodes = browser.call("Accessibility.getFullAXTree")["nodes"]
-    shown = [one for one in nodes if not one["ignored"] and one["role"]["value"] in roles]
-    assert len(shown) > 20
-    return [one["role"]["value"] for one in shown if not one["name"]["value"] and "option" not in one["role"]["value"]]
-
-
-@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
-def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, width: int, dark: bool) -> None:
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True), (1280, True), (390, False)])
+def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, tmp_path: Path, width: int, dark: bool) -> None:
     with explored(recorded) as url:
         browser.open(url, width=width, dark=dark)
         until(browser, DRAWN)
@@ -88,13 +80,40 @@ def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, widt
         assert browser.run("document.querySelector('#result .scroll').clientHeight") < 500
         assert browser.run("document.documentElement.scrollWidth") == width
         browser.run("document.getElementById('add').click()")
-        browser.run("document.querySelectorAll('details').forEach(one => one.open = true)")
-        browser.settle()
-        ratio, text = browser.run(CONTRAST)
-        assert ratio >= 4.5, text
+        assert flaws(browser, tmp_path / "page.png", dark=dark) == []
+        unfold(browser)
+        assert browser.run("document.querySelectorAll('summary :is(a, button, input)').length") == 0
         assert unnamed(browser) == []
         assert browser.console == [] or all("400" in line for line in browser.console)
         assert all(request.startswith(url.partition("#")[0]) for request in browser.requests)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True), (1280, True), (390, False)])
+def test_everything_that_can_be_opened_is_readable(browser: Browser, tmp_path: Path, width: int, dark: bool) -> None:
+    root, _ = filmed.make(tmp_path / "project")
+    (root / "sierra.toml").write_text(filmed.CONFIG.replace('"gif", "mp4"', '"gif"').replace("=1", "=2"))
+    stores.ask(root, "population_size=1,2", runs=4)
+    assert projects.quick(root, "video", "heat").returncode == 0
+    inner = "document.getElementById('frame').contentDocument"
+    with explored(root, "--write") as url:
+        browser.open(url, width=width, dark=dark)
+        for place in (1, 0):
+            until(browser, f"document.querySelectorAll('#batches [role=option]').length > 1 && {READY}")
+            browser.run(f"document.querySelectorAll('#batches [role=option]')[{place}].click()")
+            until(browser, f"{READY} && document.querySelector('#drawn .series') !== null")
+            browser.run("document.getElementById('add').click()")
+        answered(browser, "SELECT * FROM floor LIMIT 20")
+        browser.run("document.getElementById('test').click()")
+        until(browser, "document.querySelector('#drawn .comparison') !== null")
+        unfold(browser)
+        assert flaws(browser, tmp_path / "compared.png", dark=dark) == []
+        browser.run("document.getElementById('report').click()")
+        until(browser, f"{inner}?.getElementById('reproduce') && document.getElementById('frame').height > 1000")
+        until(browser, "document.querySelector('#videos img')?.naturalWidth")
+        assert flaws(browser, tmp_path / "told.png", dark=dark) == []
+        assert unnamed(browser) == []
+        assert unnamed(browser, "frame") == []
 
 
 def test_another_batch_is_chosen_by_keys_and_drawn_with_the_form(browser: Browser, recorded: Path) -> None:
@@ -202,13 +221,12 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
 
 
 def test_batches_are_drawn_together_and_reported(browser: Browser, recorded: Path) -> None:
-    ready = "document.getElementById('stop').disabled && document.querySelectorAll('#figures button').length > 0"
     with explored(recorded) as url:
         browser.open(url)
         until(browser, DRAWN)
         for place in (1, 2):
             browser.run(f"document.querySelectorAll('#batches [role=option]')[{place}].click()")
-            until(browser, ready)
+            until(browser, READY)
             until(browser, "document.querySelector('#drawn .series') !== null && document.getElementById('stop').disabled")
             browser.run("document.getElementById('add').click()")
         browser.run("document.getElementById('draw-together').click()")

@@ -6,9 +6,7 @@ from pathlib import Path
 
 from tests import projects, stores
 
-SIMULATOR = (
-    projects.SIMULATOR
-    + """
+FLOOR = """
 with open("floor.csv", "w") as file:
     print("tick,i,j,heat", file=file)
     for tick in range(10):
@@ -16,14 +14,17 @@ with open("floor.csv", "w") as file:
             for j in range(6):
                 print(tick, i, j, count * tick + i * j, sep=",", file=file)
 """
-)
-CONFIG = (
-    projects.CONFIG
-    + """
+"""The end of a simulator that leaves a table of matrices."""
+SIMULATOR = projects.SIMULATOR + FLOOR
+OUTPUT = """
 [outputs.floor]
 file = "floor.csv"
 time = "tick"
-
+"""
+CONFIG = (
+    projects.CONFIG
+    + OUTPUT
+    + """
 [figures.coverage]
 column = "coverage"
 

@@ -154,7 +154,7 @@ def test_a_report_tells_the_whole_story_of_a_batch(project: tuple[Path, str], pa
 @pytest.mark.integration
 def test_every_sql_in_a_report_can_be_executed(project: tuple[Path, str], page: tuple[Page, str, bytes]) -> None:
     root, batch = project
-    texts = re.findall(r"<pre tabindex=\"0\"><code>(.*?)</code>", page[2].decode(), re.DOTALL)
+    texts = re.findall(r"<pre tabindex=\"0\"[^>]*><code>(.*?)</code>", page[2].decode(), re.DOTALL)
     own = [text for text in texts if f"&#x27;{batch}&#x27;" in text and "FROM" in text and "FROM data" not in text]
     assert len(own) >= 4
     for text in own:
