@@ -124,7 +124,7 @@ def _list(source: Source, title: str) -> Report:
     listed = list_batches.batches(source.store)[::-1]
     remedy = "name some, as in: sierra report HASH HASH" if source.received is None else "see: sierra open FILE.zip explore"
     data = page.of_batches(title, [index.section(listed, (), remedy)], [], Claims(()), source.received)
-    note = f"{len(listed)} batches are too many for one page, so it only has their list; {remedy}"
+    note = f"{len(listed):,} batches are too many for one page, so it only has their list; {remedy}"
     return Report(data, [one.batch for one in listed], (note,), complete=False)
 
 

@@ -375,7 +375,7 @@ def test_a_hostile_record_of_a_video_is_one_line(own: Path, change: dict[str, An
         assert said in page.error("report", batch=batch)
 
 
-def test_ten_thousand_batches_are_listed_in_parts(tmp_path: Path) -> None:
+def test_batches_of_several_segments_are_listed_in_parts(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project")
     many_batches.make(root, 3000)
     with served(sierra.open(root).explorer()) as page:
