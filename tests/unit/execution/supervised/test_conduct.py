@@ -108,6 +108,30 @@ def test_an_invalid_trial_is_kept_and_repeated_at_the_end_of_its_block(root: Pat
     assert not sierra.open(root).fsck().findings
 
 
+def test_a_supervisor_gets_the_pause_that_is_left(root: Path) -> None:
+    pause(root, 1000)
+    script = Script(VALID, VALID)
+    execute(root, script)
+    first, second = script.trials
+    assert first.wait_s == 0
+    assert 500 < second.wait_s <= 1000
+
+
+@pytest.mark.integration
+def test_a_pause_passes_between_the_end_of_a_trial_and_the_start_of_the_next(root: Path) -> None:
+    pause(root, 1)
+    assert execute(root, Agreeing("Ann")).executed == 2
+    times = "SELECT epoch(started) AS began, epoch(started) + wall_s AS ended FROM executions ORDER BY started"
+    first, second = projects.sql(root, times)
+    assert second["began"] - first["ended"] > 0.99
+
+
+def pause(root: Path, seconds: float) -> None:
+    """Declare the pause between the trials of a project."""
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("countdown = 0", f"countdown = 0\npause = {seconds}"))
+
+
 class WhileAnotherAsks(Script):
     """A supervisor that judges a trial after another session has requested the same batch."""
 
