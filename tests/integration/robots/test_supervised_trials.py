@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from functools import partial
 from pathlib import Path
@@ -31,8 +32,13 @@ countdown = 0
 fleet = {{ {fleet} }}
 link_options = {{ ssh_config = "{config}" }}
 disk_min = 1000000
-stop = ["sh", "-c", "echo stopped >> ~/stops"]
+stop = ["sh", "-c", "echo stopped >> ~/stops; echo 64 > ~/battery"]
+battery = "/home/robot/battery"
+firmware = ["cat", "/home/robot/firmware"]
+calibration = "~/calibration.yaml"
 """
+BATTERIES = {"rb1": 81, "rb2": 79}
+"""The charges of the robots in percent; each stop command makes them 64."""
 RUN = ("run", "population_size=1", "--on", "robots", "--operator", "Ann", "--no-figures")
 ROBOT = """\
 import pathlib, sys, time
@@ -63,6 +69,11 @@ def project(fleet: Fleet, folder: Path) -> Path:
     members = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names[:2])
     root = projects.make(folder / "project", CONFIG.format(fleet=members, config=fleet.ssh_config))
     (root / "robot.py").write_text(ROBOT)
+    for name, charge in BATTERIES.items():
+        facts = {"battery": f"{charge}\n", "firmware": f"1.4 of {name}\n", "calibration.yaml": f"radius: {charge}\n"}
+        for file, text in facts.items():
+            (fleet.robots[name].home / file).write_text(text)
+        (fleet.robots[name].home / "battery").chmod(0o666)
     return root
 
 
@@ -77,6 +88,8 @@ def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path
         terminal.expect("\rgo")
         said = time.time()
         terminal.expect("any key: stop  rb1 ")
+        terminal.expect(" s 81 %  rb2 ")
+        terminal.expect(" s 79 %")
         for name in fleet.names[:2]:
             until(partial(has_written, fleet, name))
             assert is_moving(fleet, name)
@@ -95,6 +108,13 @@ def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path
     assert projects.sql(root, trials) == [
         {"valid": False, "stopped": True, "status": "stopped"},
         {"valid": True, "stopped": False, "status": "ok"},
+    ]
+    facts = "SELECT robot, battery_start, battery_end, firmware, calibration_sha256 FROM robots JOIN trials USING (execution)"
+    assert [tuple(row.values()) for row in projects.sql(root, f"{facts} ORDER BY position, robot")] == [
+        (name, start, 64, f"1.4 of {name}", hashlib.sha256(f"radius: {charge}\n".encode()).hexdigest())
+        for again in (False, True)
+        for name, charge in BATTERIES.items()
+        for start in (64 if again else charge,)
     ]
     [first] = projects.sql(root, "SELECT min(epoch(started)) AS at FROM robots")
     assert first["at"] - said < 2.0, "0.4 s on a machine without other work"
