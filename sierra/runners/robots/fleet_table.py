@@ -183,21 +183,23 @@ def allocate(table: FleetTable, places: Sequence[tuple[int, str]]) -> dict[int, 
     free: dict[str, list[str]] = {}
     for name, one in table.used().items():
         free.setdefault(one.group, []).append(name)
-    sizes = {group: len(names) for group, names in free.items()}
+    fleet = 'the fleet with its "use"' if table.use else "the fleet"
+    have = {group: f"{fleet} has {len(names)}" for group, names in free.items()}
     named = {one.group for one in table.fleet.values()} | {BASE}
     sources = {place: group if group in named else ROBOT for place, group in places}
     taken: dict[int, str] = {}
     for place, source in sources.items():
         if not free.get(source):
-            raise ConfigError(_too_few(source, sizes.get(source, 0), Counter(sources.values())[source], possible=place - 1))
+            need = Counter(sources.values())[source]
+            raise ConfigError(_too_few(source, have.get(source, f"{fleet} has 0"), need, possible=place - 1))
         taken[place] = free[source].pop(0)
     return taken
 
 
-def _too_few(group: str, have: int, need: int, possible: int) -> str:
+def _too_few(group: str, have: str, need: int, possible: int) -> str:
     """Return what is wrong with a fleet that has too few robots of a group for runs of more than `possible` robots."""
     if group == BASE:
         return 'a run needs a base station, but the fleet has none; give a host group = "base" in [runners.robots.fleet]'
     sizes = "1 robot" if possible == 1 else f"1 to {possible} robots"
     remedy = f"runs of {sizes} are possible" if possible else "add some to [runners.robots.fleet]"
-    return f"a run needs {need} robots of the group {group!r}, but the fleet has {have}; {remedy}"
+    return f"a run needs {need} robots of the group {group!r}, but {have}; {remedy}"

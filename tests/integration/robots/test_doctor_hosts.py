@@ -62,7 +62,8 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
             f'[runners.robots]\nstop = []\nsetup = "export LANG=C"\nbattery = "~/charge"\ndisk_min = "1 GB"\n'
             f'firmware = ["sh", "-c", "echo no board >&2; false"]\ncalibration = "~/charge"\n'
             f'[runners.robots.fleet]\nfirst = {{ host = "{one}" }}\n'
-            f'second = {{ host = "{other}", battery = ["echo", "85 %"], firmware = ["echo", "1.4"] }}\n'
+            f'second = {{ host = "{other}", battery = ["echo", "85 %"], firmware = ["echo", "1.4"], '
+            f'variables = {{ TZ = "NPT-5:45" }} }}\n'
             f'third = {{ host = "{third}", setup = "source /opt/ros/none.bash" }}\n'
             f'base = {{ host = "{fleet.through(one, jump=other)}", {NOTHING} }}\n'
         )
@@ -74,6 +75,7 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
     assert "first: calibration" not in found
     assert found["second: calibration"]["found"] == "not readable: /home/robot/charge: No such file or directory"
     assert "second: firmware" not in found
+    assert found["second: time zone"]["found"] == "UTC+5.75 h now"
     assert "/opt/ros/none.bash: No such file" in found["third: setup"]["found"]
     assert found["second: disk"]["remedy"] == "free some space: 1000 MB are needed"
     assert not {"base: battery", "base: firmware", "base: calibration", "base: setup"} & found.keys()

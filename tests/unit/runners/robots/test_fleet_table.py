@@ -42,3 +42,7 @@ def test_places_are_taken_by_robots_of_their_group():
         ConfigError, match="needs 2 robots of the group 'fast', but the fleet has 1; runs of 1 robot are possible"
     ):
         allocate(table, [(1, "fast"), (2, "fast")])
+    with pytest.raises(
+        ConfigError, match="needs 2 robots of the group 'robot', but the fleet with its \"use\" has 1; runs of 1 rob"
+    ):
+        allocate(chosen, [(1, "robot"), (2, "robot")])
