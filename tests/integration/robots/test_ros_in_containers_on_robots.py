@@ -9,7 +9,7 @@ import pytest
 
 from tests import projects
 from tests.integration.robots.test_containers_on_robots import left
-from tests.integration.robots.test_ros_on_robots import TARGETS
+from tests.integration.robots.test_ros_on_robots import MOVED, TARGETS
 from tests.support import robot_fleet, ros_image
 from tests.support.robot_fleet import Fleet
 
@@ -33,6 +33,6 @@ def test_turtlebots_of_a_fleet_start_their_launch_files_in_the_image(
         query = ("population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
         done = projects.quick(root, "run", *query)
         assert done.returncode == 0, done.stdout + done.stderr
-        rows = projects.sql(root, "SELECT robot, count(*) AS rows FROM path GROUP BY robot ORDER BY robot")
-        assert rows == [{"robot": 1, "rows": 51}, {"robot": 2, "rows": 51}]
+        rows = projects.sql(root, MOVED.format(x="x", y="y", table="path", robot="robot"))
+        assert [(row["robot"], row["rows"], row["way"] > 0.01) for row in rows] == [(1, 51, True), (2, 51, True)]
         assert left(fleet) == []

@@ -35,6 +35,12 @@ link_options = {{ ssh_config = "{ssh_config}" }}
 fleet = {{ {fleet} }}
 """
 
+MOVED = """
+SELECT {robot} AS robot, count(*) AS rows, max({x}) - min({x}) + max({y}) - min({y}) AS way
+FROM {table} GROUP BY {robot} ORDER BY {robot}
+"""
+"""The way of each robot: half of the circumference of the rectangle in which it was."""
+
 
 @pytest.fixture
 def turtles(require: Callable[..., str], tmp_path: Path) -> Path:
@@ -45,7 +51,7 @@ def turtles(require: Callable[..., str], tmp_path: Path) -> Path:
     return tmp_path / "demo"
 
 
-def test_the_launch_file_of_turtlebots_is_valid_and_has_their_topics(turtles: Path, tmp_path: Path) -> None:
+def test_the_launch_file_of_turtlebots_is_valid_and_has_their_nodes(turtles: Path, tmp_path: Path) -> None:
     done = projects.quick(turtles, "inputs", "population_size=3", "speed=0.1", "--runs", "1", "--to", str(tmp_path / "inputs"))
     assert done.returncode == 0, done.stderr
     [launch] = (tmp_path / "inputs").glob("**/input.launch")
@@ -65,6 +71,26 @@ def test_the_launch_file_of_turtlebots_is_valid_and_has_their_topics(turtles: Pa
     assert "/tb3_2/turtlebot3_core/lidar_frame_id: tb3_2/base_scan" in parameters
 
 
+@pytest.mark.nightly
+def test_turtlebots_move_as_cmd_vel_says_and_publish_odom_and_scan(turtles: Path) -> None:
+    bag = '{{ file = "run.bag", format = "bag", mismatch = "ragged", topics = ["/{{model}}/{0}"] }}'
+    outputs = "".join(f"outputs.{topic} = {bag.format(topic)}\n" for topic in ("cmd_vel", "odom", "scan"))
+    text = (turtles / "sierra.toml").read_text()
+    recorded = text.replace("[platforms.ros]\n", '[platforms.ros]\nrecord = ["/.*/cmd_vel", "/.*/odom", "/.*/scan"]\n')
+    (turtles / "sierra.toml").write_text('observe = "none"\n' + outputs + recorded)
+    done = projects.quick(turtles, "run", "population_size=2", "speed=0.2", "--runs", "1", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
+    driven = 'SELECT model, max("linear.x") AS speed, count(*) > 20 AS often FROM cmd_vel GROUP BY model ORDER BY model'
+    assert projects.sql(turtles, driven) == [{"model": f"tb3_{robot}", "speed": 0.2, "often": True} for robot in range(2)]
+    moved = projects.sql(
+        turtles, MOVED.format(x='"pose.pose.position.x"', y='"pose.pose.position.y"', table="odom", robot="model")
+    )
+    assert [(row["robot"], row["way"] > 0.01) for row in moved] == [("tb3_0", True), ("tb3_1", True)]
+    assert projects.sql(turtles, "SELECT DISTINCT model, len(ranges) AS beams FROM scan ORDER BY model") == [
+        {"model": f"tb3_{robot}", "beams": 360} for robot in range(2)
+    ]
+
+
 def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet: Fleet) -> None:
     robots = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
     text = (turtles / "sierra.toml").read_text()
@@ -76,10 +102,10 @@ def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet
     )
     done = projects.quick(turtles, "run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
     assert done.returncode == 0, done.stdout + done.stderr
-    rows = projects.sql(
-        turtles, "SELECT robot, count(*) AS rows, max(x) - min(x) AS way FROM path GROUP BY robot ORDER BY robot"
-    )
-    assert [(row["robot"], row["rows"]) for row in rows] == [(1, 21), (2, 21)]
+    rows = projects.sql(turtles, MOVED.format(x="x", y="y", table="path", robot="robot"))
+    assert [(row["robot"], row["rows"], row["way"] > 0.01) for row in rows] == [(1, 21, True), (2, 21, True)]
+    seen = projects.sql(turtles, "SELECT robot, count(DISTINCT free) > 1 AS changes FROM path GROUP BY robot ORDER BY robot")
+    assert [row["changes"] for row in seen] == [True, True], "the laser measures other distances while a robot moves"
     for name in fleet.names:
         assert not [line for line in fleet.commands(name) if "ros" in line]
 
