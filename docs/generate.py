@@ -84,16 +84,7 @@ def keys() -> Iterator[str]:
         if headed is not None:
             yield from _section(schema, name, found[name], *headed)
     for kind, name in ((one, name) for one in ("platforms", "runners") for name in found[one]["properties"]):
-        model = _resolve(schema, found[kind]["properties"][name])
-        if model.get("properties"):
-            yield f"## {kind}.{name}"
-            yield f"Header: `[{kind}.{name}]`"
-            yield _keys(schema, model, model["properties"])
-    robot = schema["$defs"]["RobotTable"]
-    yield "## runners.robots.fleet"
-    yield "Header: `[runners.robots.fleet.NAME]`"
-    yield _sentence(robot)
-    yield _keys(schema, robot, robot["properties"])
+        yield from _options(schema, f"{kind}.{name}", "[{}]", _resolve(schema, found[kind]["properties"][name]))
     yield "## Keys of a change"
     change = schema["$defs"]["ChangeTable"]
     yield _sentence(change)
@@ -102,6 +93,19 @@ def keys() -> Iterator[str]:
     tolerance = schema["$defs"]["Tolerance"]
     yield _sentence(tolerance)
     yield _keys(schema, tolerance, tolerance["properties"])
+
+
+def _options(schema: Mapping[str, Any], name: str, header: str, model: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys of a plug-in's table, then those of the tables within it."""
+    properties = model.get("properties", {})
+    if properties:
+        yield f"## {name}"
+        yield f"Header: `{header.format(name)}`"
+        yield _closed(_sentence(model))
+        yield _keys(schema, model, properties)
+    for key, inner in properties.items():
+        if (headed := _model(schema, inner)) is not None:
+            yield from _options(schema, f"{header.format(name).strip('[]')}.{key}", *headed)
 
 
 def _section(
@@ -175,6 +179,8 @@ def _type(key: Mapping[str, Any]) -> str:
     match key.get("type"):
         case "array" if "ChangeTable" in str(key.get("items")):
             return "list of [changes](#keys-of-a-change)"
+        case "array" if "prefixItems" in key:
+            return f"list: {', '.join(map(_type, key['prefixItems']))}"
         case "array":
             return f"list: {_type(key.get('items', {}))}"
         case "object" if "Tolerance" in str(key.get("additionalProperties")):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
     from types import TracebackType
 
+SIERRA = __name__.partition(".")[0]
 VERSION = 1
 """The version of all contracts. It increases when a plug-in for an earlier version would not work any more."""
 
@@ -50,6 +51,11 @@ class Offer:
     point: EntryPoint
     package: str = ""
     """Name and version of the package, as in `sonar 1.2`; empty for SIERRA."""
+
+    @property
+    def module(self) -> str:
+        """Return the name of the top-level module with the class."""
+        return self.point.module.partition(".")[0]
 
     @property
     def remedy(self) -> str:
@@ -88,6 +94,11 @@ class Kind:
     def added(self) -> tuple[str, ...]:
         """Return the names that other packages offer, shipped names included."""
         return tuple(sorted(self._others()))
+
+    def own(self) -> tuple[str, ...]:
+        """Return the names that SIERRA offers as other packages do, by entry points."""
+        found = self._others().items()
+        return tuple(sorted(name for name, offers in found if any(offer.module == SIERRA for offer in offers)))
 
     def packages(self, name: str) -> tuple[str, ...]:
         """Return the packages that offer a name, except SIERRA."""
@@ -150,7 +161,7 @@ class Kind:
         model = found.Options  # type: ignore[attr-defined]
         if not (isinstance(model, type) and issubclass(model, self.options_base)):
             raise PluginError(f"{plugin}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
-        if (module := found.__module__.partition(".")[0]) != __name__.partition(".")[0]:
+        if (module := found.__module__.partition(".")[0]) != SIERRA:
             _loaded[module] = plugin
         return found
 

@@ -89,7 +89,7 @@ class SpatialHash(Table):
 
 
 class ArgosOptions(Table):
-    """`[platforms.argos]`."""
+    """The options of ARGoS."""
 
     length: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
         None, description="simulated time in seconds; default: as in the template"

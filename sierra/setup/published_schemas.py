@@ -95,9 +95,9 @@ EXAMPLES = Path(__file__).with_name("all_keys.toml")
 
 
 def json_schema(note: Note | None = None) -> Schema:
-    """Return the JSON Schema of `sierra.toml` (draft 2020-12) with the options of the shipped plug-ins.
+    """Return the JSON Schema of `sierra.toml` (draft 2020-12) with the options of the plug-ins of SIERRA.
 
-    With `note`, those of the installed plug-ins are included. `note` receives a line for each one that cannot be used.
+    With `note`, those of other packages are included. `note` receives a line for each one that cannot be used.
     """
     schema = _schema(Project)
     for kind in (PLATFORMS, RUNNERS, LINKS, TEMPLATES, ENGINES, READERS, STATISTICS, COMPARISONS, CRITERIA):
@@ -143,8 +143,8 @@ def _with_options(kind: Kind, note: Note | None) -> Iterator[str]:
 
 
 def _usable(kind: Kind, note: Note | None) -> Iterator[str]:
-    """Yield the plug-ins of other packages that can be used, if there is a `note` for the others."""
-    for name in kind.added() if note else ():
+    """Yield the plug-ins behind entry points that can be used: those of SIERRA and, if there is a `note`, of other packages."""
+    for name in kind.added() if note else kind.own():
         try:
             kind.load(name)
         except PluginError as error:

@@ -111,6 +111,13 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
     return found
 
 
+def test_the_options_of_all_platforms_of_sierra_are_published() -> None:
+    published = json.loads((FOLDER / published_schemas.TOML).read_text())["properties"]["platforms"]["properties"]
+    assert set(published) >= {"argos", "command", "gazebo", "jsbsim", "mujoco", "ros", "sumo"}
+    page = (FOLDER.parent / "docs" / "reference" / "sierra-toml.md").read_text()
+    assert all(f"\nHeader: `[platforms.{name}]`\n" in page for name in set(published) - {"command"})
+
+
 @pytest.mark.parametrize("name", [published_schemas.TOML, published_schemas.STORE])
 def test_published_schemas_equal_the_generated_ones(name: str) -> None:
     assert (FOLDER / name).read_text() == published_schemas.generated()[name], "make schemas writes them anew"
