@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,14 +22,16 @@ if TYPE_CHECKING:
 COUNTED = ("runs", "succeeded", "failed")
 
 
-def print_notes(summary: Summary) -> None:
+def print_notes(summary: Summary, printed: Collection[str] = ()) -> None:
+    """Print the notes of a summary, without those that were printed before."""
     for text in summary.notes:
-        note(text)
+        if text not in printed:
+            note(text)
 
 
-def print_text(project: Project, summary: Summary) -> None:
-    """Print a summary for people."""
-    print_notes(summary)
+def print_text(project: Project, summary: Summary, printed: Collection[str] = ()) -> None:
+    """Print a summary for people; `printed` are notes that were printed before."""
+    print_notes(summary, printed)
     _print(summary, project.left(summary))
 
 

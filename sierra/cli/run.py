@@ -251,6 +251,9 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     elif why := _again(project, plan):
         more = {"new_because": why}
     supervisor = options.supervisor(plan)
+    early = plan.notes if plan.batch.spec.robots is not None else ()
+    for text in early:  # before anything moves
+        note(text)
     with watching(quiet=options.as_json or supervisor is not None) as display:
         summary = project.execute(
             plan,
@@ -264,9 +267,9 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
             supervisor=supervisor,
         )
     if options.as_json:
-        render_summary.print_notes(summary)
+        render_summary.print_notes(summary, early)
         return summary, render_summary.answer(project, summary, more)
-    render_summary.print_text(project, summary)
+    render_summary.print_text(project, summary, early)
     return summary, {}
 
 

@@ -38,6 +38,33 @@ def jobs(root: Path, *query: str) -> list[Job]:
     return [builder.job(run, files) for run, files in plan.inputs.files(plan.batch, lambda run: True)]
 
 
+BAG = """
+[targets.robots.outputs.scan]
+file = "run.db3"
+format = "bag"
+topics = ["/scan"]
+required = false
+"""
+
+
+@pytest.mark.integration
+def test_a_database_whose_messages_may_be_unknown_is_reported_before_the_robots_move(tmp_path: Path) -> None:
+    root = robots.project(tmp_path / "p", BAG)
+
+    def notes(target: str, *words: str, size: int = 1) -> list[str]:
+        done = projects.quick(root, "run", f"population_size={size}", "--target", target, "--no-figures", *words)
+        assert done.returncode == (2 if size == 5 else 0), done.stderr
+        return [line for line in done.stderr.splitlines() if "before Iron" in line or line.startswith("sierra: ")]
+
+    note, refused = notes("robots", size=5)
+    assert note.startswith("note: [outputs.scan]: databases of ROS 2 before Iron ({robot}/run.db3) do not have the definitions")
+    assert "the fleet has 4" in refused, "nothing has moved yet"
+    assert notes("robots", "--dry-run") == notes("robots") == [note]
+    assert notes("sim", "--dry-run") == []
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace(BAG, f'{BAG}ros = "humble"\n'))
+    assert notes("robots", "--dry-run") == []
+
+
 @pytest.mark.integration
 def test_all_robots_of_a_run_write_one_table_and_are_recorded(tmp_path: Path) -> None:
     root = robots.project(tmp_path / "p", GROUPS)
