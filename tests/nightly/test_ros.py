@@ -1,4 +1,4 @@
-"""The platform `ros` with the real ROS 1: many runs at once, the simulated time, containers of both engines, and SLURM."""
+"""The platform `ros` with the real ROS 1: many runs at once, the simulated time, containers of both engines, and on SLURM."""
 
 from __future__ import annotations
 
@@ -44,6 +44,23 @@ def test_the_example_runs_on_slurm(demo: Path, slurm: clusters.Slurm, require: C
         file.write("[runners.slurm]\narray_tasks = 2\n")
     summary, _ = projects.run(demo, "population_size=1,2", "--runs", "1", "--on", "slurm", "--no-figures")
     assert (summary["executed"], summary["failed"]) == (2, 0)
+
+
+@pytest.mark.real
+def test_the_example_runs_in_an_image_from_the_recipe_on_slurm(
+    demo: Path, slurm: clusters.Slurm, require: Callable[..., str]
+) -> None:
+    require("apptainer")
+    with (demo / "sierra.toml").open("a") as file:
+        file.write(f'[container]\nimage = "{ros_image.IMAGE}"\nengine = "apptainer"\n[runners.slurm]\narray_tasks = 2\n')
+    ros_image.pin(demo, require)
+    summary, _ = projects.run(demo, "population_size=1,2", "--runs", "1", "--on", "slurm", "--no-figures")
+    assert (summary["executed"], summary["failed"]) == (2, 0)
+    where = (
+        "SELECT engine, host = node AS there FROM executions JOIN isolations USING (isolation) JOIN attempts USING (attempt)"
+    )
+    assert projects.sql(demo, where) == [{"engine": "apptainer", "there": True}] * 2
+    assert projects.sql(demo, "SELECT count(*) AS rows FROM walk GROUP BY run, robot") == [{"rows": 21}] * 3
 
 
 @pytest.mark.real
