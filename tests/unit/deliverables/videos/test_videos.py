@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos import draw
 from sierra.deliverables.videos.pose_painter import PosePainter
 from sierra.deliverables.videos.prepare import Prepared, prepare, small_print
-from sierra.deliverables.videos.scene import MatrixPainter
+from sierra.deliverables.videos.scene import MatrixPainter, Scale, Scene, Words, settings
 from sierra.deliverables.videos.sql_tracks import completed
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
@@ -168,6 +169,88 @@ def test_a_difference_is_a_minus_b_with_zero_in_the_middle(root: Path) -> None:
     assert (values.panels, differences.panels) == ((0, 1), (2,))
 
 
+def images(root: Path, **keys: Any) -> tuple[Prepared, Scene, list[Any]]:
+    """Return a video, the scene of its first film, and the frames."""
+    project, opened = load(root), sierra.open(root)
+    with Frame(opened.store, opened.batch()) as frame, settings():
+        made = prepare("film", Video.model_validate(CELLS | keys), {"": Gallery(project, opened.store, frame)})
+        one = made.films[0]
+        words = Words(one.film.title, [panel.label for panel in one.film.panels], "; ".join(small_print(made, one)))
+        painter = one.subject.painter(one.film, made.whole, one.subject.tracks)
+        return made, Scene(made.video.size, words, painter), list(draw.frames(made, one))
+
+
+def cell(scene: Scene, image: Any, panel: int, i: int, j: int) -> Any:
+    """Return the colour in the middle of a cell of a matrix of 2 × 3 cells."""
+    box = scene.boxes()[panel]
+    high, wide = box.bottom - box.top, box.right - box.left
+    return image[box.top + int((i + 0.5) * high / 2), box.left + int((j + 0.5) * wide / 3)]
+
+
+def test_the_frame_of_a_mean_has_the_colours_of_the_mean(root: Path) -> None:
+    _, scene, shown = images(root, show="mean", experiments="population_size=1", limits=[10, 20])
+    for (i, j), tick in (((0, 0), 0), ((1, 2), 3)):
+        mean = 15 + tick + 0.1 * i + 0.01 * j
+        assert videos.part(cell(scene, shown[tick], 0, i, j)) == pytest.approx((mean - 10) / 10, abs=0.01)
+
+
+def test_the_frame_of_a_difference_has_the_colour_of_a_minus_b(root: Path) -> None:
+    wide = {"show": "difference", "size": [640, 240]}
+    _, scene, shown = images(root, groups=["population_size=2", "population_size=1"], run=0, limits=[0, 40], **wide)
+    for panel, value in ((0, 20.11), (1, 10.11)):
+        assert videos.part(cell(scene, shown[0], panel, 1, 1)) == pytest.approx(value / 40, abs=0.01)
+    assert videos.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(1, abs=0.01), "A − B is 10 everywhere"
+    _, scene, shown = images(root, groups=["population_size=1", "population_size=2"], **wide)
+    assert videos.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(0, abs=0.01), "A − B is -5 everywhere"
+
+
+def test_a_frame_has_axes_the_time_and_a_bar_with_both_ends_and_a_label(root: Path) -> None:
+    keys = {"experiments": "population_size=1"}
+    made, scene, (first, second, *_) = images(root, **keys)
+    (box,) = scene.boxes()
+    beside = first[box.top : box.bottom, box.right + 4 :].reshape(-1, 3).astype(int)
+    for end in ((68, 1, 84), (253, 231, 36)):
+        assert np.abs(beside - end).sum(axis=1).min() < 12, "the bar has the colours of both ends"
+    assert first[box.bottom + 4 : box.bottom + 40, box.left : box.right].min() < 120, "numbers and the name of columns"
+    assert first[box.top : box.bottom, : box.left - 4].min() < 120, "numbers and the name of rows"
+    changed = (first != second).any(axis=2)
+    changed[box.pixels] = False
+    rows, columns = np.nonzero(changed)
+    assert len(rows), "the time has changed"
+    assert (rows.min() > box.bottom, columns.max() < box.left + 100) == (True, True)
+    one = made.films[0]
+    painter = one.subject.painter(one.film, made.whole, one.subject.tracks)
+    assert isinstance(painter, MatrixPainter)
+    assert [scale.label for scale in painter.scales] == ["heat [K]"]
+    _, _, (other, *_) = images(root, label="hot", **keys)
+    differing = np.argwhere((first != other).any(axis=2))
+    assert len(differing), "the label is in the frame"
+    assert differing[:, 1].min() > box.right, "beside the bar"
+
+
+def inked(places: Mapping[str, str], rows: slice) -> tuple[int, Any]:
+    """Return how wide the text in some rows of a frame is, and the frame. `places`: a text in its title, notes, …"""
+    with settings():
+        scale = Scale(0, 1, "viridis", places.get("label", ""), (0,))
+        painter = MatrixPainter(np.arange(1.0), np.arange(1.0), ("i", "j"), [scale])
+        scene = Scene((400, 300), Words(places.get("title", ""), [places.get("panel", "")], places.get("notes", "")), painter)
+        image = scene.frame(places.get("time", ""), [None])
+    found = np.flatnonzero((image[rows] < 170).any(axis=(0, 2)))
+    return int(found[-1] - found[0]), image
+
+
+@pytest.mark.parametrize(
+    ("place", "rows"),
+    [("title", slice(0, 16)), ("panel", slice(0, 15)), ("notes", slice(-12, None)), ("time", slice(-22, None))],
+)
+def test_texts_of_others_are_shown_literally_in_frames(place: str, rows: slice) -> None:
+    """In the font, $ is as wide as S; if it began mathematics, it would not be shown. Characters that control are blanks."""
+    for text in ("a <b> $x$", r"$\frac{$", "$$ and $$", r"\$5 $a_1$"):
+        assert inked({place: text}, rows)[0] == pytest.approx(inked({place: text.replace("$", "S")}, rows)[0], abs=3), text
+    for text in () if place == "time" else ("a\nb", "a\u202eb"):
+        assert (inked({place: text}, rows)[1] == inked({place: "a b"}, rows)[1]).all()
+
+
 def test_uneven_times_are_noted_and_a_step_makes_them_even(root: Path) -> None:
     made = prepared(root, experiments="population_size=3")
     assert made.films[0].times.tolist() == pytest.approx([0, 0.1, 0.2, 0.4])
@@ -310,8 +393,6 @@ def test_keys_that_do_not_fit_are_refused(text: str, message: str) -> None:
 
 
 def test_cells_keep_their_places() -> None:
-    from sierra.deliverables.videos.scene import Scale, Scene, Words, settings
-
     values = np.array([[0.0, 1.0, np.nan], [0.25, 0.5, 0.75]])
     with settings():
         painter = MatrixPainter(np.arange(2.0), np.arange(3.0), ("i", "j"), [Scale(0, 1, "viridis", "v", (0,))])
@@ -329,8 +410,6 @@ def test_cells_keep_their_places() -> None:
 
 
 def test_a_matrix_with_more_cells_than_pixels_is_refused_with_a_size_that_fits() -> None:
-    from sierra.deliverables.videos.scene import Scale, Scene, Words, settings
-
     def frame(cells: int, size: tuple[int, int]) -> None:
         with settings():
             painter = MatrixPainter(np.arange(1.0 * cells), np.arange(20.0), ("i", "j"), [Scale(0, 1, "viridis", "v", (0,))])
