@@ -58,6 +58,18 @@ def test_a_log_has_lines_on_parts_of_a_report_and_frames_of_videos(
     assert "batch 2 of 2, figure 1 of 1: coverage\n" in projects.quick(root, "report", "--all").stderr
 
 
+@pytest.mark.parametrize("damaged", ["output.floor", "batches"])
+def test_a_damaged_store_makes_no_video(project: tuple[Path, str], damaged: str) -> None:
+    root, _ = project
+    shutil.rmtree(root / "figures")
+    for file in (root / ".sierra" / "segments").glob(f"*/{damaged}.parquet"):
+        file.write_bytes(file.read_bytes()[:40])
+    done = projects.quick(root, "video")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1), done.stderr
+    assert "store" in done.stderr
+    assert list(root.glob("figures/*/*.*")) == []
+
+
 def test_a_report_is_recorded_once_and_checked_like_figures(project: tuple[Path, str], tmp_path: Path) -> None:
     root, batch = project
     file = root / f"figures/reports/{batch[:10]}.html"

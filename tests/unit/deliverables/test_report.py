@@ -295,10 +295,13 @@ def test_unknown_batches_and_contradicting_words_are_refused(recorded: Path, tmp
 
 
 @pytest.mark.integration
-def test_a_damaged_store_writes_no_report(recorded: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("damaged", ["output.swarm", "batches"])
+def test_a_damaged_store_writes_no_report(recorded: Path, tmp_path: Path, damaged: str) -> None:
     root = stores.copy(recorded, tmp_path / "copy")
-    for file in (root / ".sierra" / "segments").glob("*/batches.parquet"):
+    found = list((root / ".sierra" / "segments").glob(f"*/{damaged}.parquet"))
+    for file in found:
         file.write_bytes(file.read_bytes()[:40])
+    assert found
     done = projects.quick(root, "report", "--to", str(tmp_path / "report.html"))
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1

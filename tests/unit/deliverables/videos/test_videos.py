@@ -422,3 +422,23 @@ def test_a_matrix_with_more_cells_than_pixels_is_refused_with_a_size_that_fits()
     frame(500, (wide, high))
     with pytest.raises(sierra.SierraError, match="make fewer cells by sql"):
         frame(20_000, (400, 300))
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(("ending", "value"), [("npz", "heat"), ("npy", "value")])
+def test_an_array_of_numpy_becomes_a_video(tmp_path: Path, ending: str, value: str) -> None:
+    """Its first dimension is the time."""
+    keys = (
+        f'file = "cube.{ending}"\nformat = "npy"\ntime = "i"\n[videos.cube]\ntable = "cube"\ncolumn = ["j", "k", "{value}"]\n'
+    )
+    config = projects.CONFIG.replace("python3 sim.py {input}", f"cp {{project}}/cube.{ending} .")
+    root = projects.make(tmp_path / "p", f"{config}[outputs.cube]\n{keys}size = [320, 240]\nlimits = [0, 30]\n")
+    cube = 10.0 * np.arange(3).reshape(3, 1, 1) + np.arange(6.0).reshape(2, 3)
+    with (root / f"cube.{ending}").open("wb") as file:
+        np.savez(file, heat=cube) if ending == "npz" else np.save(file, cube)
+    stores.ask(root, "population_size=1", runs=1)
+    done = projects.quick(root, "video", "--json")
+    assert done.returncode == 0, done.stderr
+    (path,) = map(Path, json.loads(done.stdout)["files"])
+    frames = videos.decoded(path)
+    assert [videos.part(frame[100, 130]) for frame in frames] == pytest.approx([1 / 30, 11 / 30, 21 / 30], abs=0.04)
