@@ -83,8 +83,15 @@ def _dotted(location: tuple[int | str, ...], value: object) -> str:
 
 def _no_name(value: object) -> str:
     """Return a message for an invalid name, with a proposal."""
-    letters = re.sub(r"[^A-Za-z0-9]+", "_", str(value)).strip("_").lstrip("0123456789_")
-    return f"{value!r} is not a valid name; use letters, digits and _, as in {letters or 'my_name'}"
+    return f"{value!r} is not a valid name; use letters, digits and _, as in {valid_name(str(value))}"
+
+
+def valid_name(text: str) -> str:
+    """Return a text if it is a valid name, or else a name that is like it."""
+    if re.search(NAME, text):
+        return text
+    letters = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lstrip("0123456789_")
+    return letters or "my_name"
 
 
 def _written(value: object) -> str:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.plugin_registry import FIGURES
 from sierra.config.project_file import LoadedProject
-from sierra.config.validate import options
+from sierra.config.validate import options, valid_name
 from sierra.deliverables.explorer import batch_list, declarations, recorded_files
 from sierra.deliverables.explorer.batch_list import BatchList
 from sierra.deliverables.explorer.checked_files import Hashes
@@ -156,13 +156,13 @@ class Answers:
     def chart(self, batch: str, name: str, keys: Mapping[str, JsonView], others: Sequence[str] = ()) -> JsonView:
         """Return a figure as a section of a page, with the lines of `sierra.toml` that declare it.
 
-        With `others`, the figure shows these batches too.
+        With `others`, the figure shows these batches too. A name that `sierra.toml` cannot have is replaced by one like it.
         """
         from sierra.deliverables.figures import interactive
         from sierra.deliverables.figures.drawing import explored
         from sierra.deliverables.html import section
 
-        project, figure = self._project(), options(Figure, dict(keys), "chart")
+        project, figure, name = self._project(), options(Figure, dict(keys), "chart"), valid_name(name)
         with self._drawing(project, batch, name, figure, others) as (made, command):
             drawing, svg = explored(made)
         origin = origin_of(drawing.batch, drawing.data, *[one for one in drawing.together.values() if one != drawing.batch])
@@ -195,7 +195,7 @@ class Answers:
         """Return the comparison of batches as a section of a page, with the lines of `sierra.toml` that declare it."""
         from sierra.deliverables.explorer import together
 
-        project = self._project()
+        project, name = self._project(), valid_name(name)
         options(Comparison, dict(keys), "comparison")
         with self._one, self._limited(LONG_WALL_S):
             groups = together.labelled(project, self._store, [self._store.batch_id(one) for one in batches])

@@ -396,7 +396,7 @@
     if (!found) return;
     const took = ((performance.now() - before) / 1000).toFixed(2);
     const place = of("result");
-    const count = `${found.more ? "the first " : ""}${found.rows.length.toLocaleString()} rows of ${within ? `batch ${within.slice(0, 10)}` : "all batches"}`;
+    const count = `${found.more ? "the first " : ""}${found.rows.length.toLocaleString()} ${found.rows.length === 1 ? "row" : "rows"} of ${within ? `batch ${within.slice(0, 10)}` : "all batches"}`;
     const line = make("p", place, { class: "note" });
     make("span", line, { role: "status" }, `${count}, ${took} s `);
     const button = make("button", line, { type: "button" }, "Copy as CSV");

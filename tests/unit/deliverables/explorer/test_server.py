@@ -111,6 +111,13 @@ def test_a_chart_is_the_figure_that_its_lines_of_sierra_toml_declare(page: Page,
     assert "SELECT run, tick, coverage FROM swarm" in own["section"]
 
 
+def test_a_chart_whose_name_sierra_toml_cannot_have_gets_another_one(page: Page, batch: str) -> None:
+    found = page.ask("chart", batch=batch, name="חום am Ende", keys=SWARM)
+    assert tomllib.loads(found["toml"]) == {"figures": {"am_Ende": SWARM}}
+    assert found["name"] == "am_Ende"
+    assert found["command"].split()[-1] == "am_Ende"
+
+
 @pytest.mark.parametrize(
     ("change", "status"),
     [
