@@ -20,6 +20,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 LOCK = (ROOT / "requirements.lock").read_text("utf-8")
 WORKER = (ROOT / "sierra" / "worker" / "worker.py").read_text("utf-8")
 AGENT = (ROOT / "sierra" / "worker" / "robot_agent.py").read_text("utf-8")
+CLOCK_WATCH = (ROOT / "sierra" / "worker" / "clock_watch.py").read_text("utf-8")
 ON_HOST = (ROOT / "sierra" / "containers" / "engines" / "on_host.py").read_text("utf-8")
 
 NEWER_THAN_3_8 = {"annotationlib", "compression", "graphlib", "string.templatelib", "tomllib", "zoneinfo"}
@@ -140,7 +141,9 @@ def test_wheel_contains_the_whole_package() -> None:
     assert Path("sierra/py.typed") in shipped
 
 
-@pytest.mark.parametrize("text", [WORKER, AGENT, ON_HOST], ids=["worker", "robot agent", "engines on a host"])
+@pytest.mark.parametrize(
+    "text", [WORKER, AGENT, CLOCK_WATCH, ON_HOST], ids=["worker", "robot agent", "clock watch", "engines on a host"]
+)
 def test_worker_imports_only_the_standard_library_of_python_3_8(text: str) -> None:
     found = imports(text) - {"sierra", "sierra.worker", "sierra.worker.file_trace"}  # only for types
     top = {name.partition(".")[0] for name in found}
@@ -151,4 +154,5 @@ def test_worker_imports_only_the_standard_library_of_python_3_8(text: str) -> No
 def test_worker_has_only_python_3_8_syntax() -> None:
     ast.parse(WORKER, feature_version=(3, 8))
     ast.parse(AGENT, feature_version=(3, 8))
+    ast.parse(CLOCK_WATCH, feature_version=(3, 8))
     ast.parse(ON_HOST, feature_version=(3, 8))

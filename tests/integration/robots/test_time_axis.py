@@ -35,19 +35,28 @@ Ahead = Callable[[float], float]
 
 
 @contextlib.contextmanager
-def clock_of(fleet: Fleet, name: str, ahead: Ahead) -> Iterator[None]:
-    """Let the clock of a robot be ahead by what `ahead` returns for a time of the monotonic clock."""
+def clock_of(fleet: Fleet, name: str, ahead: Ahead) -> Iterator[list[float]]:
+    """Let the clock of a robot be ahead by what `ahead` returns for a time of the monotonic clock; yield its steps in seconds.
+
+    It moves in small steps, which are larger on a busy machine. An agent does not see what it was between two looks.
+    """
     ended = threading.Event()
+    steps: list[float] = []
 
     def move() -> None:
-        while not ended.wait(0.005):
-            fleet.set_clock(name, ahead(time.monotonic()))
+        last = first
+        while not ended.wait(0.002):
+            now = ahead(time.monotonic())
+            fleet.set_clock(name, now)
+            steps.append(ahead(time.monotonic()) - last)  # the longest time for which the last one was in force
+            last = now
 
-    fleet.set_clock(name, ahead(time.monotonic()))
+    first = ahead(time.monotonic())
+    fleet.set_clock(name, first)
     thread = threading.Thread(target=move)
     thread.start()
     try:
-        yield
+        yield steps
     finally:
         ended.set()
         thread.join()
@@ -73,17 +82,18 @@ def test_the_common_time_of_all_robots_is_as_exact_as_its_uncertainty(fleet: Fle
         since.append(now)
         return 137.0 + SLEWED * min(1.0, (now - since[0]) / 0.5)
 
-    with clock_of(fleet, "rb2", slewing if slewed else drifting):
+    with clock_of(fleet, "rb2", slewing if slewed else drifting) as steps:
         process = robot_project.drive(root, (*robot_project.RUN, "--runs", "1"))
         robot_project.all_busy(fleet, process)
         begun.set()
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
-    here = time.time_ns() - time.monotonic_ns()
+    here = max(time.time_ns() - time.monotonic_ns() for _ in range(100))  # another process may execute in between
     rows = robot_project.rows_of(root, COMMON)
     assert {row[0] for row in rows} == set(fleet.names)
     for robot, before, later, common, drift, uncertainty in rows:
-        assert before + here - uncertainty <= common <= later + here + uncertainty, (robot, drift, uncertainty)
+        error = uncertainty + (max(steps) * 1e9 if robot == "rb2" else 0)
+        assert before + here - error <= common <= later + here + error, (robot, drift, uncertainty, max(steps))
     [(drift, uncertainty)] = {row[4:] for row in rows if row[0] == "rb2"}
     if slewed:
         assert uncertainty >= SLEWED * 1e9 * 0.99, "nothing excludes that stamps are wrong by so much"
