@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests import projects
-from tests.support import robot_fleet
+from tests.support import robot_fleet, ros_image
 from tests.support.robot_fleet import Fleet
 
 pytestmark = pytest.mark.integration
@@ -60,6 +60,24 @@ def test_a_swarm_under_one_master_is_compared_with_the_same_swarm_in_mujoco(demo
     assert all(row["messages"] > 60 and -row["uncertainty_ms"] < row["delay_ms"] < 500 for row in delays), delays
     for name in swarm.names:
         assert not [line for line in swarm.commands(name) if "ros" in line]
+
+
+@pytest.mark.nightly
+@pytest.mark.real
+def test_a_swarm_in_containers_finds_its_master_if_the_network_is_declared(
+    demo: Path, swarm: Fleet, require: Callable[..., str]
+) -> None:
+    require("apptainer")
+    with (demo / "sierra.toml").open("a") as file:
+        file.write(f'[targets.robots.container]\nimage = "{ros_image.IMAGE}"\nengine = "apptainer"\nnetwork = true\n')
+    ros_image.pin(demo, require)
+    done = projects.quick(demo, "run", "population_size=2", "--runs", "1", "--target", "robots", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = projects.sql(demo, "SELECT robot, count(*) AS rows FROM path GROUP BY robot ORDER BY robot")
+    assert rows == [{"robot": 1, "rows": 30}, {"robot": 2, "rows": 30}]
+    heard = projects.sql(demo, "SELECT child_frame_id AS robot FROM heard GROUP BY robot ORDER BY robot")
+    assert heard == [{"robot": "robot1"}, {"robot": "robot2"}], "the base station hears both"
+    assert projects.sql(demo, "SELECT DISTINCT engine, network FROM isolations") == [{"engine": "apptainer", "network": "host"}]
 
 
 def assert_sampled_in_the_same_way(demo: Path) -> None:
