@@ -15,6 +15,7 @@ from sierra.cli.output import note, raw, safe
 from sierra.errors import UsageError
 from sierra.execution.observer import Observer, Progress
 from sierra.execution.progress_display import text
+from sierra.util import terminal
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 FIRST_S, LAST_S = 10.0, 300.0
 """Seconds between two lines. The interval grows, so that the log of days stays short."""
+DRAW_S = 0.1
+"""Seconds between two pictures of a bar."""
 MANY = 200_000
 """The number of runs above which the user must confirm."""
 SHARE = 0.2
@@ -154,7 +157,7 @@ class _Lines(Display):
 
 
 class _Bar(Display):
-    """Progress as a bar that is drawn again and again in one line."""
+    """Progress as a bar that is drawn again and again in one line, but not while a program asks the user something."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -163,8 +166,13 @@ class _Bar(Display):
 
         self._began = time.monotonic()
         self._bars = Bars(
-            BarColumn(bar_width=24), TextColumn("{task.description}"), console=Console(file=raw(sys.stderr)), transient=True
+            BarColumn(bar_width=24),
+            TextColumn("{task.description}"),
+            console=Console(file=raw(sys.stderr)),
+            transient=True,
+            auto_refresh=False,
         )
+        self._drawn = 0.0
         self._task = self._bars.add_task("", total=None)
 
     def __enter__(self) -> _Bar:
@@ -188,3 +196,6 @@ class _Bar(Display):
             completed=progress.reused + progress.done,
             description=safe(text(progress, time.monotonic() - self._began)),
         )
+        if time.monotonic() - self._drawn >= DRAW_S and terminal.is_free():
+            self._bars.refresh()
+            self._drawn = time.monotonic()

@@ -27,6 +27,7 @@ from sierra.errors import Missing, SierraError
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
 from sierra.links.commands import PAUSE_S, Commands, Stream, no_session
 from sierra.links.process_stream import ProcessStream
+from sierra.util import terminal
 
 PATIENCE = 3
 """The time for a connection without questions to the user, as a multiple of the option `connect`."""
@@ -104,13 +105,13 @@ class OpenSsh(Commands):
             # short, because the path of a socket has at most 104 characters; private, as all that mkdtemp makes
             self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=os.environ.get("XDG_RUNTIME_DIR") or None))
         self._socket.unlink(missing_ok=True)
-        terminal = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+        asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
         alive = max(1, int(self._options.lost / 4))
         options = {
             "ControlMaster": "yes",
             "ControlPersist": str(self._own.persist),
-            "BatchMode": "no" if terminal else "yes",
-            "StrictHostKeyChecking": "ask" if terminal else "yes",
+            "BatchMode": "no" if asks else "yes",
+            "StrictHostKeyChecking": "ask" if asks else "yes",
             "ConnectTimeout": str(max(1, int(self._options.connect))),
             "ServerAliveInterval": str(alive),
             "ServerAliveCountMax": "3",
@@ -122,13 +123,16 @@ class OpenSsh(Commands):
         words = [word for key, value in options.items() for word in ("-o", f"{key}={value}")]
         log = self._folder / "log"
         try:
-            with log.open("wb") as errors:  # a file, because the ControlMaster keeps it open
+            with (
+                terminal.reserved() if asks else contextlib.nullcontext(),
+                log.open("wb") as errors,
+            ):  # a file, because the ControlMaster keeps it open
                 done = subprocess.run(
                     self._argv("-N", "-f", *words),
-                    stdin=None if terminal else subprocess.DEVNULL,
+                    stdin=None if asks else subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=errors,
-                    timeout=None if terminal else PATIENCE * self._options.connect,
+                    timeout=None if asks else PATIENCE * self._options.connect,
                     check=False,
                     env=_quiet(),
                 )

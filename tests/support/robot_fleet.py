@@ -1,7 +1,7 @@
 """Robots for tests: network namespaces of this machine with a real sshd each, and faults to inject. For root on Linux.
 
 A robot has its own network, host name, processes, /etc, /run and /tmp, and a disk in memory as /home, which outlives a power
-cut. It sees the programs of this machine (/usr), and neither its /root nor the folder of SIERRA. Its only user is `robot`.
+cut. It sees the programs of this machine (/usr), and neither its /root nor the folder of SIERRA. Its user is `robot`.
 The names of everything that is made carry the id of this process, so that test processes do not disturb each other; what a
 killed process left is removed by the next one. Debian: see `make system`.
 
@@ -41,6 +41,9 @@ OTHER_CLOCK = {
 }
 """The variables of a program whose wall clock is that of `Fleet.set_clock`. `select` waits there; `time.sleep` may fail."""
 USER, UID = "robot", 5002
+GUEST, GUEST_UID = "guest", 5003
+"""Another user, whose login `AllowUsers` must permit: see `Fleet.configure`."""
+USERS = {USER: UID, GUEST: GUEST_UID}
 SUB_IDS, SUB_UID = ("subuid", "subgid"), 500_000
 """The files with the ranges of ids of users, which images with files of several users need, and the first id of the range."""
 REPOSITORY = Path(__file__).parents[2]
@@ -195,7 +198,7 @@ class Fleet:
                 self.boot(robot.name, wait=False)
                 robot.changed = False
             else:
-                self.enter(robot.name, "sh", "-c", f"pkill -KILL -u {UID}; rm -rf /tmp/* /tmp/.[!.]*; true")
+                self.enter(robot.name, "sh", "-c", f"pkill -KILL -u {UID},{GUEST_UID}; rm -rf /tmp/* /tmp/.[!.]*; true")
             self._empty(robot)
         self._wait_for_all()
 
@@ -373,10 +376,10 @@ class Fleet:
         # all of /etc: a mount of single files is lost when this machine replaces a file
         shutil.copytree("/etc", self.folder / "etc", symlinks=True, ignore_dangling_symlinks=True)
         for file, line in {
-            "passwd": f"{USER}:x:{UID}:{UID}::/home/{USER}:/bin/bash",
-            "group": f"{USER}:x:{UID}:",
+            "passwd": "\n".join(f"{user}:x:{uid}:{uid}::/home/{user}:/bin/bash" for user, uid in USERS.items()),
+            "group": "\n".join(f"{user}:x:{uid}:" for user, uid in USERS.items()),
             **dict.fromkeys(SUB_IDS, f"{USER}:{SUB_UID}:65536"),
-            "shadow": f"{USER}:*:19000:0:99999:7:::",  # sshd refuses accounts with `!`
+            "shadow": "\n".join(f"{user}:*:19000:0:99999:7:::" for user in USERS),  # sshd refuses accounts with `!`
             "hosts": "".join(f"{robot.address} {robot.name}\n" for robot in self.robots.values()),
         }.items():
             with (self.folder / "etc" / file).open("a") as opened:
@@ -403,8 +406,9 @@ class Fleet:
     def _empty(self, robot: Robot) -> None:
         for path in (robot.folder / "home").iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        robot.home.mkdir()
-        os.chown(robot.home, UID, UID)
+        for user, uid in USERS.items():
+            robot.home.with_name(user).mkdir()
+            os.chown(robot.home.with_name(user), uid, uid)
 
     def _configure(self, robot: Robot, *lines: str) -> None:
         """Write the configuration of a robot; without lines, the first one, with the first keys."""

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from sierra import Project
 from tests import projects
 from tests.support import robot_project
 from tests.support.killed_driver import NAMES
-from tests.support.robot_fleet import Fleet
+from tests.support.robot_fleet import GUEST, Fleet
 from tests.support.robot_project import all_busy, all_idle, answered, drive
+from tests.terminals import Terminal
 from tests.tiers import at_night
+from tests.waiting import until
 
 STEPS = {f"SIGKILL {name} {number}" for name in NAMES for number in (1, 3)}
 STEPS |= {f"SIGINT {name} 3" for name in NAMES} | {
@@ -84,3 +91,129 @@ def test_two_drivers_take_turns(project: Path, fleet: Fleet, tmp_path_factory: p
         first.send_signal(signal.SIGINT)
         assert first.wait(60) == 130
     answered(other)
+
+
+def fleet_of(project: Path, folder: Path, hosts: dict[str, str]) -> Path:
+    """Make another project like one, with these robots by name; return its folder."""
+    shutil.copytree(project, folder, ignore=shutil.ignore_patterns(".sierra"))
+    text = (folder / "sierra.toml").read_text().partition("[runners.robots.fleet.")[0]
+    robots = "".join(f'[runners.robots.fleet.{name}]\nhost = "{host}"\n' for name, host in hosts.items())
+    (folder / "sierra.toml").write_text(text.replace("count = 3", f"count = {len(hosts)}") + robots)
+    return folder
+
+
+@pytest.mark.nightly
+def test_fleets_that_share_a_robot_and_users_of_it_take_turns(
+    project: Path, fleet: Fleet, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    make, others = partial(fleet_of, project), tmp_path_factory.mktemp("others")
+    for name in fleet.names:
+        fleet.configure(name, f"AllowUsers {GUEST}")
+    robot_project.move(project, 600)
+    first = make(others / "first", {"rb1": "rb1", "rb2": "rb2"})
+    robot_project.move(project, 5)
+    second = make(others / "second", {"rb2": "rb2", "rb3": "rb3"})
+    third = make(others / "third", {"rb3": "rb3"})
+    guest = make(others / "guest", {"rb2": f"{GUEST}@rb2"})
+    with drive(first) as process:
+        until(lambda: all(list(fleet.robots[name].home.rglob("swarm.csv")) for name in ("rb1", "rb2")), "both execute", 60)
+        for other in (second, guest):
+            refused = projects.quick(other, *robot_project.RUN)
+            assert refused.returncode == 3
+            [line] = [line for line in refused.stderr.splitlines() if "in use by" in line]
+            assert line.startswith("sierra: rb2: in use by ")
+            assert " (session " in line
+            assert Project(other).sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 0}]
+        alone = projects.quick(third, *robot_project.RUN, "--runs", "1")
+        assert alone.returncode == 0, alone.stderr
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+    for other in (guest, second):
+        done = projects.quick(other, *robot_project.RUN, "--runs", "1")
+        assert done.returncode == 0, done.stderr
+        assert projects.quick(other, "fsck").returncode == 0
+
+
+def over_openssh(project: Path, fleet: Fleet, options: str = "") -> None:
+    """Let the runs of a project use the link `openssh`."""
+    config = project / "sierra.toml"
+    config.write_text(
+        config.read_text()
+        .replace("grace =", 'link = "openssh"\ngrace =')
+        .replace("[links.fabric]", f"[links.openssh]\nlost = 4\n{options}")
+    )
+
+
+@pytest.mark.nightly
+def test_drivers_over_openssh_are_killed_and_lose_a_radio(project: Path, fleet: Fleet) -> None:
+    over_openssh(project, fleet)
+    robot_project.move(project, 50)
+    with drive(project) as process:
+        all_busy(fleet, process)
+        process.kill()
+    all_idle(fleet)
+    assert all((robot.home / "stops").exists() for robot in fleet.robots.values())
+    for folder in [one for robot in fleet.robots.values() for one in robot.home.rglob("runs/*")]:
+        shutil.rmtree(folder)
+    with drive(project) as process:
+        all_busy(fleet, process)
+        fleet.radio("rb2", up=False)
+        all_idle(fleet)
+        _, errors = process.communicate(timeout=120)
+    assert process.returncode == 3, errors
+    assert robot_project.rows_of(project, "SELECT status, reason LIKE 'rb2 was lost: %' FROM executions") == [("failed", True)]
+    fleet.radio("rb2", up=True)
+    answered(project, ticks=50)
+    assert projects.quick(project, "fsck").returncode == 0
+
+
+@pytest.mark.nightly
+def test_ssh_asks_for_the_passphrase_of_each_robot_in_turn(project: Path, fleet: Fleet) -> None:
+    over_openssh(project, fleet)
+    robot_project.move(project, 5)
+    locked = fleet.folder / "locked"
+    shutil.copy(fleet.key, locked)
+    subprocess.run(["ssh-keygen", "-q", "-p", "-P", "", "-N", "open sesame", "-f", locked], check=True)
+    fleet.ssh_config.write_text(fleet.ssh_config.read_text().replace(f"IdentityFile {fleet.key}", f"IdentityFile {locked}"))
+    prompt = f"Enter passphrase for key '{locked}': "
+    sierra = Path(sys.executable).with_name("sierra")
+    words = (str(sierra), *robot_project.QUERY)
+    with Terminal(project, *words, environment={"SSH_AUTH_SOCK": "", "SSH_ASKPASS_REQUIRE": "never"}) as terminal:
+        for _ in fleet.names:
+            terminal.expect(prompt)
+            time.sleep(1)  # in which no other client may ask too
+            terminal.type("open sesame\n")
+        assert terminal.end() == 0, terminal.shown
+    assert terminal.shown.count(f"{prompt}\r\n") == terminal.shown.count("Enter") == len(fleet.names), terminal.shown
+    assert "sesame" not in terminal.shown
+    robot_project.is_recorded(project, 5)
+
+
+@pytest.mark.nightly
+def test_connections_that_the_user_has_opened_are_used(
+    project: Path, fleet: Fleet, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    over_openssh(project, fleet)
+    robot_project.move(project, 5)
+    sockets = tmp_path_factory.mktemp("s")
+    config = project / "sierra.toml"
+    text = config.read_text()
+    for name in fleet.names:
+        link = f'link_options = {{ control_path = "{sockets / name}" }}'
+        text = text.replace(f'host = "{name}"\n', f'host = "{name}"\n{link}\n')
+    config.write_text(text)
+    refused = projects.quick(project, *robot_project.QUERY)
+    assert refused.returncode == 3
+    assert "no ControlMaster answers at " in refused.stderr
+    before = {name: robot.log.count("Accepted publickey") for name, robot in fleet.robots.items()}
+    client = ["ssh", "-F", str(fleet.ssh_config)]
+    try:
+        for name in fleet.names:
+            subprocess.run([*client, "-M", "-S", sockets / name, "-N", "-f", name], check=True, stderr=subprocess.DEVNULL)
+        answered(project, ticks=5)
+        assert {
+            name: fleet.robots[name].log.count("Accepted publickey") - before[name] for name in fleet.names
+        } == dict.fromkeys(fleet.names, 1)
+    finally:
+        for name in fleet.names:
+            subprocess.run([*client, "-S", sockets / name, "-O", "exit", name], check=False, capture_output=True)

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,6 +32,99 @@ for _ in range(200 if os.environ["SIERRA_ROBOT"] == "2" else 0):
     sys.stdout.write(("y" * 1023 + "\\n") * 1024)
 open("swarm.csv", "w").write("t,x\\n0,0\\n")
 """
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of the robot rb2, and what a driver says and records then."""
+
+    step: str
+    """The step of the driver at which it happens; empty: when all robots execute the first run."""
+    happen: Callable[[Fleet], object]
+    code: int
+    said: str
+    statement: str
+    rows: list[tuple[Any, ...]]
+    """What the statement returns, which tells of the first run."""
+    mend: Callable[[Fleet], object] = Fleet.heal
+    options: str = ""
+    """More options of the runner."""
+    first: Callable[[Fleet], object] = bool
+    """What is so before the driver starts."""
+
+
+def unusable(happen: Callable[[Fleet], object], said: str, step: str = "run 1") -> Fault:
+    """Return a fault with which no run starts."""
+    return Fault(step, happen, 3, f"sierra: rb2: {said}", "SELECT count(*) FROM executions", [(0,)])
+
+
+def lost(happen: Callable[[Fleet], object], mend: Callable[[Fleet], object], code: int = 3) -> Fault:
+    """Return a fault by which the robot is lost in the middle of a run, which ends on the others."""
+    first = "(SELECT execution FROM executions ORDER BY started LIMIT 1)"
+    return Fault(
+        "",
+        happen,
+        code,
+        "",
+        f"SELECT e.status, e.reason LIKE 'rb2 was lost: %', place, r.status FROM executions e JOIN robots r USING (execution) "
+        f"WHERE execution = {first} ORDER BY place",
+        [("failed", True, 1, "stopped"), ("failed", True, 2, "lost"), ("failed", True, 3, "stopped")],
+        mend,
+    )
+
+
+def survived(happen: Callable[[Fleet], object], said: str, statement: str, rows: list[tuple[Any, ...]], **more: Any) -> Fault:
+    """Return a fault with which both runs succeed."""
+    return Fault(more.pop("step", ""), happen, 0, said, statement, rows, **more)
+
+
+def silence(fleet: Fleet) -> None:
+    fleet.radio("rb2", up=False)
+    time.sleep(3)
+    fleet.radio("rb2", up=True)
+
+
+FAULTS = {
+    "changed host key": unusable(lambda fleet: fleet.new_host_key("rb2"), "its host key differs"),
+    "refused login": unusable(lambda fleet: fleet.refuse_logins("rb2"), "it refuses the login"),
+    "unknown host key": unusable(lambda fleet: fleet.forget_host_key("rb2"), "the host key of .* is not known"),
+    "one session": unusable(lambda fleet: fleet.configure("rb2", "MaxSessions 1"), ".* a run needs two sessions at once"),
+    "power cut before arming": unusable(lambda fleet: fleet.power_cut("rb2"), "", "arm 1"),
+    "power cut before the start": unusable(lambda fleet: fleet.power_cut("rb2"), "", "at 1"),
+    "power cut": lost(lambda fleet: fleet.power_cut("rb2"), lambda fleet: fleet.boot("rb2")),
+    "restart": lost(lambda fleet: fleet.reboot("rb2"), bool, code=1),
+    "radio down": lost(lambda fleet: fleet.radio("rb2", up=False), lambda fleet: fleet.radio("rb2", up=True)),
+    "radio down for 3 s": survived(
+        silence,
+        "rb2 does not answer; its run goes on for 5 s at most, its lease",
+        "SELECT DISTINCT status FROM robots",
+        [("ok",)],
+        options="lease = 5",
+    ),
+    "clock 137 s ahead": survived(
+        lambda fleet: fleet.set_clock("rb2", 137),
+        "",
+        "SELECT place, count(*) FROM robots WHERE abs(offset_start_ns) > 100e9 GROUP BY place",
+        [(2, 2)],
+        step="run 1",
+    ),
+    "clock that steps": survived(
+        lambda fleet: fleet.set_clock("rb2", -20),
+        "rb2: its wall clock has moved by -25",
+        "SELECT place, c.drift FROM robots JOIN robot_clocks c USING (execution, place) WHERE clock_remark IS NOT NULL",
+        [(2, None)],
+        first=lambda fleet: fleet.set_clock("rb2", 5),
+    ),
+    "1 Mbit/s": survived(
+        lambda fleet: fleet.slow("rb2"),
+        "",
+        "SELECT count(*) FROM executions",
+        [(2,)],
+        step="run 1",
+        options="lease = 5\nclock_error = 1",
+    ),
+}
+FAST = ("refused login",)
 
 
 @pytest.fixture
@@ -51,6 +147,46 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     _, errors = process.communicate(timeout=120)
     assert "fault in" not in errors
     return process.returncode, errors
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[] if name in FAST else pytest.mark.nightly) for name in FAULTS])
+def test_after_a_fault_all_stop_and_the_same_query_does_what_is_missing(fleet: Fleet, tmp_path: Path, name: str) -> None:
+    fault, ticks = FAULTS[name], 5 if FAULTS[name].step else 50
+    project = robot_project.make(fleet, tmp_path / "project", ticks)
+    config = project / "sierra.toml"
+    replaced = "lease = 3.0\n" if "lease" in fault.options else ""
+    config.write_text(config.read_text().replace(replaced, "").replace("grace =", f"{fault.options}\ngrace ="))
+    fault.first(fleet)
+    if fault.step:
+        process = stopped_at(project, fault.step)
+    else:
+        all_busy(fleet, process := drive(project))
+    fault.happen(fleet)
+    code, errors = ended(process)
+    assert (code, bool(re.search(fault.said, errors))) == (fault.code, True), errors
+    all_idle(fleet)
+    assert rows_of(project, fault.statement) == fault.rows
+    fault.mend(fleet)
+    answered(project, ticks)
+    assert projects.quick(project, "fsck").returncode == 0
+    if name == "restart":  # its stop command is executed for the run that was cut off, and after both good ones
+        assert (fleet.robots["rb2"].home / "stops").read_text().count("\n") == 3
+
+
+@pytest.mark.nightly
+def test_programs_that_ignore_sigterm_are_ended_with_their_driver(project: Path, fleet: Fleet) -> None:
+    deaf = "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+    robot_project.move(project, 50)
+    (project / "swarm.py").write_text(deaf + (project / "swarm.py").read_text())
+    all_busy(fleet, process := drive(project))
+    process.send_signal(signal.SIGINT)
+    code, errors = ended(process)
+    assert code == 130, errors
+    all_idle(fleet)
+    assert rows_of(project, "SELECT count(*) FROM executions") == [(0,)], "of a run that the user ends, nothing is recorded"
+    answered(project, ticks=50)
+    assert projects.quick(project, "fsck").returncode == 0
 
 
 def test_outputs_are_pulled_from_disks_that_take_nothing_more(project: Path, fleet: Fleet) -> None:
@@ -148,3 +284,57 @@ def test_a_slow_link_that_stalls_is_used_and_one_that_is_cut_stops_all(fleet: Fl
         found = rows_of(project, "SELECT status, reason LIKE 'rb2 was lost: %' FROM executions ORDER BY started")
         assert found == [("ok", None), ("failed", True)]
         answered(project)
+
+
+@pytest.mark.nightly
+def test_a_power_cut_while_outputs_are_pulled_fails_the_run(project: Path, fleet: Fleet) -> None:
+    own = "import os\nif os.environ['SIERRA_ROBOT'] == '2':\n    open('much.bin', 'wb').write(os.urandom(8 << 20))\n"
+    (project / "swarm.py").write_text((project / "swarm.py").read_text() + own)
+    received = Path("/sys/class/net", fleet.robots["rb2"].card, "statistics/rx_bytes")
+    process = stopped_at(project, "pull 1")
+    fleet.slow("rb2", "2mbit")
+    before = int(received.read_text())
+    process.send_signal(signal.SIGCONT)
+    until(lambda: int(received.read_text()) > before + (1 << 20), "the transfer has begun", 60)
+    fleet.power_cut("rb2")
+    code, errors = ended(process)
+    assert code == 3, errors
+    [(status, reason)] = rows_of(project, "SELECT status, reason FROM executions")
+    assert (status, str(reason).partition(": ")[0]) == ("failed", "rb2 has kept its outputs")
+    problems = "SELECT place, reason IS NULL, clock_remark FROM robots ORDER BY place"
+    assert rows_of(project, problems) == [(1, True, None), (2, False, None), (3, True, None)]
+    all_idle(fleet)
+    fleet.boot("rb2")
+    answered(project, ticks=5)
+    assert projects.quick(project, "fsck").returncode == 0
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("stop", "said"), [('["false"]', "ended with status 1"), ('["sleep", "60"]', "did not end within 0.5 s")]
+)
+def test_a_stop_command_that_fails_or_hangs_is_told(project: Path, fleet: Fleet, stop: str, said: str) -> None:
+    config = project / "sierra.toml"
+    good = config.read_text()
+    line = next(line for line in good.splitlines() if line.startswith("stop = "))
+    config.write_text(good.replace(line, f"stop = {stop}\nstop_limit = 0.5"))
+    done = projects.quick(project, *RUN, "--runs", "1")
+    assert done.returncode == 0, done.stderr
+    assert {f"note: {name}: the stop command {said}" for name in fleet.names} <= set(done.stderr.splitlines())
+    assert rows_of(project, "SELECT place, status, reason FROM robots ORDER BY place") == [
+        (place, "ok", f"the stop command {said}") for place in (1, 2, 3)
+    ]
+    all_idle(fleet)
+    robot_project.move(project, 600)
+    with drive(project) as process:
+        all_busy(fleet, process)
+        process.kill()
+    all_idle(fleet)
+    robot_project.move(project, 5)
+    done = projects.quick(project, *robot_project.QUERY)
+    assert done.returncode == 0, done.stderr
+    for name in fleet.names:
+        assert f"note: {name}: after an earlier run, the stop command {said}" in done.stderr.splitlines()
+    config.write_text(good)
+    answered(project, ticks=5)
+    assert projects.quick(project, "fsck").returncode == 0
