@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 from collections.abc import Callable
 from functools import partial
@@ -13,6 +14,7 @@ from sierra.errors import Missing
 from sierra.links.base import LinkOptions
 from sierra.links.fabric import Fabric
 from tests import projects
+from tests.support import robot_project
 from tests.support.robot_fleet import Fleet
 from tests.support.robot_runs import Runs, job
 from tests.waiting import until
@@ -91,15 +93,20 @@ def test_turtlebots_move_as_cmd_vel_says_and_publish_odom_and_scan(turtles: Path
     ]
 
 
-def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet: Fleet) -> None:
+def on_fleet(turtles: Path, fleet: Fleet, length: float) -> None:
+    """Let turtlebots of a fleet execute runs of the example, of so many seconds."""
     robots = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
     text = (turtles / "sierra.toml").read_text()
     first, _, rest = text.partition("\n[platforms.ros]\n")
-    rest = rest.replace("length = 5.0", "length = 2.0")
+    rest = rest.replace("length = 5.0", f"length = {length}")
     made = TARGETS.format(ssh_config=fleet.ssh_config, fleet=robots)
     (turtles / "sierra.toml").write_text(
         made.partition("\n[")[0] + first + "\n[platforms.ros]\n" + rest + "\n[" + made.partition("\n[")[2]
     )
+
+
+def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet: Fleet) -> None:
+    on_fleet(turtles, fleet, 2.0)
     done = projects.quick(turtles, "run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = projects.sql(turtles, MOVED.format(x="x", y="y", table="path", robot="robot"))
@@ -108,6 +115,20 @@ def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet
     assert [row["changes"] for row in seen] == [True, True], "the laser measures other distances while a robot moves"
     for name in fleet.names:
         assert not [line for line in fleet.commands(name) if "ros" in line]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_no_node_outlives_a_driver_that_is_ended(turtles: Path, fleet: Fleet, number: signal.Signals) -> None:
+    on_fleet(turtles, fleet, 600.0)
+    words = ("run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
+    with robot_project.drive(turtles, words) as process:
+        for name in fleet.names[:2]:
+            until(lambda name=name: any("wander" in line for line in fleet.commands(name)), f"{name} has nodes", 120)
+        process.send_signal(number)
+        process.communicate(timeout=120)
+    for name in fleet.names:
+        until(lambda name=name: not fleet.commands(name), lambda name=name: fleet.commands(name), 30)
 
 
 @pytest.mark.nightly
