@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -46,6 +46,8 @@ ROWS = 1000
 """The largest number of rows of an answer."""
 LETTERS = 10_000
 """The largest number of letters of a value."""
+LETTERS_IN_ALL = 12_000_000
+"""The largest number of letters of an answer."""
 WALL_S = 30.0
 """The time limit of an answer, in s."""
 LONG_WALL_S = 600.0
@@ -312,13 +314,26 @@ def _rows(answer: Answer) -> JsonView:
     numeric, notes = answer.numeric, answer.notes
     found = answer.first(ROWS + 1)
     columns, rows = found.columns, found.rows()
+    shown = [*_few([_value(value) for value in row] for row in rows[:ROWS])]
+    cut = len(shown) < min(len(rows), ROWS)
+    why = [f"the answer ends where it would have more than {LETTERS_IN_ALL:,} letters: choose fewer columns"] if cut else []
     return {
         "columns": columns,
         "numeric": numeric,
-        "rows": [[_value(value) for value in row] for row in rows[:ROWS]],
-        "more": len(rows) > ROWS,
-        "notes": notes,
+        "rows": shown,
+        "more": len(shown) < len(rows),
+        "notes": "; ".join(filter(None, (notes, *why))),
     }
+
+
+def _few(rows: Iterable[list[JsonView]]) -> Iterator[list[JsonView]]:
+    """Yield rows as long as all of them together do not have too many letters."""
+    left = LETTERS_IN_ALL
+    for row in rows:
+        left -= sum(len(str(value)) for value in row)
+        if left < 0:
+            return
+        yield row
 
 
 def _value(value: SqlValue) -> JsonView:

@@ -27,7 +27,15 @@ def lines(file: Path, kind: Kind, name: str, keys: Mapping[str, JsonView]) -> st
     for key, value in keys.items():
         declared.add(key, list(value) if isinstance(value, tuple) else value)
     inner: dict[str, object] = {kind: {name: declared}}
-    return tomlkit.dumps({"tool": {"sierra": inner}} if file.name == PYPROJECT else inner)
+    return _plain(tomlkit.dumps({"tool": {"sierra": inner}} if file.name == PYPROJECT else inner))
+
+
+def _plain(toml: str) -> str:
+    """Return lines in which characters that are not printable, or reverse the text after them, are escapes of TOML.
+
+    All strings and quoted keys that `lines` writes are basic ones, in which such escapes are allowed.
+    """
+    return "".join(c if c.isprintable() or c == "\n" else f"\\U{ord(c):08x}" for c in toml)
 
 
 def append(project: LoadedProject, kind: Kind, name: str, keys: Mapping[str, JsonView], file: str) -> LoadedProject:

@@ -206,12 +206,15 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, name: str, body: bytes) -> None:
         try:
             asked = options(QUESTIONS[name], json.loads(body), f"question {name}")
+        except (SierraError, ValueError, RecursionError) as error:
+            why = str(error) if isinstance(error, SierraError) else f"not a question: {error}"
+            self._say(HTTPStatus.BAD_REQUEST, {"error": why})
+            return
+        try:
             method = cast("Callable[..., JsonView]", getattr(self.server.answers, name))
             found = method(**{field: getattr(asked, field) for field in QUESTIONS[name].model_fields})
         except SierraError as error:
             self._say(HTTPStatus.BAD_REQUEST, {"error": str(error)})
-        except (ValueError, RecursionError) as error:
-            self._say(HTTPStatus.BAD_REQUEST, {"error": f"not a question: {error}"})
         except Exception as error:
             log.warning("a fault in SIERRA itself: %s", traceback.format_exc())
             self._say(HTTPStatus.INTERNAL_SERVER_ERROR, {"error": f"a fault in SIERRA itself: {type(error).__name__}: {error}"})

@@ -83,16 +83,16 @@ def _cell_element(value: Cell) -> str:
 
 def _number(value: int | float | None) -> str:
     """Return a number with at most six significant digits; whole numbers have all of theirs."""
-    if value is None or math.isnan(value):
+    if value is None:
         return ""
     return (f"{value:.6g}" if isinstance(value, float) else str(value)).replace("-", "−")
 
 
 def exact(value: Cell) -> Cell:
-    """Return a value that JSON and scripts can hold: NaN becomes null; infinity and very large whole numbers become text."""
+    """Return a value that JSON and scripts can hold: NaN, infinity and very large whole numbers become text."""
     match value:
         case float() if not math.isfinite(value):
-            return None if math.isnan(value) else str(value)
+            return str(value)
         case int() if abs(value) > EXACT:
             return str(value)
         case _:

@@ -137,6 +137,11 @@ def test_the_report_is_the_page_that_the_command_writes(page: Page, recorded: Pa
     assert status == 200
     assert body == sierra.open(recorded).report(batch, to=tmp_path / "report.html").file.read_bytes()
     assert headers["Content-Security-Policy"] == "frame-ancestors 'self'"
+    [policy] = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', body.decode())
+    assert re.sub(r"sha256-[\w+/]{43}=", "HASH", policy) == (
+        "default-src 'none'; script-src 'HASH'; style-src 'HASH'; img-src data:; base-uri 'none'; form-action 'none'; "
+        "media-src data:"
+    )
     assert page.send("GET", address, Host="evil.example", X_Sierra_Token="")[0] == 403
     assert page.send("GET", f"{address}x", X_Sierra_Token="")[0] == 404
 

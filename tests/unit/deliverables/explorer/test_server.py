@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import stat
 import threading
@@ -43,8 +44,12 @@ def test_the_page_has_no_data_and_loads_nothing_from_elsewhere(page: Page) -> No
     status, body, headers = page.send("GET", "/", X_Sierra_Token="", Origin="")
     assert status == 200
     assert headers["Cache-Control"] == "no-store"
-    assert b"default-src 'none'; script-src 'sha256-" in body
-    assert b"; connect-src 'self'\"" in body
+    [policy] = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', body.decode())
+    assert re.sub(r"sha256-[\w+/]{43}=", "HASH", policy) == (
+        "default-src 'none'; script-src 'HASH'; style-src 'HASH'; img-src data: 'self'; base-uri 'none'; form-action 'none'; "
+        "frame-src 'self'; media-src 'self'; connect-src 'self'"
+    )
+    assert headers["Content-Security-Policy"] == "frame-ancestors 'self'"
     assert b"population_size" not in body
     assert page.token.encode() not in body
 
@@ -95,6 +100,32 @@ def test_a_billion_rows_are_cut_and_long_texts_too(page: Page) -> None:
     assert found["rows"][-1][1].endswith("x… (20,000 letters)")
 
 
+def test_many_long_columns_are_cut(page: Page) -> None:
+    columns = ", ".join(f"repeat('x', 9999) || range AS c{place}" for place in range(30))
+    statement = f"SELECT {columns} FROM range(1000)"
+    status, body, _ = page.send("POST", "/ask/query", json.dumps({"statement": statement}).encode())
+    found = json.loads(body)
+    assert (status, len(found["rows"]), found["more"]) == (200, 39, True)
+    assert len(body) < 13_000_000
+    assert "12,000,000 letters" in found["notes"]
+
+
+def test_nan_and_infinity_are_no_empty_cells(page: Page) -> None:
+    found = page.ask(
+        "query", statement="SELECT 'nan'::DOUBLE, NULL::DOUBLE, '-inf'::FLOAT, 1.5::DOUBLE, 'infinity'::TIMESTAMPTZ"
+    )
+    assert found["rows"] == [["nan", None, "-inf", 1.5, "infinity"]]
+
+
+def test_a_fault_in_an_answer_is_no_fault_of_the_question(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    def faulty(_: Answers) -> None:
+        raise ValueError("a fault")
+
+    monkeypatch.setattr(Answers, "overview", faulty)
+    status, body, _ = page.send("POST", "/ask/overview", b"{}")
+    assert (status, json.loads(body)) == (500, {"error": "a fault in SIERRA itself: ValueError: a fault"})
+
+
 def test_a_chart_is_the_figure_that_its_lines_of_sierra_toml_declare(page: Page, recorded: Path, batch: str) -> None:
     found = page.ask("chart", batch=batch, name="mine", keys=SWARM | {"title": "A <b>title</b>"})
     assert tomllib.loads(found["toml"]) == {"figures": {"mine": SWARM | {"title": "A <b>title</b>"}}}
@@ -116,6 +147,13 @@ def test_a_chart_whose_name_sierra_toml_cannot_have_gets_another_one(page: Page,
     assert tomllib.loads(found["toml"]) == {"figures": {"am_Ende": SWARM}}
     assert found["name"] == "am_Ende"
     assert found["command"].split()[-1] == "am_Ende"
+
+
+def test_lines_to_copy_have_no_characters_that_deceive(page: Page, batch: str) -> None:
+    keys = SWARM | {"title": "a \u202eb\u2066 \x01\x85\U000e0001 'c' \"d\"\n", "where": "true -- \u202e"}
+    toml = page.ask("chart", batch=batch, name="\u202emine", keys=keys)["toml"]
+    assert tomllib.loads(toml) == {"figures": {"mine": keys}}
+    assert toml.replace("\n", "").isprintable()
 
 
 @pytest.mark.parametrize(
