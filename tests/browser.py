@@ -17,6 +17,18 @@ from typing import Any
 PATIENCE_S = 120.0
 """The longest time that an answer of the browser may take. Pages are slow on a busy machine."""
 
+INJECTED = """new Promise(done => {
+  const blocked = [];
+  window.executed = 0;
+  addEventListener('securitypolicyviolation', event => {
+    blocked.push(event.effectiveDirective);
+    if (blocked.length === 2) done([...blocked.sort(), executed]);
+  });
+  document.body.insertAdjacentHTML('beforeend', '<img src="data:," onerror="executed += 1">');
+  document.body.append(Object.assign(document.createElement('script'), { textContent: 'executed += 1' }));
+})"""
+"""Insert scripts into a page; the value is what its policy has blocked, and the number of those that were executed."""
+
 
 class Browser:
     """One page of a browser. `console` and `requests` are what the page wrote and asked for since it was opened."""

@@ -13,9 +13,10 @@ import pytest
 
 import sierra
 from tests import projects, stores
-from tests.browser import Browser
+from tests.browser import INJECTED, Browser
 from tests.support import filmed, many_batches
 from tests.support.photographs import flaws, unfold, unnamed
+from tests.support.reported import ATTACK, ATTACK_IN_TOML
 
 pytestmark = pytest.mark.real
 FILM = "heat_experiment0: <script>alert(1)</script>, population size = 1, run 0"
@@ -28,6 +29,41 @@ TEXT = "document.getElementById({!r}).innerText"
 def browser(require: Callable[..., str], tmp_path: Path) -> Iterator[Browser]:
     with Browser(require("chromium"), tmp_path / "profile") as browser:
         yield browser
+
+
+HOLD = "((place, keys) => keys.forEach(key => place.dispatchEvent(new KeyboardEvent('keydown', {key, cancelable: true}))))"
+"""A function that presses keys before anything else happens in the page."""
+REVERSES = r"/[\u202a-\u202e\u2066-\u2069]/.test"
+ALL_TEXTS = "document.body.textContent + [...document.querySelectorAll('input, textarea')].map(one => one.value).join()"
+TYPE = """((area, text) => { area.focus(); area.value = text; area.selectionStart = area.selectionEnd = text.length;
+  area.dispatchEvent(new Event('input')); return [...document.querySelectorAll('#words li')].map(one => one.innerText);
+})(document.getElementById('statement'), %r)"""
+STATEMENT = "document.getElementById('statement').value"
+SIMULATOR = (
+    projects.SIMULATOR
+    + f"""
+with open("sizes.csv", "w", encoding="utf-8") as file:
+    print('tick,Robot name,größe,"a,b","{ATTACK.replace(chr(34), chr(34) * 2).replace(chr(39), "")}"', file=file)
+    for tick in range(3):
+        print(tick, count, 1.5, tick, tick, sep=",", file=file)
+"""
+)
+CONFIG = f"""{projects.CONFIG}
+[outputs.sizes]
+file = "sizes.csv"
+time = "tick"
+
+[figures.first]
+column = "coverage"
+title = "{ATTACK_IN_TOML}"
+
+[figures.second]
+sql = "SELECT run, tick, größe AS size FROM sizes -- {ATTACK_IN_TOML}"
+column = "size"
+
+[figures.impossible]
+column = "{ATTACK_IN_TOML}"
+"""
 
 
 @contextmanager
@@ -120,11 +156,11 @@ def test_another_batch_is_chosen_by_keys_and_drawn_with_the_form(browser: Browse
     with explored(recorded) as url:
         browser.open(url)
         until(browser, DRAWN)
-        browser.run("document.getElementById('batches').focus()")
-        browser.press("ArrowDown")
+        browser.run(f"{HOLD}(document.getElementById('batches'), ['ArrowDown', 'ArrowDown', 'ArrowUp'])")
         until(browser, "document.getElementById('batch-title').textContent == 'population_size=2,3'")
         until(browser, "document.querySelectorAll('#figures button').length > 0")
         until(browser, "document.querySelector('#drawn .series') !== null && document.getElementById('stop').disabled")
+        assert [request.rpartition("/")[2] for request in browser.requests].count("batch") == 2, "not one for each key"
         browser.run("document.querySelector('#chart [name=kind]').value = 'box'")
         browser.run("document.querySelector('#chart [name=column]').value = 'coverage'")
         browser.run("document.querySelector('#chart button').click()")
@@ -154,6 +190,36 @@ def test_a_late_answer_about_another_batch_is_not_shown(browser: Browser, record
         browser.run("window.go()")
         until(browser, "document.getElementById('stop').disabled")
         assert (browser.run(shown), browser.run("document.getElementById('drawn').innerHTML")) == (second, drawn)
+
+
+def test_hostile_names_are_shown_completed_and_drawn(browser: Browser, tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", CONFIG, simulator=SIMULATOR)
+    stores.ask(root, "population_size=1", runs=2)
+    browser.call("Page.addScriptToEvaluateOnNewDocument", source="window.alert = () => console.error('alert')")
+    with explored(root) as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        assert "evil" in browser.run(TEXT.format("drawn"))
+        answered(browser, f"SELECT *, '{ATTACK.replace(chr(39), '')}' AS text FROM sizes")
+        assert "evil" in browser.run(TEXT.format("result"))
+        browser.run("document.querySelectorAll('#figures button')[1].click()")
+        until(browser, "document.getElementById('toml').textContent.includes('figures.second')")
+        assert "Its statement has characters that are not printable" in browser.run(TEXT.format("chart-of"))
+        assert "\\U0000202e" in browser.run("document.getElementById('toml').textContent")
+        assert browser.run(f"{REVERSES}({ALL_TEXTS})") is False
+        assert browser.run(TYPE % "SELECT max(grö")[0].startswith('"größe"')
+        browser.press("Tab")
+        assert browser.run(STATEMENT) == 'SELECT max("größe"'
+        assert browser.run(TYPE % "SELECT Rob")[0].startswith('"Robot name"')
+        browser.run(TYPE % 'SELECT \'a\' AS "b", "Rob')
+        browser.press("Tab")
+        assert browser.run(STATEMENT) == 'SELECT \'a\' AS "b", "Robot name"'
+        browser.run("document.querySelector('#chart [name=table]').value = 'sizes'")
+        browser.run("document.querySelector('#chart [name=column]').value = 'a,b'")
+        browser.run("document.querySelector('#chart button').click()")
+        until(browser, "document.getElementById('toml').textContent.includes('column = \"a,b\"')")
+        assert browser.console == []
+        assert browser.run(INJECTED) == ["script-src-attr", "script-src-elem", 0]
 
 
 @pytest.mark.nightly

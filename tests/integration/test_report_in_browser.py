@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests import projects, robots, stores
-from tests.browser import Browser
+from tests.browser import INJECTED, Browser
 from tests.support import filmed, reported
 from tests.support.photographs import flaws, unfold, unnamed
 from tests.waiting import until
@@ -131,6 +131,7 @@ def test_texts_of_others_do_nothing_in_a_browser(browser: Browser, report: Path)
     browser.run("document.querySelectorAll('button').forEach(one => one.click())")
     browser.settle()
     assert [line for line in browser.console if "alert" in line or "Content Security" in line] == []
+    assert browser.run(INJECTED) == ["script-src-attr", "script-src-elem", 0]
     assert "<script>" in browser.run("document.querySelector('.readout').innerText + document.title + document.body.innerText")
 
 

@@ -2,7 +2,7 @@
 // Asks the server, and fills the page with its answers. All texts of the store become text nodes, never HTML; the only HTML
 // that is inserted is that of a chart's section, which the server has escaped.
 (() => {
-  const { make, show, copy, csv } = globalThis.sierra;
+  const { make, show, copy, csv, plain } = globalThis.sierra;
   const token = location.hash.slice(1);
   const of = (id) => document.getElementById(id);
   const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
@@ -11,7 +11,7 @@
   const DEFAULTS = { center: "mean", band: "ci" };
   const EVERY = 5000;
   const PAUSE = 150;
-  const page = { batches: [], first: 0, found: 0, batch: null, together: new Map(), tables: {}, outputs: [], variables: [], state: "", asking: 0, drawing: 0, answering: 0, drawn: null, chosen: null };
+  const page = { batches: [], first: 0, found: 0, batch: null, together: new Map(), tables: {}, outputs: [], variables: [], state: "", asking: 0, choosing: 0, drawing: 0, answering: 0, drawn: null, chosen: null };
 
   async function ask(name, content = {}) {
     page.asking += name === "state" ? 0 : 1;
@@ -40,7 +40,7 @@
       const found = await work();
       return wanted() ? found : null;
     } catch (error) {
-      if (wanted()) place.textContent = error.message;
+      if (wanted()) place.textContent = plain(error.message);
       return null;
     }
   }
@@ -102,10 +102,11 @@
       return choose(shown.at(-1));
     }
     const next = Math.min(Math.max(at + by, 0), shown.length - 1);
-    if (shown[next]) choose(shown[next]);
+    if (shown[next]) choose(shown[next], PAUSE);
   }
 
-  async function choose(batch) {
+  // Show a batch. While a key is held down, the server is only asked about the batch at which it stays for a moment.
+  async function choose(batch, pause = 0) {
     page.batch = batch;
     markChosen();
     of("batch").hidden = false;
@@ -116,7 +117,10 @@
     of("figures").replaceChildren(document.createTextNode("Looking for figures …"));
     of("batch-notes").replaceChildren();
     of("videos").replaceChildren();
-    const wanted = () => page.batch === batch;
+    const mine = ++page.choosing;
+    const wanted = () => mine === page.choosing;
+    if (pause) await new Promise((done) => setTimeout(done, pause));
+    if (!wanted()) return;
     const [found, tables] = await Promise.all([
       guarded(of("batch-error"), () => ask("batch", { batch }), wanted),
       guarded(of("sql-error"), () => ask("tables", { batch }), wanted),
@@ -139,7 +143,7 @@
   function describe(one, executing) {
     const id = one.batch.slice(0, 10);
     page.query = one.query;
-    of("batch-title").textContent = one.query;
+    of("batch-title").textContent = plain(one.query);
     const running = executing ? `${executing} being executed now, ` : "";
     of("facts").textContent = `batch ${id}: ${one.experiments} experiments, ${one.runs} runs, ${running}${one.state}; sierra replay ${id}`;
     of("add").disabled = page.together.has(one.batch);
@@ -185,7 +189,7 @@
     of("told").hidden = false;
     of("alone").href = found.address;
     of("frame").src = found.address;
-    of("report-notes").textContent = found.notes.join("; ");
+    of("report-notes").textContent = plain(found.notes.join("; "));
     of("told").scrollIntoView();
   }
 
@@ -260,7 +264,8 @@
     }
   }
 
-  const quoted = (name) => (/^[a-z_][a-z0-9_]*$/i.test(name) ? name : `"${name.replaceAll('"', '""')}"`);
+  const inQuotes = (name) => `"${name.replaceAll('"', '""')}"`;
+  const quoted = (name) => (/^[a-z_][a-z0-9_]*$/i.test(name) ? name : inQuotes(name));
 
   function insert(text) {
     const area = of("statement");
@@ -275,7 +280,7 @@
   function choices(select, names, chosen, first) {
     select.replaceChildren();
     if (first !== undefined) make("option", select, { value: "" }, first);
-    for (const name of names) make("option", select, {}, name);
+    for (const name of names) make("option", select, { value: name }, name);
     select.value = names.includes(chosen) ? chosen : select.options[0]?.value ?? "";
   }
 
@@ -293,12 +298,19 @@
     for (const [name] of columns) make("option", of("columns"), {}, name);
   }
 
+  // The names in the field of columns: one name as the list proposes it, or several with commas, in quotes if they have some.
+  function columnsOf(text) {
+    if ((page.tables[form().table.value] ?? []).some(([name]) => name === text)) return [text];
+    const names = text.matchAll(/\s*(?:"((?:[^"]|"")*)"|([^,]+))\s*(?:,|$)/g);
+    return [...names].map(([, quoted, bare]) => quoted?.replaceAll('""', '"') ?? bare.trim()).filter(Boolean);
+  }
+
   function keysOfForm() {
     const field = form();
     const from = field.table.value ? { table: field.table.value } : { sql: of("statement").value };
     const keys = { ...kept(), ...(field.table.selectedIndex < 0 ? {} : from) };
     keys.kind = field.kind.value;
-    const columns = field.column.value.split(",").map((one) => one.trim()).filter(Boolean);
+    const columns = columnsOf(field.column.value);
     if (columns.length) keys.column = columns.length === 1 ? columns[0] : columns;
     for (const name of FIELDS) {
       if (field[name].value) keys[name] = field[name].value;
@@ -318,9 +330,9 @@
     field.name.value = name;
     field.table.selectedIndex = -1;  // a declared figure need not name its table
     if (keys.table) field.table.value = keys.table;
-    if (keys.sql) { field.table.value = ""; of("statement").value = keys.sql; }
+    if (keys.sql) { field.table.value = ""; of("statement").value = plain(keys.sql); }
     field.kind.value = keys.kind ?? "timeseries";
-    field.column.value = [].concat(keys.column ?? []).join(", ");
+    field.column.value = [].concat(keys.column ?? []).map((one) => (/[",]/.test(one) ? inQuotes(one) : one)).join(", ");
     for (const key of FIELDS) field[key].value = keys[key] === DEFAULTS[key] ? "" : keys[key] ?? "";
     field.log_y.checked = keys.log_y === true;
     listColumns();
@@ -334,8 +346,9 @@
     const place = of(others.length ? "together-error" : "chart-error");
     const found = await drawn(place, () => ask("chart", { batch, name, keys, others }));
     if (!found) return;
-    const more = Object.keys(page.chosen.kept).join(", ");
-    const also = more && ` The form does not show its keys ${more}.`;
+    const more = Object.keys(page.chosen.kept).map(plain).join(", ");
+    const changed = keys.sql && keys.sql !== plain(keys.sql) ? " Its statement has characters that are not printable: below they are blanks." : "";
+    const also = (more && ` The form does not show its keys ${more}.`) + changed;
     of("chart-of").textContent = `This chart shows ${others.length ? `${batches.length} batches` : `batch ${batch.slice(0, 10)}`}.${also}`;
   }
 
@@ -367,7 +380,7 @@
     of("drawn").innerHTML = found.section;
     for (const section of of("drawn").children) show(section, "chart");
     of("toml").textContent = found.toml;
-    of("command").textContent = found.command;
+    of("command").textContent = plain(found.command);
     of("declaration").hidden = false;
     of("written").textContent = "";
     say(`Drawn in ${((performance.now() - before) / 1000).toFixed(2)} s.`);
@@ -420,16 +433,36 @@
 
   // Completion of the word before the cursor by names of tables, of columns and of SQL.
 
+  const TOKENS = /^(?:[^"']+|"(?:[^"]|"")*"(?!")|'(?:[^']|'')*'(?!'))*/;
+
+  // The word before the cursor: a part of a name, or of a name in quotes with the first quote; none within a text.
+  function wordOf(before) {
+    const rest = before.replace(TOKENS, "");
+    if (rest) return rest.startsWith('"') ? rest : "";
+    return /[\p{L}\p{N}_]*$/u.exec(before)[0];
+  }
+
+  // All names with what they are: those of outputs come first.
+  function names() {
+    const found = new Map();
+    const tables = Object.entries(page.tables);
+    const parts = [tables.slice(0, page.outputs.length), tables.slice(page.outputs.length)];
+    for (const part of parts) {
+      for (const [table] of part) if (!found.has(table)) found.set(table, "table");
+      for (const [table, columns] of part) for (const [name] of columns) if (!found.has(name)) found.set(name, `column of ${table}`);
+    }
+    return [...found];
+  }
+
   function candidates(start) {
     const area = of("statement");
-    const word = /[\w]*$/.exec(area.value.slice(0, area.selectionStart))[0];
+    const word = wordOf(area.value.slice(0, area.selectionStart));
     if (!word || word.length < start) return { word, found: [] };
-    const low = word.toLowerCase();
-    const named = Object.keys(page.tables).map((name) => [quoted(name), "table"]);
-    const columns = new Map(Object.entries(page.tables).flatMap(([table, list]) => list.map(([name]) => [quoted(name), `column of ${table}`])));
-    const all = [...named, ...columns, ...WORDS.map((name) => [name, ""])];
-    const fits = all.filter(([name]) => name.toLowerCase().replace(/^"/, "").startsWith(low) && name.toLowerCase() !== low);
-    return { word, found: fits.slice(0, 12) };
+    const open = word.startsWith('"');
+    const low = (open ? word.slice(1).replaceAll('""', '"') : word).toLowerCase();
+    const all = [...names().map(([name, kind]) => [name, open ? inQuotes(name) : quoted(name), kind]), ...(open ? [] : WORDS.map((name) => [name, name, ""]))];
+    const fits = all.filter(([name]) => name.toLowerCase().startsWith(low) && (open || name.toLowerCase() !== low));
+    return { word, found: fits.slice(0, 12).map(([, text, kind]) => [text, kind]) };
   }
 
   function propose(start) {
@@ -455,7 +488,8 @@
 
   function accept(word, name) {
     const area = of("statement");
-    area.setRangeText(name, area.selectionStart - word.length, area.selectionStart, "end");
+    const closed = word.startsWith('"') && area.value[area.selectionStart] === '"';
+    area.setRangeText(name, area.selectionStart - word.length, area.selectionStart + Number(closed), "end");
     of("words").hidden = true;
     mark();
     area.focus();

@@ -6,13 +6,16 @@
   const number = (value) => (typeof value === "number" ? value : null);
   const shown = (value) => {
     if (typeof value === "number") return String(Number.isInteger(value) ? value : Number(value.toPrecision(6))).replaceAll("-", "−");
-    return value === null || value === undefined ? "–" : value;
+    return value === null || value === undefined ? "–" : plain(value);
   };
+
+  // A text as the server's html.escaping writes it: what is not printable, or reverses the text after it, becomes a blank.
+  const plain = (text) => String(text).replace(/(?![ \n])[\p{C}\p{Z}]/gu, " ");
 
   function make(name, parent, attributes = {}, text = "") {
     const element = document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    element.textContent = text;
+    element.textContent = plain(text);
     parent.append(element);
     return element;
   }
@@ -94,7 +97,7 @@
           x: { time: false, auto: false, min: this.whole[0], max: this.whole[1], range: (_, low, high) => [low, high], ...this.scale(x) },
           y: { ...(y.limits ? { range: y.limits } : {}), ...this.scale(y) },
         },
-        axes: [{ ...axis, label: x.label, ...this.ticks(x) }, { ...axis, label: y.label, size: (_, values) => 24 + 7 * Math.max(3, ...(values || []).map((value) => String(value ?? "").length)) }],
+        axes: [{ ...axis, label: plain(x.label), ...this.ticks(x) }, { ...axis, label: plain(y.label), size: (_, values) => 24 + 7 * Math.max(3, ...(values || []).map((value) => String(value ?? "").length)) }],
         series: [{}, ...lines],
         bands: form === "lines" ? this.series.map((one, k) => this.band(one, k)) : [],
         cursor: {
@@ -263,7 +266,7 @@
       this.index = index;
       const { x } = this.spec;
       const name = (at) => shown(x.names.length ? x.names[at] : at);
-      this.caption.textContent = x.column < 0 ? "" : `${x.label} = ${name(this.xs[index])}`;
+      this.caption.textContent = x.column < 0 ? "" : `${plain(x.label)} = ${name(this.xs[index])}`;
       this.said = this.series.map((one, k) => {
         const found = this.nearestRow(one, index);
         const facts = found ? found.facts : {};
@@ -272,7 +275,7 @@
         const interval = facts.low === null || facts.low === undefined ? "–" : `[${shown(facts.low)}, ${shown(facts.high)}]`;
         const texts = [shown(facts.center) + elsewhere, interval, shown(facts.n) + never];
         this.rows[k].cells.forEach((cell, place) => (cell.textContent = texts[place]));
-        return one.shown ? `${one.name} ${texts[0]}, interval ${interval}, n = ${texts[2]}` : "";
+        return one.shown ? `${plain(one.name)} ${texts[0]}, interval ${interval}, n = ${texts[2]}` : "";
       });
     }
 
@@ -395,6 +398,6 @@
       button.addEventListener("click", () => copy(csv(tables[Number(button.dataset.csv)]), button)));
   }
 
-  globalThis.sierra = { make, show, copy, csv };
+  globalThis.sierra = { make, show, copy, csv, plain };
   document.querySelectorAll("section").forEach((element, place) => show(element, `section ${place}`));
 })();
