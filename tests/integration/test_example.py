@@ -87,6 +87,13 @@ def test_figures_that_are_drawn_again_are_byte_identical(demo: tuple[Path, dict[
     assert {path: Path(path).read_bytes() for path in again} == before
 
 
+@pytest.mark.nightly
+def test_the_report_of_the_example_is_small(demo: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    folder, answer = demo
+    quick_("report", answer["batch"][:12], "--to", str(tmp_path / "report.html"), cwd=folder)
+    assert (tmp_path / "report.html").stat().st_size < 1_000_000
+
+
 def test_repeating_the_query_executes_no_runs(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = demo
     again = json.loads(quick_("run", "population_size=1,4", "--runs", "3", "--json", "--no-figures", cwd=folder))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -102,7 +104,9 @@ def write(root: Path, text: str) -> None:
     (root / "sierra.toml").write_text(CONFIG + text)
 
 
-def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path) -> None:
+def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("PIL.Image.Image.save", None)  # frames do not become files
+    monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.print_png", None)
     write(
         root,
         '[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\nexperiments = "population_size=1"\nlimits = [10, 14]\n'
@@ -442,3 +446,33 @@ def test_an_array_of_numpy_becomes_a_video(tmp_path: Path, ending: str, value: s
     (path,) = map(Path, json.loads(done.stdout)["files"])
     frames = videos.decoded(path)
     assert [videos.part(frame[100, 130]) for frame in frames] == pytest.approx([1 / 30, 11 / 30, 21 / 30], abs=0.04)
+
+
+MANY = """\
+import sys
+
+with open("floor.csv", "w") as file:
+    print("tick,i,j,heat", file=file)
+    for tick in range(int(sys.argv[2])):
+        for i in range(10):
+            print(*(f"{tick},{i},{j},{i * j + tick % 9}" for j in range(10)), sep="\\n", file=file)
+"""
+
+
+@pytest.mark.nightly
+def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
+    """All frames of the longer video would take 690 MB; a statement reads up to 200,000 rows of either."""
+    peaks = []
+    for frames in (300, 3000):
+        config = projects.CONFIG.replace("{input}", f"{{input}} {frames}")
+        config += (
+            '[outputs.floor]\nfile = "floor.csv"\ntime = "tick"\n[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\n'
+        )
+        root = projects.make(tmp_path / str(frames), f"{config}size = [320, 240]\n", simulator=MANY)
+        stores.ask(root, "population_size=1", runs=1)
+        process = subprocess.Popen([projects.SIERRA, "video", "-q"], cwd=root, stdout=subprocess.DEVNULL)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = status
+        assert status == 0
+        peaks.append(used.ru_maxrss / 1024)
+    assert peaks[1] < peaks[0] + 200, f"{peaks} MB"
