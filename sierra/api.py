@@ -1068,7 +1068,8 @@ class Project:
 
             return make.received(report.source(package))
 
-        return Server(Answers(source, self.store, writes=write), self.root.name, port)
+        title = package.path.name if package else self.root.name
+        return Server(Answers(source, self.store, writes=write), title, port)
 
     def videos(
         self,

@@ -276,6 +276,7 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
     with explored(tmp_path, package="one.zip") as url:
         browser.open(url)
         until(browser, DRAWN)
+        assert browser.run("document.querySelector('h1').textContent") == "one.zip"
         assert "population_size=1,2" in browser.run(TEXT.format("batch-title"))
         assert "6" in answered(browser, "SELECT count(*) FROM runs")
         video = "document.querySelector('#videos video')"
