@@ -185,23 +185,25 @@ def _check(drawings: Mapping[str, Drawing], word: Word) -> None:
     (one, first), *others = drawings.items()
     for target, other in others:
         for what, mine, theirs in (
-            ("columns", tuple(first.tables), tuple(other.tables)),
-            ("values", [(axis.name, axis.values) for axis in first.axes], [(axis.name, axis.values) for axis in other.axes]),
-            ("time column", first.time, other.time),
+            ("columns", ", ".join(first.tables), ", ".join(other.tables)),
+            ("values", _values(first), _values(other)),
+            ("time columns", first.time, other.time),
             ("units", _units(first), _units(other)),
         ):
             if mine != theirs:
                 both = f"{PLURALS[word]} {one!r} and {target!r}"
-                raise SierraError(f"{both} have different {what}: {_text(mine)} and {_text(theirs)}")
+                raise SierraError(f"{both} have different {what}: {mine or 'none'} and {theirs or 'none'}")
 
 
-def _units(drawing: Drawing) -> dict[str, str]:
-    """Return the units that the figure shows, by column."""
-    return {name: unit for name, unit in drawing.units.items() if name in (*drawing.tables, drawing.time) and unit}
+def _values(drawing: Drawing) -> str:
+    """Return the values of the variables."""
+    return "; ".join(f"{axis.name} = {', '.join(map(str, axis.values))}" for axis in drawing.axes)
 
 
-def _text(value: object) -> str:
-    return repr(value) if value else "none"
+def _units(drawing: Drawing) -> str:
+    """Return the units that the figure shows, with their columns."""
+    shown = (*drawing.tables, drawing.time)
+    return ", ".join(f"{name} in {unit}" for name, unit in drawing.units.items() if name in shown and unit)
 
 
 def _stacked(tables: Mapping[str, pa.Table], places: Mapping[str, int]) -> pa.Table:

@@ -204,3 +204,12 @@ def test_invalid_declarations_are_errors(tmp_path: Path, table: str, message: st
     done = projects.quick(root, "figures")
     assert done.returncode == 2
     assert message in done.stderr
+
+
+@pytest.mark.integration
+def test_figures_of_batches_with_different_values_say_which(drawn: tuple[Path, str, str], tmp_path: Path) -> None:
+    root, first = stores.copy(drawn[0], tmp_path / "project"), drawn[1]
+    other = sierra.open(root).run("population_size=1,2", "noise=0.1,0.5", runs=3, figures=False).batch
+    done = projects.quick(root, "figures", first, other, "swarm_coverage_summary")
+    values = "population_size = 1, 2, 4; noise = 0.1, 0.5 and population_size = 1, 2; noise = 0.1, 0.5"
+    assert (done.returncode, f"have different values: {values}" in done.stderr) == (1, True), done.stderr
