@@ -40,6 +40,7 @@ def test_columns_that_differ_between_experiments_have_figures_before_others(tmp_
     assert len(drawn) == 16
 
 
+@pytest.mark.integration
 def test_a_note_proposes_the_mean_of_what_was_measured_and_not_of_the_number_of_a_robot(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=BODIES)
     done = quick(folder, "run", "population_size=1", "--runs", "2")

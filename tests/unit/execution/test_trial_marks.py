@@ -22,6 +22,7 @@ def root(tmp_path: Path) -> Path:
     return root
 
 
+@pytest.mark.integration
 def test_an_invalid_trial_does_not_count_and_its_run_is_executed_again(root: Path) -> None:
     project = sierra.open(root)
     first = projects.sql(root, "SELECT run, execution FROM effective ORDER BY run")
@@ -57,6 +58,7 @@ def test_the_last_mark_counts_and_earlier_ones_stay(root: Path) -> None:
     assert projects.sql(root, "SELECT count(*) AS runs FROM effective") == [{"runs": 2}]
 
 
+@pytest.mark.integration
 def test_a_report_says_which_trials_count(root: Path) -> None:
     project = sierra.open(root)
     first, other = (row["execution"] for row in projects.sql(root, "SELECT execution FROM effective ORDER BY run"))

@@ -471,6 +471,7 @@ def test_lost_content_of_source_files_is_recorded_again_without_executing_runs(r
     assert set(content["sha256"].to_pylist()) <= set(again)
 
 
+@pytest.mark.integration
 def test_verdicts_of_a_lost_replay_are_removed_by_repair(root: Path) -> None:
     [folder] = [path.parent for path in root.glob(".sierra/segments/*/replays.parquet")]
     extend(folder / "replays.parquet")

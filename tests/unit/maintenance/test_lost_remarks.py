@@ -59,6 +59,7 @@ def test_an_invalid_trial_whose_remark_is_lost_does_not_count(
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 def test_a_repair_says_which_executions_have_lost_their_robots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robots.register(monkeypatch)
     root = robots.project(tmp_path / "p")

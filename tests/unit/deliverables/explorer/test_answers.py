@@ -92,6 +92,7 @@ def test_a_chart_of_a_statement_can_be_drawn_again(page: Page, recorded: Path) -
     assert first["section"] == again["section"]
 
 
+@pytest.mark.integration
 def test_several_batches_are_drawn_together_as_by_the_command(own: Path) -> None:
     first = ids(own)[0]
     second = sierra.open(own).run("population_size=1,2", sets=[("noise", "0.5")], figures=False).batch
@@ -130,6 +131,7 @@ def test_batches_that_do_not_go_together_are_refused(page: Page, recorded: Path,
     assert why in page.error("chart", batch=first, name="x", keys=question["keys"], others=others)
 
 
+@pytest.mark.integration
 def test_the_report_is_the_page_that_the_command_writes(page: Page, recorded: Path, tmp_path: Path) -> None:
     batch = ids(recorded)[0]
     address = page.ask("report", batch=batch)["address"]
@@ -146,6 +148,7 @@ def test_the_report_is_the_page_that_the_command_writes(page: Page, recorded: Pa
     assert page.send("GET", f"{address}x", X_Sierra_Token="")[0] == 404
 
 
+@pytest.mark.integration
 def test_videos_are_played_in_parts_and_only_as_they_were_recorded(own: Path) -> None:
     batch, project = ids(own)[0], sierra.open(own)
     film = own / "films" / "one.webm"
@@ -326,6 +329,7 @@ def limited(monkeypatch: pytest.MonkeyPatch) -> Limited:
     return found
 
 
+@pytest.mark.integration
 def test_a_project_cannot_raise_the_limits_of_the_explorer(tmp_path: Path, limited: Limited) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{HOSTILE}")
     batches = [stores.ask(root, "population_size=1,2", runs=2), stores.ask(root, "population_size=2,3", runs=2)]
@@ -339,6 +343,7 @@ def test_a_project_cannot_raise_the_limits_of_the_explorer(tmp_path: Path, limit
     assert {settings for _, [settings] in limited} == {("1.8 GiB", "0 bytes")}
 
 
+@pytest.mark.integration
 def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited: Limited) -> None:
     claim = '[claims.few]\nsays = "x"\npaper = "1"\nquery = "population_size=1,2"\nsql = "SELECT count(*) > 0 AS x FROM few"\n'
     figure = '[figures.few]\ntable = "few"\ncolumn = "coverage"\n[package]\ntitle = "T"\nlicense = "MIT"\n'
@@ -353,6 +358,7 @@ def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited
         limited.clear()
 
 
+@pytest.mark.integration
 def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + '\n[tables.few]\nsql = "SELECT run, tick FROM swarm"\n')
     batch = stores.ask(root, "population_size=1", runs=1)

@@ -408,6 +408,7 @@ def test_nothing_is_written_unless_the_user_allows_it(page: Page, recorded: Path
     assert (recorded / "sierra.toml").read_bytes() == before
 
 
+@pytest.mark.integration
 def test_new_records_are_seen(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project")
     stores.ask(root, "population_size=1", runs=1)

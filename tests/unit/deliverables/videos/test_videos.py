@@ -104,6 +104,7 @@ def write(root: Path, text: str) -> None:
     (root / "sierra.toml").write_text(CONFIG + text)
 
 
+@pytest.mark.integration
 def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("PIL.Image.Image.save", None)  # frames do not become files
     monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.print_png", None)

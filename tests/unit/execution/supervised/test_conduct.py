@@ -89,6 +89,7 @@ def execute(root: Path, script: Script | Agreeing, runs: int = 1) -> sierra.Summ
     return sierra.open(root).run("population_size=1,2", runs=runs, figures=False, supervisor=script)
 
 
+@pytest.mark.integration
 def test_an_invalid_trial_is_kept_and_repeated_at_the_end_of_its_block(root: Path) -> None:
     script = Script(FELL, VALID, VALID, VALID, VALID)
     summary = execute(root, script, runs=2)
@@ -145,6 +146,7 @@ class WhileAnotherAsks(Script):
         return super().verdict(trial, ended)
 
 
+@pytest.mark.integration
 def test_a_second_session_does_not_wait_for_trials_of_another_person(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(execute_missing, "ENDING_S", 0.0)
     summary = execute(root, WhileAnotherAsks(root, VALID, VALID))
@@ -184,6 +186,7 @@ def test_what_was_measured_is_kept_when_the_person_leaves(root: Path) -> None:
     assert [(row["position"], row["status"]) for row in projects.sql(root, ROWS)] == [(0, "ok"), (1, "invalid"), (2, "ok")]
 
 
+@pytest.mark.integration
 def test_skipped_runs_are_asked_for_the_next_time(root: Path) -> None:
     summary = execute(root, Script(Start.SKIP, VALID))
     assert (summary.executed, summary.missing, summary.interrupted) == (1, 1, False)
@@ -258,6 +261,7 @@ def test_without_a_supervisor_nothing_is_executed_but_finished_runs_are_reused(r
     assert project.run("population_size=1,2", runs=1, figures=False).reused == 2
 
 
+@pytest.mark.integration
 def test_a_trial_that_cannot_begin_is_tried_again_skipped_or_ends_the_session(root: Path, tmp_path: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG.replace("echo 1.2.3", f"cat {tmp_path}/version"))
     script = Script(Start.GO, Start.SKIP, Start.ABORT)

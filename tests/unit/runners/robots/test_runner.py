@@ -58,6 +58,7 @@ def is_alone(number: int) -> bool:
     return not worker.marked([b"SIERRA_EXECUTION=" + f"{number:064d}".encode()])
 
 
+@pytest.mark.integration
 def test_the_log_of_each_robot_is_kept_however_much_others_print(fleet: Fleet):
     [result] = fleet.run(job(1, "1", "loud", "2", "7", "3", "loud"))
     content, size = kept_of(f"{result.directory}/stdout")
@@ -69,6 +70,7 @@ def test_the_log_of_each_robot_is_kept_however_much_others_print(fleet: Fleet):
     assert text.endswith("x\n==> bob <==\nrobot 2\n"), "the log of the robot that has failed comes last"
 
 
+@pytest.mark.integration
 def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
     ada = RobotTable(host="ada", variables={"TZ": "Asia/Kathmandu"}, firmware=("echo", "1.4"))
     fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": ada}, "variables": {"TZ": "UTC"}})
@@ -114,6 +116,7 @@ def test_a_step_of_the_clock_of_this_machine_is_not_blamed_on_robots(
         assert row["clock_remark"] == moved
 
 
+@pytest.mark.integration
 def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
     workspace = tmp_path / "ws" / "install"
     workspace.mkdir(parents=True)
@@ -225,6 +228,7 @@ def test_no_robot_is_touched_if_this_machine_has_no_room_for_what_a_run_measures
     assert not any(link.pushed or list(link.home.iterdir()) for link in fleet.links.values())
 
 
+@pytest.mark.integration
 def test_a_failed_program_stops_the_others(fleet: Fleet):
     [result] = fleet.run(job(1, "1", "sleep", "2", "7", "3", "sleep"))
     assert result.exit_code == 7
@@ -236,6 +240,7 @@ def test_a_failed_program_stops_the_others(fleet: Fleet):
     assert is_alone(1)
 
 
+@pytest.mark.integration
 def test_the_end_of_the_base_station_ends_the_run(fleet: Fleet):
     fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": RobotTable(host="ada", group="base")}})
     [result] = fleet.run(job(1, "0", "0", "1", "sleep", "2", "sleep", robots=2, base=True))
@@ -244,6 +249,7 @@ def test_the_end_of_the_base_station_ends_the_run(fleet: Fleet):
     assert fleet.rows_by_place[1]["reason"] == "the run is over"
 
 
+@pytest.mark.integration
 def test_programs_get_the_known_addresses_of_all_robots_of_their_run(fleet: Fleet):
     own = {"ada": RobotTable(host="ada", group="base", address="10.0.0.1"), "bob": RobotTable(host="bob", address="10.0.0.2")}
     fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, **own}})
@@ -402,6 +408,7 @@ def test_a_run_that_is_held_back_begins_soon_after_the_word(fleet: Fleet):
     assert 0 < min(row["started"].timestamp() for row in fleet.rows_by_place.values()) - said < 2.0
 
 
+@pytest.mark.integration
 def test_a_start_that_a_robot_does_not_confirm_in_time_is_tried_again(fleet: Fleet, monkeypatch: pytest.MonkeyPatch):
     fleet.table = fleet.table.model_copy(update={"lease": 30.0})
     send, starts = LocalChannel.send, 0
