@@ -20,7 +20,7 @@ Reading = Tuple[int, int]
 
 
 class Course(NamedTuple):
-    """How far a wall clock was from an even course, in ns."""
+    """The distance of a wall clock from an even course, in ns."""
 
     uneven: int
     """Its largest distance from the straight line between the first and the last reading."""

@@ -70,7 +70,7 @@ class Part:
     clock: Clock | None = None
     clock_after: Clock | None = None
     course: Course | None = None
-    """How even its clock was between both measurements; None if it was measured once."""
+    """The course of its clock between both measurements; None if it was measured once."""
     armed: bool = False
     """True if its agent may have the run."""
     started: bool = False
@@ -136,7 +136,7 @@ class Trial:
         self.waits = False
         """True while all robots are armed, and the run may not begin."""
         self.course: Course | None = None
-        """How even the clock of this host was between the measurements of the robots' clocks; None before the last ones."""
+        """The course of this host's clock between the measurements of the robots' clocks; None before the last ones."""
         self.table = table
         self._events = events
         self._stopping = stopping

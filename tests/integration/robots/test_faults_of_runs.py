@@ -45,12 +45,12 @@ class Fault:
     said: str
     statement: str
     rows: list[tuple[Any, ...]]
-    """What the statement returns, which tells of the first run."""
+    """The answer to the statement, which tells of the first run."""
     mend: Callable[[Fleet], object] = Fleet.heal
     options: str = ""
     """More options of the runner."""
     first: Callable[[Fleet], object] = bool
-    """What is so before the driver starts."""
+    """The state before the driver starts."""
 
 
 def unusable(happen: Callable[[Fleet], object], said: str, step: str = "run 1") -> Fault:

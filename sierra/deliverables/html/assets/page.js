@@ -9,7 +9,8 @@
     return value === null || value === undefined ? "–" : plain(value);
   };
 
-  // A text as the server's html.escaping writes it: what is not printable, or reverses the text after it, becomes a blank.
+  // A text in which each character that is not printable, or that reverses the text after it, is a blank. The server's
+  // html.escaping is milder: it shows escapes of those that control, and keeps all others, such as joiners.
   const plain = (text) => String(text).replace(/(?![ \n])[\p{C}\p{Z}]/gu, " ");
 
   function make(name, parent, attributes = {}, text = "") {
