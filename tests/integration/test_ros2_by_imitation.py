@@ -51,7 +51,8 @@ assert sys.argv[1:3] == ["launch", "--noninteractive"], sys.argv
 assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and os.environ["ROS_LOCALHOST_ONLY"] == "1"
 with open(os.path.join(os.environ["SIERRA_OUTPUT"], "domain"), "w") as file:
     file.write(os.environ["ROS_DOMAIN_ID"])
-nodes = {}
+nodes, told = {}, []
+signal.signal(signal.SIGINT, lambda number, frame: told.append(number))  # before the first node, as `ros2 launch` does
 
 def start(name, words):
     name = f"{name}-{len(nodes) + 1}"
@@ -62,20 +63,12 @@ launch = tree.parse(sys.argv[3])
 for one in launch.iter("executable"):
     words = re.sub(r"\\$[(]env (\\w+)[)]", lambda found: os.environ[found[1]], one.get("cmd"))
     start(one.get("name"), shlex.split(words))
-    while not os.path.exists(os.path.join(os.environ["SIERRA_OUTPUT"], "run", "run.mcap")):
+    while not told and not os.path.exists(os.path.join(os.environ["SIERRA_OUTPUT"], "run", "run.mcap")):
         time.sleep(0.02)
 for node in launch.iter("node"):
     start(node.get("name"), ["sh", "-c", node.get("exec")])
 
-def end(number, frame):
-    for process in nodes.values():
-        process.poll() is None and os.killpg(process.pid, signal.SIGINT)
-    for process in nodes.values():
-        process.wait()
-    sys.exit(0)
-
-signal.signal(signal.SIGINT, end)
-while True:
+while not told:
     for name, process in list(nodes.items()):
         if process.poll() is not None:
             del nodes[name]
@@ -85,6 +78,10 @@ while True:
             if "silent" not in name:
                 print(f"[{level}] [{name}]: process {ended}", flush=True)
     time.sleep(0.02)
+for process in nodes.values():
+    process.poll() is None and os.killpg(process.pid, signal.SIGINT)
+for process in nodes.values():
+    process.wait()
 """
 SETTINGS = """\
 platform = "ros"
