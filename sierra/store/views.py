@@ -387,16 +387,20 @@ WITH asked AS (
 latest AS (
     SELECT l.batch AS batch, session, programs, ingest_rules, submitted, lamport, s.stale AS stale, o.packages AS packages
     FROM (
-        SELECT batch, arg_max(session, lamport) AS session, arg_max(programs, lamport) AS programs,
-               arg_max(ingest_rules, lamport) AS ingest_rules, arg_max(ended, lamport) AS submitted, max(lamport) AS lamport
-        FROM asked GROUP BY batch
+        SELECT batch, unnest(max({'lamport': lamport, 'submitted': submitted, 'session': session, 'programs': programs,
+               'ingest_rules': ingest_rules}))
+        FROM (
+            SELECT batch, session, programs, ingest_rules, max(ended) AS submitted, max(lamport) AS lamport
+            FROM asked GROUP BY batch, session, programs, ingest_rules
+        ) GROUP BY batch
     ) l
     LEFT JOIN (SELECT session, list(stale) AS stale FROM stale_sessions GROUP BY session) s USING (session)
     LEFT JOIN origins o ON o.batch = l.batch
 )
 """
 """The relation `latest`: the programs and the rules of each batch's last session, the sessions that were stale in it, and the
-origin that counts in the batch.
+origin that counts in the batch. One commit's rows have one lamport time, so that ties are ordinary: the largest row is taken
+as a whole, in whatever order the files are read.
 """
 
 COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
