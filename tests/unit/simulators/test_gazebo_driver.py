@@ -13,7 +13,7 @@ import pytest
 
 import sierra.simulators
 from tests.simulators import STAND_IN
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 DRIVERS = Path(sierra.simulators.__file__).parent / "drivers"
 WORLD = """\
@@ -35,6 +35,10 @@ STATS = bytes.fromhex("1204080110001a0908d6441080c6868f0122040800100028013064")
 """The message WorldStatistics of the same Gazebo after 100 steps."""
 
 
+BRIEF = ("deaf", "hangs", "loses")
+"""Faults of the stand-in for which the driver waits as long as it is told to."""
+
+
 def start(folder: Path, faults: str = "", seed: int = 3, **variables: str) -> subprocess.Popen[str]:
     folder.mkdir(exist_ok=True)
     (folder / "arena.world").write_text(WORLD)
@@ -44,7 +48,13 @@ def start(folder: Path, faults: str = "", seed: int = 3, **variables: str) -> su
     return subprocess.Popen(
         [*words, *times],
         cwd=folder / "output",
-        env={**os.environ, "STAND_IN": faults, "GAZEBO_DRIVER_PATIENCE": "3", "HOME": str(folder), **variables},
+        env={
+            **os.environ,
+            "STAND_IN": faults,
+            "GAZEBO_DRIVER_PATIENCE": "3" if faults in BRIEF else str(PATIENCE_S),
+            "HOME": str(folder),
+            **variables,
+        },
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -53,7 +63,7 @@ def start(folder: Path, faults: str = "", seed: int = 3, **variables: str) -> su
 
 def end(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str, list[dict[str, str]]]:
     """Return the exit status of a driver, its errors, and the rows of its table."""
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=2 * PATIENCE_S)
     table = folder / "output" / "poses.csv"
     rows = list(csv.DictReader(table.read_text().splitlines())) if table.exists() else []
     assert not [path.name for path in folder.rglob("*") if path.suffix in (".unfinished", ".pyc")]
@@ -108,7 +118,7 @@ def test_a_driver_that_is_ended_ends_gzserver(tmp_path: Path) -> None:
     assert process.stdout.readline() == "gazebo 11.1\n"
     [server] = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
     process.send_signal(signal.SIGTERM)
-    assert "the run was ended by SIGTERM" in process.communicate(timeout=30)[1]
+    assert "the run was ended by SIGTERM" in process.communicate(timeout=PATIENCE_S)[1]
     until(lambda: not Path(f"/proc/{server}").exists())
 
 
