@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sierra.containers import held_start
 from sierra.model import Result
+from tests.waiting import PATIENCE_S
 
 
 def result(status: int) -> Result:
@@ -39,7 +40,7 @@ def test_the_shell_of_this_machine_becomes_the_program_at_a_line_and_ends_withou
     for text, said in (("\n", "A=x y\n"), ("", "")):
         with subprocess.Popen(argv, env={"A": "x y"}, stdout=subprocess.PIPE, text=True) as process:
             pipe.write_text(text)
-            assert process.communicate(timeout=10)[0] == said
+            assert process.communicate(timeout=PATIENCE_S)[0] == said
         assert (process.returncode == 0) == bool(text)
 
 

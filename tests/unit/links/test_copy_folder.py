@@ -17,6 +17,7 @@ import pytest
 from sierra.errors import Missing
 from sierra.links import copy_folder, remote_folder
 from sierra.links.commands import Exchange
+from tests.waiting import PATIENCE_S
 
 
 class Answers:
@@ -112,7 +113,9 @@ def test_the_part_on_the_host_removes_what_it_wrote_when_it_is_cut_off(tmp_path:
     for sent in (b"al", b""):
         argv = copy_folder.program("push", sys.executable)
         with Popen(argv, stdin=PIPE, stdout=PIPE, env={"HOME": str(home)}) as process:
-            out, _ = process.communicate(f"{source}\n{json.dumps(['deep/target', [entry]])}\n".encode() + sent, timeout=20)
+            out, _ = process.communicate(
+                f"{source}\n{json.dumps(['deep/target', [entry]])}\n".encode() + sent, timeout=PATIENCE_S
+            )
         assert b"the connection ended" in out
         assert list((home / "deep").iterdir()) == []
 
@@ -122,7 +125,7 @@ def asked(home: Path, *words: str) -> bytes:
     argv = copy_folder.program("pull", sys.executable)
     source = json.dumps(Path(remote_folder.__file__).read_text())
     with Popen(argv, stdin=PIPE, stdout=PIPE, env={"HOME": str(home)}) as process:
-        return process.communicate(f"{source}\n{json.dumps(words)}\n".encode(), timeout=20)[0]
+        return process.communicate(f"{source}\n{json.dumps(words)}\n".encode(), timeout=PATIENCE_S)[0]
 
 
 def test_a_host_reads_files_once_unless_they_are_young_and_says_which_it_cannot_send(tmp_path: Path) -> None:
@@ -139,7 +142,8 @@ def test_a_host_reads_files_once_unless_they_are_young_and_says_which_it_cannot_
     assert [entry[2] for entry in compared] == [*digests, "b"]
 
 
-def test_a_file_that_changes_while_it_is_sent_is_noticed(tmp_path: Path) -> None:
+def test_a_file_that_changes_while_it_is_sent_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote_folder, "YOUNG_S", PATIENCE_S)
     file = tmp_path / "file"
     file.write_bytes(b"before")
 

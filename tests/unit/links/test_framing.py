@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sierra.links.framing import Unframed, line, new_mark
+from tests.waiting import PATIENCE_S
 
 MARK = new_mark().encode()
 PARTS = st.sampled_from([b"", b"a\n", MARK[:9], MARK[:-1], MARK, b":", b".", b"\0\xff"])
@@ -34,10 +35,10 @@ def test_a_shell_executes_the_command_as_it_is_within_its_time_limit(shell: str)
         (["printf", "<%s>", *words], None, 0, "".join(f"<{word}>" for word in words)),
         (["sh", "-c", "kill -9 $$"], None, 137, ""),
         (["nonexistent"], None, 127, ""),
-        (["sleep", "20"], -0.9, 124, ""),
+        (["sleep", "1000"], -0.9, 124, ""),
     ):
         command = f"echo noise; echo noise >&2; {line(argv, mark, limit)}"
-        done = subprocess.run([shell, "-c", command], capture_output=True, timeout=10, check=False)
+        done = subprocess.run([shell, "-c", command], capture_output=True, timeout=PATIENCE_S, check=False)
         outputs = Unframed(mark), Unframed(mark)
         assert outputs[0].feed(done.stdout).decode() == out
         outputs[1].feed(done.stderr)
@@ -47,7 +48,7 @@ def test_a_shell_executes_the_command_as_it_is_within_its_time_limit(shell: str)
 def test_a_command_without_input_does_not_wait_for_its_end() -> None:
     command = line(["cat"], MARK.decode(), alone=True)
     with subprocess.Popen(["sh", "-c", command], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as shell:
-        assert shell.wait(10) == 0
+        assert shell.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.parametrize("end", [b"x\n", b"\n", b"9" * 5000])

@@ -13,6 +13,7 @@ from sierra.runners.robots import agent_messages
 from sierra.runners.robots.agent_link import AgentLink
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
+from tests.waiting import PATIENCE_S
 
 FILE = {"path": "a\udcff.csv", "sha256": "0" * 64, "bytes": 1, "lines": 1, "ended": True, "head": "t", "quotes": None}
 END = {
@@ -105,5 +106,5 @@ def test_an_agent_that_sends_something_else_is_given_up(line: str, monkeypatch: 
     monkeypatch.setattr(LocalLink, "channel", lambda self, argv: Channel('{"event": "beat"}', line))
     agent = AgentLink("ada", LocalLink.__new__(LocalLink), 1.0, events)
     agent.start(("agent",))
-    assert events.get(timeout=10) == ("ada", {"event": "lost", "reason": "its agent sends what is not in the protocol"})
+    assert events.get(timeout=PATIENCE_S) == ("ada", {"event": "lost", "reason": "its agent sends what is not in the protocol"})
     agent.close()

@@ -29,7 +29,7 @@ from sierra.worker import worker
 from tests.pythons import python_of
 from tests.support.local_link import LocalChannel, LocalLink, ProcessLink
 from tests.support.robot_runs import GO, Runs, job
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 NAMES = ("ada", "bob", "cy")
 
@@ -379,11 +379,13 @@ def test_two_drivers_cannot_use_one_robot(fleet: Fleet, tmp_path: Path):
 
 def test_two_names_of_one_host_are_refused_at_once(tmp_path: Path):
     ada, bob = (LocalLink(name, tmp_path / name) for name in NAMES[:2])
-    fleet = Fleet(tmp_path, {"ada": ada, "bob": bob, "alias": LocalLink("alias", tmp_path / "alias", ada.lock)}, lease=10.0)
+    fleet = Fleet(
+        tmp_path, {"ada": ada, "bob": bob, "alias": LocalLink("alias", tmp_path / "alias", ada.lock)}, lease=PATIENCE_S
+    )
     began = time.monotonic()
     with pytest.raises(Missing, match=r"^(ada: is the same host as alias|alias: is the same host as ada); each robot needs"):
         fleet.run(job(1))
-    assert time.monotonic() - began < 10
+    assert time.monotonic() - began < PATIENCE_S
     assert not fleet.begun()
 
 
@@ -392,7 +394,7 @@ def hold(fleet: Fleet) -> Robots:
     runner = Robots(1, fleet.table, fleet.make_link)
     runner.hold()
     fleet.start(runner, job(1))
-    until(lambda: fleet.take(runner).ready, "all robots are ready", 30)
+    until(lambda: fleet.take(runner).ready, "all robots are ready")
     return runner
 
 
@@ -432,7 +434,7 @@ def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
     assert fleet.follow(runner) == []
     assert fleet.rows == []
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
-    until(lambda: is_alone(1), "all are disarmed", 10)
+    until(lambda: is_alone(1), "all are disarmed")
 
 
 @pytest.mark.parametrize("fault", [LocalLink.kill, pytest.param(LocalLink.stall, marks=pytest.mark.integration)])
@@ -442,7 +444,7 @@ def test_a_robot_that_is_lost_while_a_run_is_held_back_is_told_at_once(fleet: Fl
     with pytest.raises(Missing, match=r"^bob: was ready, but cannot start any more: (its agent has ended|no answer for 2)"):
         fleet.follow(runner)
     assert not fleet.begun()
-    until(lambda: is_alone(1), "all are disarmed", 10)
+    until(lambda: is_alone(1), "all are disarmed")
 
 
 @pytest.mark.parametrize(
