@@ -127,7 +127,8 @@ def test_the_program_writes_small_files_into_a_temporary_folder(tmp_path: Path, 
     folder, homes = (tmp_path / "where").read_text().splitlines()
     assert homes == f"{folder} {folder}"
     assert not Path(folder).exists()
-    said(script(f"sleep 0.1; head -c 100000000 /dev/zero > {tmp_path}/large"))
+    limited = "until [ $(ulimit -f) != unlimited ]; do sleep 0.01; done"  # set just after the program has begun
+    said(script(f"{limited}; head -c 100000000 /dev/zero > {tmp_path}/large"))
     assert (tmp_path / "large").stat().st_size <= 1 << 20
 
 
