@@ -8,12 +8,12 @@ from collections.abc import Callable
 TRIES = 3
 
 
-def effort(call: Callable[[], object]) -> float:
-    """Return the computing time of a call in units; one takes about 0.05 s, and more if the machine is slow or busy.
+def is_cheap(call: Callable[[], object], units: float) -> bool:
+    """Return whether the computing time of a call is below some units; one takes about 0.05 s, more on a slow or busy machine.
 
-    Return the minimum of several measurements: other processes only increase the time.
+    One of several measurements is enough: other processes only increase the time.
     """
-    return min(_seconds(call) / _seconds(_unit) for _ in range(TRIES))
+    return any(_seconds(call) < units * _seconds(_unit) for _ in range(TRIES))
 
 
 def _seconds(call: Callable[[], object]) -> float:

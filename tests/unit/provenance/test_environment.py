@@ -49,9 +49,9 @@ def test_two_sessions_record_the_same_environment_even_if_the_machine_is_busy() 
 
 def test_capturing_the_environment_starts_no_process_and_is_fast() -> None:
     asked = (
-        "import sys; from sierra.provenance import environment; from tests.effort import effort; told = []; "
+        "import sys; from sierra.provenance import environment; from tests.effort import is_cheap; told = []; "
         "sys.addaudithook(lambda event, _: event in ('subprocess.Popen', 'os.fork', 'os.posix_spawn') and told.append(event)); "
-        "print(effort(lambda: environment.capture('1')) < 4, told)"
+        "print(is_cheap(lambda: environment.capture('1'), 4), told)"
     )
     root = Path(projects.__file__).parents[1]
     said = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True, cwd=root).stdout

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sierra.errors import QueryError
 from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, VariableDensity
 from sierra.query import grammar, ranges
-from tests.effort import effort
+from tests.effort import is_cheap
 
 NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,12}", fullmatch=True).filter(lambda name: name != "montecarlo")
 WHOLES = st.integers(-ranges.LARGEST, ranges.LARGEST)
@@ -188,7 +188,7 @@ def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
         with pytest.raises(QueryError):
             grammar.parse(text)
 
-    assert effort(refused) < 40
+    assert is_cheap(refused, 40)
 
 
 # Refused criteria

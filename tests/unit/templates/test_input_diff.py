@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from sierra.templates.input_diff import Spot, differing
-from tests.effort import effort
+from tests.effort import is_cheap
 
 
 def told(before: str, after: str) -> list[tuple[str, str, str | None, str | None]]:
@@ -61,7 +61,7 @@ def test_comparing_large_files_that_differ_everywhere_is_fast() -> None:
     boxes = [[f'<box><body position="{n * k}"/></box>' for n in range(1, 3000)] for k in (1, 2)]
     texts = [f"<a>{''.join(each)}</a>" for each in boxes]
     assert len(told(*texts)) > 1000
-    assert effort(lambda: told(*texts)) < 40
+    assert is_cheap(lambda: told(*texts), 40)
 
 
 ELEMENTS = st.recursive(

@@ -11,7 +11,7 @@ from sierra import templates
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.testing import templates as conformance
-from tests.effort import effort
+from tests.effort import is_cheap
 from tests.trees import SAMPLES, TEXT_PLACES, make, rendered
 
 
@@ -168,4 +168,4 @@ def test_the_time_for_hostile_files_is_in_proportion(format: str, text: str) -> 
         with contextlib.suppress(TemplateError):
             make(format, text).changed((), {}).render()
 
-    assert effort(read) < 60
+    assert is_cheap(read, 60)
