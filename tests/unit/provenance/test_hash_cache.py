@@ -13,6 +13,7 @@ from sierra.errors import Missing
 from sierra.provenance import hash_cache
 from sierra.provenance.hash_cache import HashCache
 from sierra.util.hashing import sealed, unsealed
+from tests.waiting import PATIENCE_S
 
 LARGE = b"x" * (1 << 17)
 
@@ -51,7 +52,10 @@ def test_an_unchanged_file_is_hashed_once_and_again_when_it_changes(tmp_path: Pa
     assert hashed(path) == hashlib.sha256(LARGE[:-1] + b"y").hexdigest()
 
 
-def test_hashes_of_files_that_were_just_changed_are_not_cached(tmp_path: Path, cache: Path) -> None:
+def test_hashes_of_files_that_were_just_changed_are_not_cached(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hash_cache, "RACY_NS", PATIENCE_S * 1e9)
     (tmp_path / "file").write_bytes(LARGE)
     hashed(tmp_path / "file")
     assert not cache.exists()
