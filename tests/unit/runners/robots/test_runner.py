@@ -101,7 +101,7 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
 def test_a_step_of_the_clock_of_this_machine_is_not_blamed_on_robots(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch, limit: float | None
 ):
-    fleet.table = fleet.table.model_copy(update={"clock_drift": limit})
+    fleet.table = fleet.table.model_copy(update={"clock_drift": limit, "lease": PATIENCE_S})
     runner = fleet.submit(job(1))
     fleet.all_begun()
     wall = time.time_ns
@@ -145,6 +145,7 @@ def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
 def test_the_runner_passes_its_conformance_suite(fleet: Fleet, tmp_path: Path):
     folder = tmp_path / "suite"
     folder.mkdir()
+    fleet.table = fleet.table.model_copy(update={"lease": PATIENCE_S})
     conformance.check(lambda: Robots(1, fleet.table, fleet.make_link), folder)
 
 
@@ -429,6 +430,7 @@ def test_a_start_that_a_robot_does_not_confirm_in_time_is_tried_again(fleet: Fle
 
 
 def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
+    fleet.table = fleet.table.model_copy(update={"lease": PATIENCE_S})
     runner = hold(fleet)
     runner.stop()
     assert fleet.follow(runner) == []
