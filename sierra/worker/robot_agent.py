@@ -163,10 +163,10 @@ class Run:
         write_whole(os.path.join(folder, PROCESS), {**known, "who": order.get("who")})
         self.tell_worker({"folder": folder}, {**self.job, "waits": True})
 
-    def begin(self, moment: float) -> None:
-        """Let the worker start the program at this moment of the monotonic clock."""
+    def begin(self, moment: float, wall: float) -> None:
+        """Let the worker start the program at this moment of the monotonic clock, which is this one of the wall clock."""
         self.gated = True
-        self.tell_worker({"begin": moment}, {"end": True})
+        self.tell_worker({"begin": moment, "wall": wall}, {"end": True})
 
     def tell_worker(self, *records: Record) -> None:
         try:
@@ -620,7 +620,7 @@ class Agent:
         if not 0 <= wait <= SOON_S:
             run.end("late")
             return {"event": "late", "by": -wait}
-        run.begin(time.monotonic() + wait)
+        run.begin(time.monotonic() + wait, request["at"] / 1e9)
         return {"event": "gated"}
 
     def stop(self, request: Record) -> Record | None:

@@ -27,8 +27,9 @@ stderr then gives the reason.
 If the disk has no space when a run has ended, no `end` is written for it, whatever its exit status (the run may have failed for
 that reason, or may not have noticed), and the worker cannot continue.
 
-`started` is the clock's time just before the program was started. `ended` is `started` plus the elapsed time by a monotonic
-clock, so that changes to the system clock have no effect: no run has a negative duration, or a duration below its CPU time.
+`started` is the clock's time just before the program was started. For a run that waited for its moment, it is the wall-clock
+time of that moment plus the elapsed time by a monotonic clock. `ended` is `started` plus the elapsed time. So changes to the
+system clock have no effect: no run has a negative duration, or a duration below its CPU time.
 
 A job of a cluster may use the devices that its scheduler has allotted. In an environment (and in a client's argv), the
 character \\1 followed by a name from DEVICES stands for the value of the worker's variable of that name, or for nothing if
@@ -794,6 +795,7 @@ class Worker:
         self.services: SharedServices | None = None
         self.starting_services = threading.Lock()
         self.begin: float | None = None
+        self.wall = 0.0
         self.trusts = True  # that a tracer works which has worked before
 
     def work(self, stream: TextIO) -> bool:
@@ -818,13 +820,14 @@ class Worker:
     def read(self, stream: TextIO) -> None:
         """Put the jobs into the queue, until the line that ends them.
 
-        The line `{"begin": SECONDS}` gives the moment, by the monotonic clock, for a job that waits for it.
+        The line `{"begin": SECONDS, "wall": SECONDS}` gives the moment for a job that waits for it, by the monotonic clock
+        and by the wall clock.
         """
         try:
             for line in stream:
                 job = json.loads(line)
                 if "begin" in job:
-                    self.begin = job["begin"]
+                    self.wall, self.begin = job["wall"], job["begin"]
                     continue
                 if job.get("end"):
                     for _ in range(self.slots):
@@ -935,7 +938,7 @@ class Worker:
         if job.get("waits") and not self.await_moment(job, held):
             remove(folder)
             return
-        began, started = time.time(), time.monotonic()
+        began, started = self.now()
         try:
             process = held.begin() if held else start(job, folder, observation, services)
         except (OSError, ValueError) as error:
@@ -1013,6 +1016,14 @@ class Worker:
             if held and not come:
                 held.end()
         return come
+
+    def now(self) -> tuple[float, float]:
+        """Return the time by the wall clock and by the monotonic clock.
+
+        The wall clock may be set after a run has got its moment. So its time is that of the moment plus the elapsed time.
+        """
+        now = time.monotonic()
+        return time.time() if self.begin is None else self.wall + now - self.begin, now
 
     def has_time_come(self, held: Held | None) -> bool:
         while not self.stopping:

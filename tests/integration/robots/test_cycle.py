@@ -299,7 +299,25 @@ def test_a_step_of_the_clock_is_a_remark_or_a_failure(runs: Runs, fleet: Fleet, 
     assert runs.rows_by_place[2]["clock_remark"] in runs.rows_by_place[2]["reason"]
     assert runs.rows_by_place[1]["clock_remark"] is None
     assert any(note.startswith("rb2: its wall clock has moved by -25") for note in runs.notes)
+    took = {place: row["ended"] - row["started"] for place, row in runs.rows_by_place.items()}
+    assert abs(took[2] - took[1]).total_seconds() < 10, "a step in the middle changes no times"
     assert result.ended > result.started
+
+
+def test_a_clock_that_is_set_after_the_start_was_confirmed_changes_no_times(
+    runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+):
+    fleet.set_clock("rb2", 5)
+    monkeypatch.setattr("sierra.runners.robots.trial.LEAD_S", 1.0)
+    monkeypatch.setattr(Trial, "_supervise", after(Trial._supervise, lambda: fleet.set_clock("rb2", -20)))
+    began = time.time()
+    [result] = runs.run(job(1))
+    assert result.error is None
+    first, second = (runs.rows_by_place[place] for place in (1, 2))
+    assert second["clock_remark"].startswith("its wall clock has moved by -25")
+    assert began < second["started"].timestamp() < second["ended"].timestamp() < time.time()
+    assert 0 <= second["start_skew_ns"] < first["start_skew_ns"] + 10e9
+    assert began < result.started < result.ended < time.time()
 
 
 def test_programs_that_ignore_sigterm_write_much_and_fork_for_ever_are_ended(runs: Runs, fleet: Fleet):
