@@ -180,7 +180,8 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     column = identifier(name)
 
     def seen(kind: str, what: str) -> int:
-        return int(fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")[0][0])
+        found = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")[0][0]
+        return int(found or 0)  # NULL if there are no rows
 
     def has_values(kind: str) -> bool:
         return kind != EMPTY and bool(seen(kind, f"count({column}) > 0"))

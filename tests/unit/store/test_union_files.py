@@ -167,6 +167,14 @@ def test_rows_that_are_filtered_out_do_not_decide_the_type(
     assert dict(found.types) == {"v": "VARCHAR", "place": "BIGINT"}
 
 
+@pytest.mark.parametrize("where", ["place <> 0", "place > 1"])
+def test_whole_numbers_that_are_filtered_out_leave_the_fractions(
+    merged: Callable[..., tuple[Relation, list[tuple[Any, ...]]]], where: str
+) -> None:
+    found, _ = merged(pa.array([GREAT]), pa.array([0.5]), where=where)
+    assert dict(found.types) == {"v": "DOUBLE", "place": "BIGINT"}
+
+
 def test_columns_that_collide_in_case_or_with_text_columns_are_distinguished(tmp_path: Path) -> None:
     files = [str(tmp_path / name) for name in ("a.parquet", "b.parquet")]
     pq.write_table(pa.table({"v": [1], "V_TEXT": ["mine"]}), files[0])
