@@ -147,7 +147,11 @@ def _check_size(drawing: Drawing) -> None:
     tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else []), *drawing.rows.values()]
     columns = [numpy_of(column) for table in tables for column in table.columns]
     numbers = [np.abs(column[np.isfinite(column)]) for column in columns if column.dtype.kind == "f"]
-    largest = max((float(column.max(initial=0.0)) for column in numbers), default=0.0)
+    check_magnitude(max((float(column.max(initial=0.0)) for column in numbers), default=0.0))
+
+
+def check_magnitude(largest: float) -> None:
+    """Raise SierraError if the axes of this largest number, without its sign, would overflow."""
     if largest > LARGEST:
         raise SierraError(f"{largest:.3g} is too large to be drawn; let runs write it in a larger unit")
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from sierra.config.video_table import Video
+from sierra.deliverables.figures.drawing import check_magnitude
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos.films import Film
 from sierra.deliverables.videos.networks import Networks
@@ -231,9 +232,10 @@ def _labelled(name: str, unit: str) -> str:
 
 
 def _ends(values: Range) -> tuple[float, float]:
-    """Return the ends of a scale, which are different numbers. Raises SierraError if there is no value."""
+    """Return the ends of a scale, which are different numbers. Raises SierraError if there is no value, or one too large."""
     if not values.found:
         raise SierraError("there is no finite value to show")
+    check_magnitude(max(abs(values.low), abs(values.high)))
     if values.low < values.high:
         return values.low, values.high
     around = abs(values.low) * 0.1 + 1e-12

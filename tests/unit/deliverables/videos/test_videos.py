@@ -286,6 +286,12 @@ def test_what_cannot_be_shown_is_an_error_in_one_line(root: Path, keys: dict[str
     assert "\n" not in str(caught.value)
 
 
+def test_values_too_large_for_a_scale_are_refused(root: Path) -> None:
+    keys = {"table": "", "sql": "SELECT run, tick, i, j, heat * 1e306 AS heat FROM floor"}
+    with pytest.raises(sierra.SierraError, match=r"e\+307 is too large to be drawn; let runs write it in a larger unit"):
+        images(root, experiments="population_size=1", **keys)
+
+
 def test_cells_without_a_row_have_the_value_of_fill(root: Path) -> None:
     made = prepared(root, experiments="population_size=4", fill=0)
     assert (made.whole.values.low, made.whole.empty) == (0, 0)
