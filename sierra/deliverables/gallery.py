@@ -208,7 +208,8 @@ class Gallery:
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
             proposed = stats.default_figures(output.name, columns, self._axes, series=series)
-            found |= {_file_name(name, found): figure for name, figure in proposed.items()}
+            for name, figure in proposed.items():
+                found[_file_name(name, found)] = figure
         return found, notes
 
     def _from_sql(self, statement: str) -> str:

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import pytest
 from PIL import Image
 
+import sierra
 from tests import plugins, projects
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -297,3 +298,13 @@ def test_default_figures_of_two_variables_are_maps_and_summaries_without_pandas_
     words = [sys.executable, "-c", code, str(batch), batch_of(batch), "timeseries", "heatmap", "summary"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert done.stdout == "[5, 5, 5]\n[]\n"
+
+
+@pytest.mark.integration
+def test_columns_whose_names_differ_in_signs_only_have_a_figure_each(tmp_path: Path) -> None:
+    writes = "open('t.csv', 'w').write('v(m),v[m]\\n1,2\\n')\n"
+    project = sierra.open(projects.make(tmp_path / "p", simulator=writes))
+    summary = project.run("population_size=1,2", figures=False)
+    drawn = {path.stem: path.read_text() for path in project.figures(summary.batch, formats=["svg"])}
+    shown = {stem: [name for name in ("v(m)", "v[m]") if name in text] for stem, text in drawn.items()}
+    assert shown == {"t_v_m__summary": ["v(m)"], "t_v_m__summary_2": ["v[m]"]}
