@@ -14,32 +14,36 @@ from sierra.runners.base import Look, Work
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.runners.robots.runner import MakeLink, Robots
 from sierra.store.layout import SessionPaths
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 CODE = f"{ON_ROBOT}/go.py"
 RECORD = environment.capture("1.0")
 GO = """
 import os, signal, sys, time
 place = os.environ["SIERRA_ROBOT"]
-print("robot", place, flush=True)
-open("here.csv", "w").write(f"time,robot\\n0,{place}\\n")
 mine = sys.argv[1:]
-if place in mine:
-    action = mine[mine.index(place) + 1]
-    if action == "deaf":
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if action in ("deaf", "loud"):
-        print("x" * (10 << 20), flush=True)
-    if action == "writes":
-        open("much.bin", "wb").write(os.urandom(8 << 20))
-    if action == "forks" and os.fork() == 0:
-        while os.fork() == 0:
-            os.setsid()
-            time.sleep(0.001)
-        os._exit(0)
-    time.sleep({"sleep": 60, "deaf": 60, "forks": 60, "nap": 5, "1s": 1}.get(action, 0.4))
-    sys.exit(int(action) if action.isdigit() else 0)
+action, _, gate = (mine[mine.index(place) + 1] if place in mine else "0").partition("@")
+print("robot", place, flush=True)
+if action == "deaf":
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+if action in ("deaf", "loud"):
+    print("x" * (10 << 20), flush=True)
+if action == "writes":
+    open("much.bin", "wb").write(os.urandom(8 << 20))
+if action == "forks" and os.fork() == 0:
+    while os.fork() == 0:
+        os.setsid()
+        time.sleep(0.001)
+    os._exit(0)
+with open("here.part", "w") as file:
+    file.write(f"time,robot\\n0,{place}\\n")
+os.rename("here.part", "here.csv")  # all of the above is done
+time.sleep({"nap": 5, "1s": 1}.get(action, 0.4 if action.isdigit() or action == "writes" else 3600))
+while gate and not os.path.exists(gate):
+    time.sleep(0.02)
+sys.exit(int(action) if action.isdigit() else 0)
 """
+"""A program that is ready when here.csv is there. It ends with the status `7`, or with `7@PATH` when the path is there."""
 
 
 _numbers = itertools.count()
@@ -52,7 +56,7 @@ class Runs:
         self.homes = homes
         self.make_link = make_link
         fleet = {name: {"host": name} for name in homes}
-        own = {"fleet": fleet, "stop": ["touch", "stopped"], "grace": 0.3, "disk_min": 1}
+        own = {"fleet": fleet, "stop": ["touch", "stopped"], "grace": 0.3, "disk_min": 1, "clock_error": 1.0}
         self.table = FleetTable(**{**own, **options})
         self.session = SessionPaths(folder / f"session{next(_numbers) % 10}")
         self.code = folder / "code"
@@ -73,7 +77,7 @@ class Runs:
     def run(self, *jobs: Job) -> list[Result]:
         return self.follow(self.submit(*jobs))
 
-    def follow(self, runner: Robots, seconds: float = 60.0) -> list[Result]:
+    def follow(self, runner: Robots, seconds: float = PATIENCE_S) -> list[Result]:
         """Return the results of a runner that was started. Raises its error."""
         results: list[Result] = []
         give_up = time.monotonic() + seconds
@@ -101,7 +105,7 @@ class Runs:
 
     def all_begun(self) -> None:
         """Wait until the program has begun on all robots, in the only run of which files are there."""
-        until(lambda: len(self.begun()) == len(self.homes), "all have begun", 30)
+        until(lambda: len(self.begun()) == len(self.homes), "all have begun")
 
     @property
     def rows_by_place(self) -> dict[int, Mapping[str, Any]]:
@@ -123,4 +127,4 @@ def job(number: int, *words: str, robots: int = 3, base: bool = False, python: s
         )
         for place in places
     )
-    return Job(f"{number:064d}", execution, (), {}, (), Limits(wall_s=20), members=members)
+    return Job(f"{number:064d}", execution, (), {}, (), Limits(wall_s=3600), members=members)

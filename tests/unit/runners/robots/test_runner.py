@@ -47,11 +47,16 @@ class Fleet(Runs):
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Fleet]:
-    made = Fleet(tmp_path, setup="export GREETING=hello GREETING_TOKEN=abracadabra", lease=1.0)
+    made = Fleet(tmp_path, setup="export GREETING=hello GREETING_TOKEN=abracadabra", lease=10.0)
     yield made
     for link in made.links.values():
         link.stall(stalled=False)
         link.kill()
+
+
+def soon_over(fleet: Fleet) -> None:
+    """Let a robot that hears nothing end its run soon, in a test that waits for this."""
+    fleet.table = fleet.table.model_copy(update={"lease": 3.0})
 
 
 def is_alone(number: int) -> bool:
@@ -59,8 +64,11 @@ def is_alone(number: int) -> bool:
 
 
 @pytest.mark.integration
-def test_the_log_of_each_robot_is_kept_however_much_others_print(fleet: Fleet):
-    [result] = fleet.run(job(1, "1", "loud", "2", "7", "3", "loud"))
+def test_the_log_of_each_robot_is_kept_however_much_others_print(fleet: Fleet, tmp_path: Path):
+    runner = fleet.submit(job(1, "1", "loud", "2", f"7@{tmp_path}/gate", "3", "loud"))
+    fleet.all_begun()
+    (tmp_path / "gate").touch()
+    [result] = fleet.follow(runner)
     content, size = kept_of(f"{result.directory}/stdout")
     assert len(content) == size, "the recorder leaves out nothing more"
     text = content.decode()
@@ -86,10 +94,10 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
     assert (row["robot"], row["status"], row["reason"], row["exit_code"]) == ("bob", "ok", None, 0)
     assert [fleet.rows_by_place[place]["firmware"] for place in (1, 2)] == ["1.4", None]
     for row in fleet.rows_by_place.values():  # also that of a robot in another time zone
-        assert abs(row["offset_start_ns"]) < 50_000_000
-        assert 0 <= row["start_skew_ns"] < 500_000_000
+        assert abs(row["offset_start_ns"]) < 1_000_000_000
+        assert 0 <= row["start_skew_ns"] < 60_000_000_000
         assert row["clock_remark"] is None
-        assert 0 < row["uneven_ns"] < 50_000_000
+        assert 0 < row["uneven_ns"] < 1_000_000_000
     environments = {row["environment"]: row for table, row in fleet.rows if table == "environments"}
     assert '"GREETING": "hello"' in environments[row["environment"]]["variables"]
     assert "abracadabra" not in str(fleet.rows)
@@ -99,13 +107,15 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
 
 @pytest.mark.parametrize("limit", [None, pytest.param(10.0, marks=pytest.mark.nightly)])
 def test_a_step_of_the_clock_of_this_machine_is_not_blamed_on_robots(
-    fleet: Fleet, monkeypatch: pytest.MonkeyPatch, limit: float | None
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: float | None
 ):
     fleet.table = fleet.table.model_copy(update={"clock_drift": limit, "lease": PATIENCE_S})
-    runner = fleet.submit(job(1))
+    gate = tmp_path / "gate"
+    runner = fleet.submit(job(1, *(word for place in "123" for word in (place, f"0@{gate}"))))
     fleet.all_begun()
     wall = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: wall() - 20_000_000_000)
+    gate.touch()
     [result] = fleet.follow(runner)
     moved = "the wall clock of this machine has moved by -20 s while the run was executed"
     failed = "this machine has a clock that moved by -20 s during the run, more than clock_drift = 10 in [runners.robots]"
@@ -326,6 +336,7 @@ def test_robots_with_different_time_zones_are_refused_unless_all_zones_are_decla
 
 @pytest.mark.integration
 def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fleet: Fleet):
+    soon_over(fleet)
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
     fleet.all_begun()
     fleet.links["bob"].kill()
@@ -333,7 +344,7 @@ def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fl
     assert result.error == "bob was lost: its agent has ended; its outputs are missing; the others were stopped"
     assert [file.path for file in result.outputs] == ["1/here.csv", "3/here.csv"]
     assert fleet.rows_by_place[2]["status"] == "lost"
-    until(lambda: is_alone(1), "all processes are gone", 30)
+    until(lambda: is_alone(1), "all processes are gone")
 
     fleet.links["bob"].off = False
     [again] = fleet.run(job(2))
@@ -342,18 +353,19 @@ def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fl
 
 @pytest.mark.integration
 def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
+    soon_over(fleet)
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
     fleet.all_begun()
     fleet.links["cy"].stall()
-    until(lambda: list(fleet.links["cy"].home.rglob("ended.json")), "it has stopped by itself", 5)
+    until(lambda: list(fleet.links["cy"].home.rglob("ended.json")), "it has stopped by itself")
     assert list(fleet.links["cy"].home.rglob("stopped"))
-    time.sleep(1.2)
+    until(lambda: list(fleet.links["ada"].home.rglob("stopped")), "it counts as lost, and the others are stopped")
     fleet.links["cy"].stall(stalled=False)
     [result] = fleet.follow(runner)
     assert result.error
-    assert "cy was lost: no answer for 2." in result.error
+    assert "cy was lost: no answer for " in result.error
     assert "3/here.csv" in [file.path for file in result.outputs]
-    assert "cy does not answer; its run goes on for 1 s at most, its lease" in fleet.notes
+    assert "cy does not answer; its run goes on for 3 s at most, its lease" in fleet.notes
     assert is_alone(1)
 
 
@@ -401,6 +413,7 @@ def hold(fleet: Fleet) -> Robots:
 
 @pytest.mark.nightly
 def test_a_run_that_is_held_back_begins_soon_after_the_word(fleet: Fleet):
+    soon_over(fleet)
     runner = hold(fleet)
     time.sleep(fleet.table.lease + 0.2)
     assert not fleet.begun()
@@ -413,14 +426,14 @@ def test_a_run_that_is_held_back_begins_soon_after_the_word(fleet: Fleet):
 
 @pytest.mark.integration
 def test_a_start_that_a_robot_does_not_confirm_in_time_is_tried_again(fleet: Fleet, monkeypatch: pytest.MonkeyPatch):
-    fleet.table = fleet.table.model_copy(update={"lease": 30.0})
+    fleet.table = fleet.table.model_copy(update={"lease": 30.0, "clock_error": 0.2})
     send, starts = LocalChannel.send, 0
 
     def slow(channel: LocalChannel, line: str) -> None:
         nonlocal starts
         if '"do":"at"' in line and channel in fleet.links["bob"].channels:
             starts += 1
-            time.sleep(2.0 if starts == 1 else 0.0)  # later than any start with this limit on the error of clocks
+            time.sleep(3.0 if starts == 1 else 0.0)  # later than any start with this limit on the error of clocks
         send(channel, line)
 
     monkeypatch.setattr(LocalChannel, "send", slow)
@@ -441,9 +454,10 @@ def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
 
 @pytest.mark.parametrize("fault", [LocalLink.kill, pytest.param(LocalLink.stall, marks=pytest.mark.integration)])
 def test_a_robot_that_is_lost_while_a_run_is_held_back_is_told_at_once(fleet: Fleet, fault: Callable[[LocalLink], None]):
+    soon_over(fleet)
     runner = hold(fleet)
     fault(fleet.links["bob"])
-    with pytest.raises(Missing, match=r"^bob: was ready, but cannot start any more: (its agent has ended|no answer for 2)"):
+    with pytest.raises(Missing, match=r"^bob: was ready, but cannot start any more: (its agent has ended|no answer for )"):
         fleet.follow(runner)
     assert not fleet.begun()
     until(lambda: is_alone(1), "all are disarmed")
