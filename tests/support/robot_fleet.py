@@ -374,7 +374,7 @@ class Fleet:
     def _prepare(self) -> None:
         self.folder.chmod(0o755)
         # all of /etc: a mount of single files is lost when this machine replaces a file
-        shutil.copytree("/etc", self.folder / "etc", symlinks=True, ignore_dangling_symlinks=True)
+        copy_changing_folder(Path("/etc"), self.folder / "etc")
         for file, line in {
             "passwd": "\n".join(f"{user}:x:{uid}:{uid}::/home/{user}:/bin/bash" for user, uid in USERS.items()),
             "group": "\n".join(f"{user}:x:{uid}:" for user, uid in USERS.items()),
@@ -497,6 +497,15 @@ class Proxy:
 
     def _call(self, what: Coroutine[Any, Any, Result]) -> Result:
         return asyncio.run_coroutine_threadsafe(what, self._loop).result()
+
+
+def copy_changing_folder(source: Path, target: Path) -> None:
+    """Copy a folder in which other processes replace files, as `useradd` does in /etc; what is gone meanwhile is left out."""
+    try:
+        shutil.copytree(source, target, symlinks=True)
+    except shutil.Error as error:
+        if [path for path, *_ in error.args[0] if os.path.lexists(path)]:
+            raise
 
 
 def sweep() -> None:
