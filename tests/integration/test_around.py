@@ -424,9 +424,11 @@ def test_a_command_that_is_stopped_is_reported_although_the_conductor_is_not(tmp
     assert rows(root, "SELECT status FROM executions") == [{"status": "timeout"}]
 
 
-def shared(folder: Path, script: str, ready: str = '{ output = "ready" }', command: str = "sh sim.sh {input}") -> Path:
+def shared(
+    folder: Path, script: str, ready: str = '{ output = "ready" }', command: str = "sh sim.sh {input}", timeout: int = 300
+) -> Path:
     """Write a project with four runs that share a service."""
-    service = f'command = ["sh", "-c", "{script}"]\nready = {ready}\nscope = "batch"\ntimeout = 1'
+    service = f'command = ["sh", "-c", "{script}"]\nready = {ready}\nscope = "batch"\ntimeout = {timeout}'
     root = simple(folder, service, command=command)
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace("runs = 1", "runs = 4"))
@@ -527,7 +529,7 @@ def test_runs_fail_from_when_a_shared_service_has_ended(tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_no_run_succeeds_if_a_shared_service_is_never_ready(tmp_path: Path) -> None:
     mark = str(43210 + os.getpid())
-    root = shared(tmp_path / "project", f"echo other; sleep {mark}; true")
+    root = shared(tmp_path / "project", f"echo other; sleep {mark}; true", timeout=1)
     says(root, *ONE, code=1)
     assert rows(root, "SELECT DISTINCT reason FROM executions") == [{"reason": "service 'it' was not ready after 1 s"}]
     assert log(root, "stdout") == ""
