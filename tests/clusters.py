@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import select
 import shutil
 import signal
 import socket
@@ -155,7 +156,11 @@ class Slurm:
 
     def power_cut(self, node: str) -> None:
         """Kill all processes of a node. SLURM detects it after half a minute, or immediately with `declare_down`."""
+        [first] = _children(self._processes[node].pid)
+        ends = os.pidfd_open(first)
         self._kill(node)
+        select.select([ends], [], [])  # the kernel ends it after all others: then the node's port is free
+        os.close(ends)
 
     def start_node(self, node: str) -> None:
         """Start a node."""
@@ -246,7 +251,7 @@ class Slurm:
 
     def _executed(self, *argv: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            argv, cwd=self.root, env=self._environment(), check=False, timeout=60, capture_output=True, text=True
+            argv, cwd=self.root, env=self._environment(), check=False, timeout=PATIENCE_S, capture_output=True, text=True
         )
 
     def nodes(self) -> dict[str, str]:
@@ -365,14 +370,23 @@ def programs(require: Callable[..., str], names: Iterable[str]) -> None:
         require(program, there=shutil.which(program, path=os.environ["PATH"] + SBIN) is not None)
 
 
+_taken: list[socket.socket] = []
+
+
 def free_ports(count: int) -> list[int]:
-    """Return unused ports, below those that Linux gives to outgoing connections, which could take an unbound port."""
+    """Return unused ports, below those that Linux gives to outgoing connections, which could take an unbound port.
+
+    Another process of tests does not get them while this one lives: each port has an abstract socket that only one can bind.
+    """
     ports: list[int] = []
     with contextlib.ExitStack() as stack:
         while len(ports) < count:
             port = 10_000 + secrets.randbelow(20_000)
             with contextlib.suppress(OSError):
                 stack.enter_context(socket.create_server(("", port)))
+                mark = socket.socket(socket.AF_UNIX)
+                mark.bind(f"\0sierra-tests-port-{port}")
+                _taken.append(mark)
                 ports.append(port)
     return ports
 
