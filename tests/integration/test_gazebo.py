@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 
 from tests import projects
 from tests.simulators import STAND_IN, values
+from tests.waiting import until
 
 CROWD = (
     '<population name="crowd"><model_count>8</model_count><box><size>4 4 1</size></box>'
@@ -49,7 +49,7 @@ def test_a_population_is_complete_before_the_first_step(demo: Path, faults: str)
     configure(demo, 'robot = "robot"\n', "")
     settings = (demo / "sierra.toml").read_text()
     kept = [line for line in settings.splitlines() if not line.startswith(("start_area", "variables"))]
-    variables = f'environment.set = {{ STAND_IN = "{faults}", GAZEBO_DRIVER_PATIENCE = "6" }}\n'
+    variables = f'environment.set = {{ STAND_IN = "{faults}", GAZEBO_DRIVER_PATIENCE = "{6 if faults else 300}" }}\n'
     (demo / "sierra.toml").write_text(variables + "\n".join(kept))
     summary, _ = projects.run(demo, "population_size=1,8", "--runs", "2", "--no-figures")
     assert (summary["executed"], summary["failed"]) == (4, 0)
@@ -63,9 +63,12 @@ def test_a_run_over_its_time_limit_leaves_no_gzserver(demo: Path) -> None:
         file.write(limits)
     done = projects.quick(demo, "run", "population_size=1", "--runs", "1", "--no-figures")
     assert (done.returncode, values(demo, "SELECT status FROM executions")) == (1, {"timeout"}), done.stderr
-    time.sleep(0.2)
-    commands = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
-    assert not [words for words in commands if str(demo).encode() in words and b"gzserver" in words]
+
+    def gzservers() -> list[bytes]:
+        commands = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
+        return [words for words in commands if str(demo).encode() in words and b"gzserver" in words]
+
+    until(lambda: not gzservers(), "no gzserver is left")
 
 
 @pytest.mark.nightly

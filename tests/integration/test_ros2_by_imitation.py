@@ -17,7 +17,7 @@ import pytest
 import sierra.simulators
 from sierra.simulators.ros_launch import Launch2
 from tests import bags, projects
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 DRIVER = Path(sierra.simulators.__file__).parent / "drivers" / "ros_driver.py"
 IMITATION = """\
@@ -116,7 +116,7 @@ def start(folder: Path, programs: dict[str, str], *options: str, more: str = "",
 
 def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Return the exit status and the last line on standard error."""
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     return process.returncode, (errors.splitlines() or [""])[-1]
 
 
@@ -146,8 +146,8 @@ def test_two_runs_have_two_domains_and_end_after_their_length(tmp_path: Path, pr
 def test_a_run_fails_with_its_reason(
     tmp_path: Path, programs: dict[str, str], options: tuple[str, ...], nodes: dict[str, str], message: str
 ) -> None:
-    length = "6.0" if "silent" in nodes else "0.5"
-    process = start(tmp_path / "run", programs, "--length", length, "--patience", "1.0", *options, **nodes)
+    length, patience = ("600.0", "600.0") if "exit 3" in nodes.values() else ("0.5", "1.0")
+    process = start(tmp_path / "run", programs, "--length", length, "--patience", patience, *options, **nodes)
     assert end_of(process) == (1, message)
 
 
