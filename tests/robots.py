@@ -22,6 +22,7 @@ from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, RU
 from sierra.store.row_types import RobotRow, TrialRow
 from sierra.util.processors import here
 from sierra.worker import worker
+from tests.waiting import PATIENCE_S
 
 NAMES = ("tb3-00", "tb3-01", "tb3-02", "tb3-03", "tb3-04")
 """The names of the robots; the place decides which one it is."""
@@ -149,7 +150,7 @@ def _execute(job: Job, folder: Path, code: str) -> tuple[Result, list[tuple[str,
     processes = [
         _start(one.at(str(folder / f"robot{one.place}"), code, here()), folder / f"robot{one.place}") for one in job.members
     ]
-    codes = [process.wait(30) for process in processes]
+    codes = [process.wait(PATIENCE_S) for process in processes]
     (folder / RUN_OUTPUT).mkdir()
     for one in job.members:
         (folder / f"robot{one.place}" / RUN_OUTPUT).rename(folder / RUN_OUTPUT / str(one.place))

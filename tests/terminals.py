@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
-PATIENCE_S = 60.0
+from tests.waiting import PATIENCE_S
 
 
 class Terminal:

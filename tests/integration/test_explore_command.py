@@ -19,7 +19,7 @@ import sierra
 from tests import projects, stores
 from tests.support.explorer_page import Page
 from tests.terminals import Terminal
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
 MODEL = '\n[models.theory]\ncommand = ["sh", "-c", "touch {project}/executed /tmp/executed-TOKEN"]\ncolumn = "coverage"\n'
@@ -38,7 +38,7 @@ def explored(root: Path, *words: str, **environment: str) -> Iterator[tuple[subp
             yield process, json.loads("".join(lines) + "}")
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(60) in (0, -signal.SIGKILL)
+        assert process.wait(PATIENCE_S) in (0, -signal.SIGKILL)
 
 
 def test_programs_can_ask_and_a_port_that_is_taken_is_refused(recorded: Path) -> None:
@@ -74,7 +74,7 @@ def test_nothing_is_left_of_an_explorer_that_was_killed(recorded: Path, tmp_path
         asking.start()
         until(lambda: computed(process.pid) > began + 0.5, "the statement is being answered")
         process.kill()
-        asking.join(30)
+        asking.join(PATIENCE_S)
     assert stores.state(recorded) == before
     assert list(temporary.iterdir()) == []
     with explored(recorded, "explore", "--port", str(printed["port"])) as (_, again):
@@ -123,7 +123,7 @@ def test_a_batch_that_is_still_running_is_followed(tmp_path: Path) -> None:
             until(lambda: page.ask("batch", batch=batch)["executing"] > 0, "runs are being executed")
             state = page.ask("state")
             (tmp_path / "go").touch()
-            assert running.wait(120) == 0
+            assert running.wait(PATIENCE_S) == 0
             assert page.ask("state") != state
             found = page.ask("batch", batch=batch)
             assert (found["executing"], found["facts"]["state"]) == (0, "complete")
@@ -131,7 +131,7 @@ def test_a_batch_that_is_still_running_is_followed(tmp_path: Path) -> None:
             assert runs["rows"] == [[8]]
     finally:
         (tmp_path / "go").touch()
-        running.wait(120)
+        running.wait(PATIENCE_S)
 
 
 @pytest.mark.nightly

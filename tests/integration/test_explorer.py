@@ -17,6 +17,7 @@ from tests.browser import INJECTED, Browser
 from tests.support import filmed, many_batches
 from tests.support.photographs import flaws, unfold, unnamed
 from tests.support.reported import ATTACK, ATTACK_IN_TOML
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.real
 FILM = "heat_experiment0: <script>alert(1)</script>, population size = 1, run 0"
@@ -77,12 +78,12 @@ def explored(root: Path, *options: str, package: str = "") -> Iterator[str]:
             yield process.stdout.readline().strip()
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(PATIENCE_S) == 0
 
 
 def until(browser: Browser, code: str) -> object:
     """Wait until an expression is true; return its value."""
-    give_up = time.monotonic() + 60
+    give_up = time.monotonic() + PATIENCE_S
     while not (found := browser.run(code)):
         assert time.monotonic() < give_up, (code, browser.console, browser.run(TEXT.format("chart-error")))
         time.sleep(0.05)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sierra.deliverables.explorer.server import Server
+from tests.waiting import PATIENCE_S
 
 
 class Page:
@@ -23,7 +24,7 @@ class Page:
 
     def send(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, bytes, Mapping[str, str]]:
         """Send a request; a header that is "" is left out."""
-        connection = http.client.HTTPConnection(self.host, timeout=60)
+        connection = http.client.HTTPConnection(self.host, timeout=PATIENCE_S)
         given = {
             "Content-Length": str(len(body)),
             **self.headers,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sierra import Project
 from tests.support.robot_fleet import REPOSITORY, Fleet
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 LEASE_S = 3.0
 SWARM = """
@@ -84,7 +84,7 @@ def is_idle(fleet: Fleet, name: str) -> bool:
     return not [line for line in fleet.commands(name) if "swarm.py" in line]
 
 
-def all_idle(fleet: Fleet, seconds: float = 10) -> None:
+def all_idle(fleet: Fleet, seconds: float = PATIENCE_S) -> None:
     """Wait until no robot that is switched on executes a program of the project."""
     on = [name for name, robot in fleet.robots.items() if robot.process is not None]
     until(lambda: all(is_idle(fleet, name) for name in on), "all robots have stopped", seconds)
@@ -97,13 +97,13 @@ def all_busy(fleet: Fleet, process: subprocess.Popen[str]) -> None:
         assert process.poll() is None, process.communicate()
         return all(list(robot.home.rglob("swarm.csv")) for robot in fleet.robots.values())
 
-    until(busy, "all robots have begun", 60)
+    until(busy, "all robots have begun")
 
 
 def answered(project: Path, ticks: int = 30) -> None:
     """Ask again, and check that each run has one successful execution, with all ticks of all robots in its table."""
     process = drive(project)
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors
     is_recorded(project, ticks)
 

@@ -180,7 +180,7 @@ def test_runs_fail_if_the_file_of_their_image_is_replaced_meanwhile(tmp_path: Pa
     until(lambda: any(one.read_text() for one in folder.glob(".sierra/work/*/journal.jsonl")), "a run has begun")
     (tmp_path / "other.sqfs").rename(image)
     (folder / "go").touch()
-    said, _ = asking.communicate(timeout=60)
+    said, _ = asking.communicate(timeout=PATIENCE_S)
     assert asking.returncode == 1, said
     ended = rows(folder, "SELECT status, reason FROM executions")
     assert ended

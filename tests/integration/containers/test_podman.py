@@ -351,7 +351,7 @@ def test_the_next_run_command_ends_orphaned_containers(
     assert len(list(containers.sleepers(mark))) >= 2
     (folder / "sim.sh").write_text(containers.SIMULATOR)
     assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
-    await_none(folder, mark, 1)
+    await_none(folder, mark)
 
 
 # ---------------------------------------------------------------- runs that share a container

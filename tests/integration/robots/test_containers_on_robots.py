@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from sierra.runners.robots import results
 from tests import containers, images, projects, robots
 from tests.support.robot_fleet import SUB_IDS, USER, Fleet
 from tests.waiting import until
@@ -44,7 +45,7 @@ def root(fleet: Fleet, tmp_path: Path, require: Callable[..., str]) -> Path:
     image = containers.busybox(tmp_path)
     fleets = "".join(f'{name} = {{ host = "{name}" }}\n' for name in fleet.names)
     options = f'stop = ["touch", "stopped"]\ndisk_min = 1000000\nlink_options = {{ ssh_config = "{fleet.ssh_config}" }}\n'
-    limits = "grace = 0.5\nlease = 2.0\n"
+    limits = "grace = 0.5\nlease = 10.0\n"
     more = f'[runners.robots]\n{options}{limits}[runners.robots.fleet]\n{fleets}[targets.robots.container]\nimage = "{image}"\n'
     config = robots.CONFIG.replace('"pretend"', '"robots"').replace("{python} robot.py", "sh robot.sh")
     root = robots.project(tmp_path / "p", more, config)
@@ -69,7 +70,10 @@ def as_user(fleet: Fleet, name: str, *words: str) -> str:
     return done.stdout
 
 
-def test_both_engines_give_the_same_runs_and_bytes_and_leave_nothing(root: Path, fleet: Fleet) -> None:
+def test_both_engines_give_the_same_runs_and_bytes_and_leave_nothing(
+    root: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results, "LATE_S", 1e9)  # how late depends on the machine; a container that was not ready is told too
     first = run(root, "apptainer")
     assert first.returncode == 0, first.stderr
     [image] = (fleet.robots["rb1"].home / FOLDER / "images").glob("*/*")
@@ -114,10 +118,10 @@ def test_nothing_of_a_container_outlives_its_driver(root: Path, fleet: Fleet, en
     driver = subprocess.Popen(
         [SIERRA, *query], cwd=root, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
-    until(lambda: sum("sleep 300" in line for line in left(fleet)) >= 6, "all have begun", 60)
+    until(lambda: sum("sleep 300" in line for line in left(fleet)) >= 6, "all have begun")
     os.killpg(driver.pid, signal.SIGKILL)
     driver.wait()
-    until(lambda: left(fleet) == [], "all processes are gone", 15)
+    until(lambda: left(fleet) == [], "all processes are gone")
     for name in fleet.names:
         assert as_user(fleet, name, "podman", "ps", "--all", "--quiet") == ""
         assert (fleet.robots[name].home / "stopped").exists()

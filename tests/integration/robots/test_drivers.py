@@ -22,7 +22,7 @@ from tests.support.robot_fleet import GUEST, Fleet
 from tests.support.robot_project import all_busy, all_idle, answered, drive
 from tests.terminals import Terminal
 from tests.tiers import at_night
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 STEPS = {f"SIGKILL {name} {number}" for name in NAMES for number in (1, 3)}
 STEPS |= {f"SIGINT {name} 3" for name in NAMES} | {
@@ -34,7 +34,7 @@ STEPS |= {f"SIGINT {name} 3" for name in NAMES} | {
 @pytest.fixture
 def project(fleet: Fleet, tmp_path: Path) -> Iterator[Path]:
     yield robot_project.make(fleet, tmp_path)
-    all_idle(fleet, 20)
+    all_idle(fleet)
 
 
 def test_robots_stop_when_their_driver_is_killed(project: Path, fleet: Fleet):
@@ -51,7 +51,7 @@ def test_a_driver_that_ends_at_a_step_leaves_nothing_that_moves(project: Path, f
     number, _, step = step.partition(" ")
     robot_project.move(project, 5)
     process = drive(project, step=(number, step))
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode in ({-signal.SIGKILL} if number == "SIGKILL" else {130, 0}), errors
     assert "fault" not in errors
     all_idle(fleet)
@@ -70,7 +70,7 @@ def test_robots_stop_when_their_driver_is_stopped(project: Path, fleet: Fleet):
         all_idle(fleet, 9)
         time.sleep(max(0.0, 9 - (time.monotonic() - began)))  # three leases
         os.killpg(process.pid, signal.SIGCONT)
-        output, errors = process.communicate(timeout=120)
+        output, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 1, errors
         assert "1 failed" in output or "lost" in output + errors
     answered(project)
@@ -84,12 +84,12 @@ def test_two_drivers_take_turns(project: Path, fleet: Fleet, tmp_path_factory: p
     with drive(project) as first:
         all_busy(fleet, first)
         second = drive(other)
-        _, errors = second.communicate(timeout=60)
+        _, errors = second.communicate(timeout=PATIENCE_S)
         assert second.returncode == 3
         [line] = [line for line in errors.splitlines() if "in use by" in line]
         assert " (session " in line
         first.send_signal(signal.SIGINT)
-        assert first.wait(60) == 130
+        assert first.wait(PATIENCE_S) == 130
     answered(other)
 
 
@@ -127,7 +127,7 @@ def test_fleets_that_share_a_robot_and_users_of_it_take_turns(
         alone = projects.quick(third, *robot_project.RUN, "--runs", "1")
         assert alone.returncode == 0, alone.stderr
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 130
+        assert process.wait(PATIENCE_S) == 130
     for other in (guest, second):
         done = projects.quick(other, *robot_project.RUN, "--runs", "1")
         assert done.returncode == 0, done.stderr
@@ -159,7 +159,7 @@ def test_drivers_over_openssh_are_killed_and_lose_a_radio(project: Path, fleet: 
         all_busy(fleet, process)
         fleet.radio("rb2", up=False)
         all_idle(fleet)
-        _, errors = process.communicate(timeout=120)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 3, errors
     assert robot_project.rows_of(project, "SELECT status, reason LIKE 'rb2 was lost: %' FROM executions") == [("failed", True)]
     fleet.radio("rb2", up=True)

@@ -24,7 +24,7 @@ from tests.support import robot_project
 from tests.support.robot_fleet import Fleet, Proxy
 from tests.support.robot_project import LEASE_S, RUN, all_busy, all_idle, answered, drive, rows_of
 from tests.tiers import at_night
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 BIG = """
 import os, sys
@@ -144,7 +144,7 @@ def stopped_at(project: Path, step: str) -> subprocess.Popen[str]:
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Let a driver go on, and return its exit code and its standard error when it has ended."""
     process.send_signal(signal.SIGCONT)
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     assert "fault in" not in errors
     return process.returncode, errors
 

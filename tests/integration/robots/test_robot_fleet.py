@@ -8,11 +8,12 @@ import time
 import pytest
 
 from tests.support.robot_fleet import REPOSITORY, Fleet, Proxy
+from tests.waiting import PATIENCE_S
 
 
 def ssh(fleet: Fleet, name: str, command: str) -> subprocess.CompletedProcess[str]:
     argv = ["ssh", "-F", str(fleet.ssh_config), "-o", "BatchMode=yes", name, command]
-    return subprocess.run(argv, capture_output=True, text=True, timeout=30, check=False)
+    return subprocess.run(argv, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
 def test_robots_are_separate_machines(fleet: Fleet) -> None:
