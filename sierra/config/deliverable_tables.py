@@ -69,7 +69,7 @@ class DerivedTable(Table):
 
 
 class SqlLimits(Table):
-    """Limits on the statements of `[tables.NAME]` and of figures."""
+    """Limits on the statements of `[tables.NAME]` and of figures, and on conditions (`where`)."""
 
     wall: Positive = Field(300.0, description="time limit of each statement, in seconds")
     memory: SizeInBytes = Field(

@@ -106,7 +106,7 @@ class DerivedTables:
         self._rules = rules
         self._outputs = {name.lower(): name for name in outputs}
         self.settings: tuple[str, ...] = ()
-        """Statements that set up the connection again after a table was made under limits of its own."""
+        """Statements that set up the connection again after a statement had limits of its own."""
         self._known: dict[str, Definition] | None = None
         self._made: dict[str, Made | SierraError] = {}
         self._making: list[Definition] = []
@@ -180,15 +180,21 @@ class DerivedTables:
         text = definition.text
         rows = text if ordered else f"SELECT * FROM (\n{text}\n) ORDER BY ALL"
         table = identifier(definition.name)
-        try:
-            with limited(self._connection(), self._rules().limits, definition.origin) as connection:
-                connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
-        finally:
-            for setting in self.settings:
-                self._connection().execute(setting)
+        with self.limited(definition.origin) as connection:
+            connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
         described = self._connection().execute(f"DESCRIBE {table}").fetchall()
         count = self._connection().execute(f"SELECT count(*) FROM {table}").fetchall()[0][0]
         return Made({row[0]: row[1] for row in described}, count, ordered)
+
+    @contextlib.contextmanager
+    def limited(self, origin: str) -> Iterator[DuckDBPyConnection]:
+        """Yield the connection for one statement that SIERRA did not write, with the project's limits; see `limited`."""
+        try:
+            with limited(self._connection(), self._rules().limits, origin) as connection:
+                yield connection
+        finally:
+            for setting in self.settings:
+                self._connection().execute(setting)
 
     def _list(self, name: str, definition: Definition) -> None:
         if name in self._listed:
@@ -310,7 +316,7 @@ def _explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
     except duckdb.OutOfMemoryException as error:
         most, remedy = (f"{limits.memory / 1e9:g} GB", limits.remedy) if limits else ("the limit", Limits().remedy)
         raise SierraError(
-            f"{origin}: out of memory: the derived tables of a command have {most}; "
+            f"{origin}: out of memory: the statements of a command have {most}; "
             f"correct the statement, {remedy.format('memory')}"
         ) from error
     except duckdb.InterruptException:

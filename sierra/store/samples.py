@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from math import isfinite
@@ -35,6 +35,7 @@ from sierra.util.scratch import scratch
 from sierra.util.text import like
 
 if TYPE_CHECKING:
+    import duckdb
     import pyarrow as pa
 
 T = TypeVar("T")
@@ -99,8 +100,8 @@ class Frame:
         self._folder = store.paths.extracted
         self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
-        self._checked: set[tuple[str, str]] = set()
-        """The tables and conditions of valid pairs."""
+        self._chosen: dict[tuple[str, str], str] = {}
+        """The temporary tables of chosen rows, by table and condition."""
         self._relations: dict[str, Relation] = {}
         self._robots: dict[str, str] = {}
         """The columns with the places of robots, by table; "" if there is none."""
@@ -297,10 +298,6 @@ class Frame:
             {"b": self.batch},
         )
         return {ordinal: list(zip(files, digests, strict=True)) for ordinal, files, digests in rows}
-
-    def check_condition(self, text: str) -> None:
-        """Check that an SQL condition on columns uses no table, and has the same result each time. Raises SqlError."""
-        check_condition(self._snapshot.connection, text)
 
     def statements(self, table: str) -> str:
         """Return the SQL of a derived table and of those that it needs; "" for an output."""
@@ -533,10 +530,11 @@ class Frame:
         self._rows(table, where)
         data = self._data(table)
         none = f"(SELECT *{_renaming(self._named_like_variables(data))} FROM {data} LIMIT 0)"
-        rows = self._snapshot.run(
-            f'SELECT v."# ordinal" FROM "# variables" v LEFT JOIN {none} d ON v."# ordinal" = d."# experiment" '
-            f"WHERE (\n{where}\n) IS DISTINCT FROM false"
-        )
+        with self._limited(where) as connection:
+            rows = connection.execute(
+                f'SELECT v."# ordinal" FROM "# variables" v LEFT JOIN {none} d ON v."# ordinal" = d."# experiment" '
+                f"WHERE (\n{where}\n) IS DISTINCT FROM false"
+            ).fetchall()
         return {ordinal for (ordinal,) in rows}
 
     def _rows(self, table: str, where: str) -> str:
@@ -547,20 +545,36 @@ class Frame:
         data = self._data(table)
         if not where:
             return data
-        shared = self._named_like_variables(data)
-        chosen = (
-            f"SELECT d.* FROM (SELECT *{_renaming(shared)} FROM {data}) d "
-            f'JOIN "# variables" v ON v."# ordinal" = d."# experiment" WHERE (\n{where}\n)'
-        )
-        rows = f"(SELECT *{_renaming({new: old for old, new in shared.items()})} FROM ({chosen}))"
-        if (table, where) not in self._checked:
-            try:
-                self.check_condition(where)
-                self._snapshot.run(f"EXPLAIN SELECT * FROM {rows}")
-            except SqlError as error:
-                raise UsageError(f"where = {where!r}: {error}") from error
-            self._checked.add((table, where))
-        return rows
+        if (table, where) not in self._chosen:
+            self._chosen[table, where] = self._choose(data, where)
+        return f'(SELECT * FROM {data} WHERE "# rowid" IN (SELECT "# rowid" FROM {self._chosen[table, where]}))'
+
+    def _choose(self, data: str, where: str) -> str:
+        """Make a temporary table of the rows that fulfil a condition, so that only this statement evaluates it.
+
+        Return the table's name. Raises UsageError.
+        """
+        chosen = identifier(f"chosen {len(self._chosen)}")
+        renamed = f"(SELECT *{_renaming(self._named_like_variables(data))} FROM {data})"
+        try:
+            check_condition(self._snapshot.connection, where)
+        except SqlError as error:
+            raise UsageError(f"where = {where!r}: {error}") from error
+        with self._limited(where) as connection:
+            connection.execute(
+                f'CREATE TEMP TABLE {chosen} AS SELECT d."# rowid" FROM {renamed} d '
+                f'JOIN "# variables" v ON v."# ordinal" = d."# experiment" WHERE (\n{where}\n)'
+            )
+        return chosen
+
+    @contextmanager
+    def _limited(self, where: str) -> Iterator[duckdb.DuckDBPyConnection]:
+        """Yield the connection for a statement with a condition, with the limits of derived tables. Raises UsageError."""
+        try:
+            with self._snapshot.errors(), self._snapshot.derived.limited(f"where = {where!r}") as connection:
+                yield connection
+        except SqlError as error:
+            raise UsageError(str(error)) from error
 
     def _named_like_variables(self, data: str) -> dict[str, str]:
         """Return the columns of a relation that have the name of a variable, and their names in conditions: with a `_`."""
@@ -591,8 +605,10 @@ class Frame:
     def _load(self, table: str, files: list[str]) -> None:
         source, run = self._relation(table, files), self._snapshot.run
         data, rows = identifier("data " + table), identifier("rows " + table)
+        shown = f'CREATE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run), rowid AS "# rowid" FROM {rows}'
         if not files:
-            run(LOAD.format(data=data, table=identifier(table)))
+            run(LOAD.format(rows=rows, table=identifier(table)))
+            run(shown)
             return
         keys = ("execution", "file") if "file" in source.types else ("execution",)
         own = ", ".join(f"o.{key}" for key in keys)
@@ -606,7 +622,7 @@ class Frame:
             'o.* EXCLUDE (execution, filename, file_row_number) REPLACE (s."# run" AS run) '
             f"FROM {source.sql} o JOIN spans s ON {' AND '.join(f'o.{key} = s.{key}' for key in keys)}"
         )
-        run(f"CREATE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run) FROM {rows}")
+        run(shown)
 
     def most_frequent(self, table: str, column: str) -> str | None:
         """Return the most frequent text in a column of an output, of several the first; None if there is none."""
@@ -640,7 +656,7 @@ FROM batch_runs m JOIN these t ON t.run = m.run JOIN all_judgements e ON e.judge
 """The table `effective`, if statistics use given executions instead."""
 
 LOAD = """
-CREATE TEMP TABLE {data} AS SELECT w.ordinal::INTEGER AS "# experiment", w.number::INTEGER AS "# number",
+CREATE TEMP TABLE {rows} AS SELECT w.ordinal::INTEGER AS "# experiment", w.number::INTEGER AS "# number",
     row_number() OVER (PARTITION BY w.run, w.ordinal ORDER BY d.rowid) - 1 AS "# place", d.* REPLACE (w.run AS run)
 FROM {table} d JOIN wanted w ON d.run = w.run
 """

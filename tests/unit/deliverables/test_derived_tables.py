@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.errors import SqlError
+from sierra.errors import UsageError
 from sierra.store.samples import Frame
 from tests import projects, stores
 
@@ -158,10 +158,31 @@ def test_a_name_that_a_column_and_a_variable_share_is_the_variable_in_conditions
 
 def test_a_condition_uses_columns_only(root: Path) -> None:
     with Frame(sierra.open(root).store, sierra.open(root).batches[0].batch) as frame:
-        frame.check_condition("tick > 1 AND NOT (coverage BETWEEN 1 AND 2) -- late")
+        frame.data("swarm", "tick", "tick > 1 AND NOT (coverage BETWEEN 1 AND 2) -- late")
         for text in ("tick > ", "true) UNION SELECT (1", "run IN (FROM runs)", "random() < 1", "EXISTS (FROM read_csv('x'))"):
-            with pytest.raises(SqlError):
-                frame.check_condition(text)
+            with pytest.raises(UsageError, match="where = "):
+                frame.data("swarm", "tick", text)
+
+
+MANY = "(SELECT count(*) FROM range(1000000000000000) a, range(1000000000000) b) > tick"
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        (MANY, "the statement did not end within 0.2 s"),
+        (f"population_size > 0 OR {MANY}", "the statement did not end within 0.2 s"),
+        ("len((SELECT list(range) FROM range(1000000000))) > tick", "out of memory: the statements of a command have 0.1 GB"),
+    ],
+)
+def test_the_limits_hold_for_a_condition(root: Path, tmp_path: Path, condition: str, said: str) -> None:
+    own = stores.copy(root, tmp_path / "project")
+    wall = 0.2 if "within" in said else 300
+    figure = f'[figures.f]\ntable = "swarm"\ncolumn = "coverage"\nwhere = "{condition}"\n'
+    (own / "sierra.toml").write_text(f'{projects.CONFIG}{figure}[sql]\nwall = {wall}\nmemory = "100 MB"\n')
+    done = projects.quick(own, "figures", sierra.open(own).batches[0].batch, "f")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    assert f"where = '{condition}': {said}" in done.stderr
 
 
 @pytest.mark.integration

@@ -154,7 +154,7 @@ def test_the_limits_hold_without_derived_tables(root: Path) -> None:
 
 def test_a_statement_that_needs_too_much_memory_is_ended(root: Path) -> None:
     project = opened(root, {"x": "SELECT list(range) AS l FROM range(1000000000)"}, '[sql]\nmemory = "100 MB"\n')
-    with pytest.raises(SierraError, match=r"out of memory: the derived tables of a command have 0\.1 GB"):
+    with pytest.raises(SierraError, match=r"out of memory: the statements of a command have 0\.1 GB"):
         project.sql("FROM x")
     threads, limit = "current_setting('threads')", "current_setting('memory_limit')"
     after, fresh = (one.sql(f"SELECT {threads}, {limit}").to_pylist() for one in (project, sierra.open(root)))

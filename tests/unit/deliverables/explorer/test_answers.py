@@ -358,6 +358,18 @@ def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited
         limited.clear()
 
 
+@pytest.mark.nightly
+def test_a_condition_of_a_package_that_never_ends_is_ended(tmp_path: Path) -> None:
+    endless = "(SELECT count(*) FROM range(1000000000000000) a, range(1000000000000) b) > tick"
+    figure = f'[figures.few]\ntable = "swarm"\ncolumn = "coverage"\nwhere = "{endless}"\n[sql]\nwall = 0.2\n'
+    about = "[package]\ntitle = 'T'\nlicense = 'MIT'\nauthors = [{ name = 'J' }]\n"
+    root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{figure}{about}")
+    package = str(tmp_path / "one.zip")
+    sierra.open(root).package(stores.ask(root, "population_size=1", runs=1), report=False, path=package)
+    assert projects.quick(tmp_path, "report", package).returncode == 0
+    assert "the statement did not end within 0.2 s" in (tmp_path / "one-report.html").read_text()
+
+
 @pytest.mark.integration
 def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + '\n[tables.few]\nsql = "SELECT run, tick FROM swarm"\n')
