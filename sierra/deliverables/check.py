@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import json
+from collections.abc import Callable, Collection, Mapping
 from functools import cache, partial
 from pathlib import Path
 
+from sierra.config.field_types import Table
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import comparison, comparison_figure, declared_tables, record, render
+from sierra.deliverables import comparison, comparison_figure, declared_tables, overlay, record, render
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Checked, Content, ShownDeliverable
@@ -19,9 +21,12 @@ from sierra.deliverables.videos.prepare import KIND as VIDEO
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
+from sierra.util.json_types import JsonView
 
 Between = Callable[[str], Compared]
 """A function that makes a declared comparison of several batches, for the reports that show it."""
+LABELS = ("targets", "batches", "labels")
+"""The keys of definitions with the names of several batches, which then are in the name of the files, too."""
 
 
 def check(
@@ -49,7 +54,8 @@ def _again(
     row: DeliverableRow,
     shared: Callable[[], Gallery] | None = None,
 ) -> Content:
-    """Return the content of a deliverable by its recorded definition and the data that the store has now."""
+    """Return the content that a deliverable has now, by its declaration, or by its recorded one if there is none any more."""
+    row = _as_declared(project, row)
     if row.kind == comparison.KIND:
         return comparison_figure.content(project, store, row)
     if row.kind == declared_tables.KIND:
@@ -59,3 +65,28 @@ def _again(
     if row.kind == REPORT:
         return reports.again(Source(project, store, between), row)
     return render.content(project, store, row, shared)
+
+
+def _as_declared(project: LoadedProject, row: DeliverableRow) -> DeliverableRow:
+    """Return a record with the declaration that `sierra.toml` has now; as it is, if there is none of this name."""
+    with record.parsing(row.name):
+        definition = json.loads(row.definition)
+        labels = next((definition[key] for key in LABELS if key in definition), ())
+        for name, declared in _declarations(project, row.kind).items():
+            if row.name == (overlay.name_of(name, labels) if len(labels) > 1 else name):
+                return row._replace(definition=json.dumps({**definition, row.kind: declared}))
+    return row
+
+
+def _declarations(project: LoadedProject, kind: str) -> dict[str, JsonView]:
+    """Return the declarations of a kind of deliverable by name, as records have them."""
+    config = project.config
+    if kind == comparison.KIND:
+        found = {name: one.model_dump(mode="json") for name, one in config.comparisons.items()}
+        return {name: {**one, "groups": one["groups"] if one["by"] else []} for name, one in found.items()}
+    kinds: dict[str, Mapping[str, Table]] = {
+        render.KIND: config.figures,
+        declared_tables.KIND: config.paper_tables,
+        VIDEO: config.videos,
+    }
+    return {name: one.model_dump(mode="json", exclude_unset=True, by_alias=True) for name, one in kinds.get(kind, {}).items()}

@@ -15,7 +15,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import ClassVar
 
-from sierra.errors import Damaged, Missing, NotFound, SierraError
+from sierra.config.deliverable_tables import Comparison, Figure, TableForPaper
+from sierra.config.field_types import Table
+from sierra.config.validate import options
+from sierra.config.video_table import Video
+from sierra.errors import ConfigError, Damaged, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records, unfinished_files
 from sierra.store.deliverable_records import Source
@@ -148,13 +152,23 @@ class Checked:
     """The reason, in one line; None if it follows."""
 
 
-OTHER_DATA = {
-    "report": "the store or sierra.toml has changed since; write it again with: sierra report",
-    "video": "the store has other data now; make it again with: sierra video",
+REMEDIES = {
+    "report": "write it again with: sierra report",
+    "video": "make it again with: sierra video",
+    "comparison": "draw it again with: sierra compare",
 }
-"""The reason why a deliverable does not follow from the store any more, by its kind."""
-DRAW_AGAIN = "the store has other data now; draw it again with: sierra figures"
+"""What to do about a deliverable that does not follow from the store any more, by its kind."""
+DRAW_AGAIN = "draw it again with: sierra figures"
 """The same for all other kinds."""
+DECLARATIONS: Mapping[str, type[Table]] = {
+    "figure": Figure,
+    "table": TableForPaper,
+    "comparison": Comparison,
+    "video": Video,
+}
+"""The models of the declarations, by kind of deliverable; a definition has the declaration under the name of the kind."""
+FORMATS = "formats"
+"""The key of definitions and declarations that says which files are made, and not what they show."""
 
 
 def checked(
@@ -224,11 +238,36 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
         raise
     except SierraError as error:
         return f"it can no longer be made: {error}"
+    changed = _changed(row, now)
+    return f"{changed}; {REMEDIES.get(row.kind, DRAW_AGAIN)}" if changed else None
+
+
+def _changed(row: DeliverableRow, now: Content) -> str:
+    """Return what a deliverable would show otherwise now: its data, or any part of its definition; "" if nothing."""
+    before = json.loads(row.definition)
     if now.data != row.data:
-        if model := _changed_model(json.loads(row.definition), now.definition):
-            return f"{model}; draw it again with: sierra figures"
-        return OTHER_DATA.get(row.kind, DRAW_AGAIN)
-    return None
+        others = "the store or sierra.toml has changed since" if row.kind == "report" else "the store has other data now"
+        return _changed_model(before, now.definition) or others
+    old, new = (_whole(row.kind, one) for one in (before, json.loads(json.dumps(now.definition))))
+    differing = [name for name in {**old, **new} if name != FORMATS and old.get(name) != new.get(name)]
+    return f"sierra.toml changes how it is made: it has another {' and another '.join(differing)} now" if differing else ""
+
+
+def _whole(kind: str, definition: Mapping[str, JsonView]) -> dict[str, JsonView]:
+    """Return all keys of a definition in one table: also those of the declaration, with the defaults of its other keys.
+
+    Of models, only the labels: their values are data, and another program may compute the same.
+    """
+    whole = {name: value for name, value in definition.items() if name != kind}
+    if isinstance(models := whole.get("models"), Mapping):
+        whole["models"] = {name: one.get("label") for name, one in models.items() if isinstance(one, Mapping)}
+    declared = definition.get(kind)
+    if kind not in DECLARATIONS or not isinstance(declared, Mapping):
+        return whole
+    with contextlib.suppress(ConfigError):
+        model = options(DECLARATIONS[kind], dict(declared), kind)
+        declared = model.model_dump(mode="json", by_alias=True)
+    return {**whole, **declared}
 
 
 def _changed_model(before: Mapping[str, JsonView], now: Mapping[str, JsonView]) -> str:

@@ -27,6 +27,9 @@ from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
+KIND = "figure"
+"""The kind of the records of figures, among deliverables."""
+
 
 def figures(
     project: LoadedProject,
@@ -118,7 +121,8 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
         word, names = found
         with ExitStack() as frames:
             batches = dict(zip(names, row.batches, strict=True))
-            return _overlay(_galleries(project, store, batches, frames, word), row.name, figure, word).content()
+            fitting = overlay.fitting(figure, declared=True)
+            return _overlay(_galleries(project, store, batches, frames, word), row.name, fitting, word).content()
     if shared:
         return shared().drawing(row.name, figure).content()
     with Frame(store, row.batch) as frame:

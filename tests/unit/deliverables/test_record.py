@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -78,6 +79,61 @@ def test_figures_of_tables_that_no_declared_figure_shows_are_checked_too(drawn: 
     other = '[tables.other]\nsql = "SELECT run, coverage FROM swarm"\n[figures.other]\ntable = "other"\ncolumn = "coverage"\n'
     config.write_text(config.read_text() + other)
     assert check(drawn)[0] == 0
+
+
+DECLARED = """
+[figures.a]
+column = "coverage"
+title = "first"
+[figures.default]
+inherit = "a"
+[paper_tables.t]
+column = "coverage"
+caption = "first"
+[comparisons.c]
+by = "population_size"
+column = "coverage"
+"""
+DRAWN = ("a", "default", "swarm_coverage_summary", "swarm_coverage_timeseries")
+
+
+@pytest.fixture(scope="module")
+def declared(drawn_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with declared figures, a table and a comparison, which were drawn."""
+    root = stores.copy(drawn_once, tmp_path_factory.mktemp("declared") / "project")
+    (root / "sierra.toml").write_text(projects.CONFIG + DECLARED)
+    assert projects.quick(root, "figures", "--format", "svg").returncode == 0
+    assert projects.quick(root, "compare", "c").returncode == 0
+    assert check(root)[0] == 0
+    return root
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("old", "new", "changed"),
+    [
+        ('title = "first"', 'title = "second"', ["a: title", "default: title"]),
+        ('title = "first"', 'title = "first"\nylim = [0, 9]', ["a: ylim", "default: ylim"]),
+        ('inherit = "a"', 'inherit = "a"\nlog_y = true', ["default: log_y"]),
+        ('column = "coverage"\ntitle', 'kind = "timeseries"\nformats = ["pdf"]\ncolumn = "coverage"\ntitle', []),
+        ('caption = "first"', 'caption = "second"', ["t: caption"]),
+        ('by = "population_size"', 'by = "population_size"\nalpha = 0.01', ["c: alpha"]),
+        (
+            '= "//swarm/@count"',
+            '= { targets = "//swarm/@count", label = "robots" }',
+            [*(f"{one}: axes" for one in DRAWN), "t: headers"],
+        ),
+    ],
+)
+def test_check_notices_each_change_of_what_sierra_toml_declares(
+    declared: Path, tmp_path: Path, old: str, new: str, changed: list[str]
+) -> None:
+    root = stores.copy(declared, tmp_path / "project")
+    (root / "sierra.toml").write_text((projects.CONFIG + DECLARED).replace(old, new, 1))
+    code, said = check(root)
+    lines = [line for line in said.splitlines() if "follows from the store" not in line]
+    found = [re.sub(r": sierra.toml changes how it is made: it has another (\w+) now; .*", r": \1", line) for line in lines]
+    assert (code, found) == (int(bool(changed)), changed)
 
 
 @pytest.mark.parametrize("change", ["edited", "removed"])

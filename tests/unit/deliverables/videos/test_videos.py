@@ -132,6 +132,11 @@ def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path, monkey
     assert [row["heat"] for row in found[:6]] == pytest.approx([10, 10.01, 10.02, 10.1, 10.11, 10.12])
     assert len(found) == 24
     assert "heat: follows from the store" in projects.quick(root, "figures", "--check").stdout
+    config = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(config.replace("limits = [10, 14]", "limits = [10, 15]"))
+    said = projects.quick(root, "figures", "--check").stdout
+    assert "heat: sierra.toml changes how it is made: it has another limits" in said
+    (root / "sierra.toml").write_text(config)
     heat.write_bytes(before[0][:-1])
     changed = projects.quick(root, "figures", "--check")
     assert (changed.returncode, "is not the file that SIERRA made" in changed.stdout) == (1, True)
