@@ -88,7 +88,7 @@ def _no_name(value: object) -> str:
 
 def valid_name(text: str) -> str:
     """Return a text if it is a valid name, or else a name that is like it."""
-    if re.search(NAME, text):
+    if re.fullmatch(NAME, text):
         return text
     letters = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lstrip("0123456789_")
     return letters or "my_name"

@@ -358,6 +358,13 @@ def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited
         limited.clear()
 
 
+@pytest.mark.parametrize(("name", "written"), [("größe.t", "gr_e_t"), ("1st", "st"), ("mine\n", "mine"), ("é", "my_name")])
+def test_the_lines_of_a_chart_have_a_name_that_sierra_toml_takes(recorded: Path, name: str, written: str) -> None:
+    with served(sierra.open(recorded).explorer()) as page:
+        found = page.ask("chart", batch=ids(recorded)[0], name=name, keys=SWARM)
+    assert (found["name"], list(tomllib.loads(found["toml"])["figures"])) == (written, [written])
+
+
 @pytest.mark.nightly
 def test_a_condition_of_a_package_that_never_ends_is_ended(tmp_path: Path) -> None:
     endless = "(SELECT count(*) FROM range(1000000000000000) a, range(1000000000000) b) > tick"
