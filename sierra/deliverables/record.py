@@ -249,14 +249,16 @@ def _changed(row: DeliverableRow, now: Content) -> str:
         others = "the store or sierra.toml has changed since" if row.kind == "report" else "the store has other data now"
         return _changed_model(before, now.definition) or others
     old, new = (_whole(row.kind, one) for one in (before, json.loads(json.dumps(now.definition))))
-    differing = [name for name in {**old, **new} if name != FORMATS and old.get(name) != new.get(name)]
+    changed = (name.strip() for name in {**old, **new} if old.get(name) != new.get(name))
+    differing = [name for name in dict.fromkeys(changed) if name != FORMATS]
     return f"sierra.toml changes how it is made: it has another {' and another '.join(differing)} now" if differing else ""
 
 
 def _whole(kind: str, definition: Mapping[str, JsonView]) -> dict[str, JsonView]:
     """Return all keys of a definition in one table: also those of the declaration, with the defaults of its other keys.
 
-    Of models, only the labels: their values are data, and another program may compute the same.
+    Names in the declaration end with a blank, because both may have one. Of models, only the
+    labels are in it: their values are data, and another program may compute the same.
     """
     whole = {name: value for name, value in definition.items() if name != kind}
     if isinstance(models := whole.get("models"), Mapping):
@@ -267,7 +269,7 @@ def _whole(kind: str, definition: Mapping[str, JsonView]) -> dict[str, JsonView]
     with contextlib.suppress(ConfigError):
         model = options(DECLARATIONS[kind], dict(declared), kind)
         declared = model.model_dump(mode="json", by_alias=True)
-    return {**whole, **declared}
+    return {**whole, **{f"{name} ": value for name, value in declared.items()}}
 
 
 def _changed_model(before: Mapping[str, JsonView], now: Mapping[str, JsonView]) -> str:

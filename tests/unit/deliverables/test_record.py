@@ -120,7 +120,7 @@ def declared(drawn_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
         ('by = "population_size"', 'by = "population_size"\nalpha = 0.01', ["c: alpha"]),
         (
             '= "//swarm/@count"',
-            '= { targets = "//swarm/@count", label = "robots" }',
+            '= { set = "//swarm/@count", label = "robots" }',
             [*(f"{one}: axes" for one in DRAWN), "t: headers"],
         ),
     ],
