@@ -53,8 +53,8 @@ HELLO_S = 90.0
 SESSION_S = 10.0
 """The seconds in which a host must execute one more command while its agent serves."""
 REJOIN_S = 0.3
-TRIES = 3
-"""The number of times that a run is tried which has not started."""
+LEADS_S = (0.25, 1.0, 4.0)
+"""The seconds that robots have to confirm the common start. If a run has not started, it is tried again with the next ones."""
 WAKE: tuple[str, Record] = ("", {})
 """An event of no robot: the thread that executes the run looks at once why it must end."""
 OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
@@ -171,19 +171,19 @@ class Robots:
         It is tried again if a robot did not confirm the start in time, as on a busy machine, or if a connection was lost since
         the last run.
         """
-        for more in reversed(range(TRIES)):
+        for lead in LEADS_S:
             try:
-                self._try(job)
+                self._try(job, lead)
             except (Late, Unreachable) as error:
                 lost = [robot for robot in self._robots.values() if robot.forget_if_lost()]
-                if not more or self._stopped or not (lost or isinstance(error, Late)):
+                if lead == LEADS_S[-1] or self._stopped or not (lost or isinstance(error, Late)):
                     raise
                 log.warning("trying again: %s", error)
             else:
                 return
 
-    def _try(self, job: Job) -> None:
-        """Execute one run as `_run` does, once. Raises SierraError."""
+    def _try(self, job: Job, lead: float) -> None:
+        """Execute one run as `_run` does, once. `lead` is as in `Trial.execute`. Raises SierraError."""
         self._check_room()
         taken = allocate(self._table, [(one.place, one.group) for one in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
@@ -208,7 +208,7 @@ class Robots:
         self._trial = trial
         try:
             try:
-                executed = trial.execute()
+                executed = trial.execute(lead)
             finally:
                 for part in parts:
                     self._robots[part.name].take_changes(part.before.get("software"))

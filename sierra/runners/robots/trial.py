@@ -31,8 +31,6 @@ from sierra.worker.clock_watch import ClockWatch, Course
 ARM_S = worker.START_S + 30.0
 """The seconds in which a robot must have its input files, and must have started its container."""
 CHECK_S = 30.0
-LEAD_S = 0.25
-"""The seconds from the last measurement of the clocks to the start, and in addition `ROUND_TRIPS` round trips."""
 CANCEL_S = 0.1
 """The seconds before the start in which the others can still be told that a robot did not confirm it."""
 ROUND_TRIPS = 6
@@ -147,10 +145,11 @@ class Trial:
         self._silent: set[str] = set()
         self._watch = ClockWatch()
 
-    def execute(self) -> bool:
+    def execute(self, lead: float) -> bool:
         """Execute the run until it has ended on all robots; return False if it was stopped before it began.
 
-        Raises Missing if it could not start.
+        Between the last measurement of the clocks and the start are `lead` seconds, and `ROUND_TRIPS` round trips. Raises
+        Missing if it could not start.
         """
         try:
             self._check()
@@ -159,7 +158,7 @@ class Trial:
             if reason := self._stopping():
                 return self._cancel(reason)
             self._measure()
-            self._start()
+            self._start(lead)
         except SierraError as error:
             if not self._cancel(f"not all robots were ready: {error}"):
                 raise
@@ -230,10 +229,10 @@ class Trial:
                     f"raise clock_error = {self.table.clock_error:g} in [runners.robots], or improve the link"
                 )
 
-    def _start(self) -> None:
+    def _start(self, lead: float) -> None:
         """Tell all robots when to start. Raises Late if one does not confirm this in time."""
         slowest = max(part.clock.rtt_ns for part in self.parts if part.clock)
-        self.at_ns = self._watch.now_ns() + int(LEAD_S * 1e9) + ROUND_TRIPS * slowest
+        self.at_ns = self._watch.now_ns() + int(lead * 1e9) + ROUND_TRIPS * slowest
 
         def tell(part: Part) -> None:
             offset = part.clock.offset_ns if part.clock else 0

@@ -164,12 +164,12 @@ def test_a_clock_that_is_set_between_its_measurement_and_the_start_prevents_it(
     assert [one.error for one in runs.run(job(2))] == [None]
 
 
-def after(step: Callable[[Trial], None], fault: Callable[[], None]) -> Callable[[Trial], None]:
+def after(step: Callable[..., None], fault: Callable[[], None]) -> Callable[..., None]:
     """Return a step of a run before which a fault happens."""
 
-    def faulty(trial: Trial) -> None:
+    def faulty(trial: Trial, *words: float) -> None:
         fault()
-        step(trial)
+        step(trial, *words)
 
     return faulty
 
@@ -321,7 +321,7 @@ def test_a_clock_that_is_set_after_the_start_was_confirmed_changes_no_times(
     runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ):
     fleet.set_clock("rb2", 5)
-    monkeypatch.setattr("sierra.runners.robots.trial.LEAD_S", 1.0)
+    monkeypatch.setattr("sierra.runners.robots.runner.LEADS_S", (1.0,))
     monkeypatch.setattr(Trial, "_supervise", after(Trial._supervise, lambda: fleet.set_clock("rb2", -20)))
     began = time.time()
     [result] = runs.run(job(1))
