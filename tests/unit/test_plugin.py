@@ -379,6 +379,8 @@ def test_plugin_range_conforms(installed: Path) -> None:
     criteria.check("Primes", {"2": (11, 13)}, options={"above": 10})
 
 
+@pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize("claim", links.COMMAND_CLAIMS, ids=lambda claim: claim.__name__)
 def test_plugin_link_conforms(installed: Path, tmp_path: Path, claim: Callable[[links.Trial], None]) -> None:
     from tortoise.link import Burrow, BurrowOptions  # type: ignore[import-not-found]
@@ -501,6 +503,8 @@ AB = {"a": [1, 2], "b": ["x", "y"]}
 GRAPH = b"""<graphml><key id="b" attr.name="b" attr.type="string"/><graph><node a="1"/><node a="2"/></graph></graphml>"""
 
 
+@pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("name", "tables", "damaged", "form"),
     [

@@ -121,6 +121,7 @@ def test_the_same_query_again_executes_nothing(project: Path) -> None:
     assert [one["targets"] for one in listed(project)] == [["sim"], ["robots"]]
 
 
+@pytest.mark.integration
 def test_without_the_option_the_default_target_is_used(project: Path) -> None:
     answer, _ = projects.run(project, "population_size=1,2")
     assert (answer["batch"], answer["target"], answer["executed"]) == (batch(project, "sim"), "sim", 0)

@@ -60,12 +60,14 @@ def test_a_flag_is_a_rate_with_the_interval_of_a_rate(root: Path) -> None:
     )
 
 
+@pytest.mark.integration
 def test_runs_without_rows_are_not_only_called_missing(root: Path) -> None:
     project = sierra.open(root)
     found = project.statistics(project.batches[0].batch, "first", "coverage")
     assert "3 of 4 runs missing or without such rows" in found.arrow.schema.metadata[b"sierra:note"].decode()
 
 
+@pytest.mark.integration
 def test_the_plan_for_a_rate_uses_the_interval_of_a_rate(root: Path) -> None:
     project = sierra.open(root)
     planned = project.runs_needed(project.batches[0].batch, half_width=0.1, table="ends", column="good")
@@ -167,6 +169,7 @@ def test_a_condition_uses_columns_only(root: Path) -> None:
 MANY = "(SELECT count(*) FROM range(1000000000000000) a, range(1000000000000) b) > tick"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("condition", "said"),
     [

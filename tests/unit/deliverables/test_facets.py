@@ -46,6 +46,7 @@ def titles(drawing: Drawing) -> dict[tuple[int, int], str]:
     return {(at.rowspan.start, at.colspan.start): " ".join(plot.get_title().split()) for plot, at in places.items()}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["trajectories", "density", "matrix", "confusion", "stacked"])
 def test_facet_is_the_variable_of_the_columns(kind: str) -> None:
     names = dict(enumerate(NOISE.values)), dict(enumerate(SIZE.values))

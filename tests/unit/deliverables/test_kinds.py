@@ -245,6 +245,7 @@ def test_sizes_are_those_of_templates_of_papers(batch: Path) -> None:
         assert image.height == 900
 
 
+@pytest.mark.integration
 def test_palette_labels_limits_and_footnote_are_used(batch: Path) -> None:
     keys = ('palette = ["#112233", "#445566"]', "labels = { '0.1' = 'calm', '0.5' = 'windy' }", 'footnote = "after Smith"')
     png = draw(batch, *COVERAGE, 'kind = "summary"', *keys, "ylim = [0, 123]")
@@ -272,6 +273,7 @@ def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path)
     assert "has no column 'robots'; it has" in refusal(batch, *POSES, 'kind = "trajectories"', 'robot = "robots"')
 
 
+@pytest.mark.integration
 def test_rows_of_a_table_without_times_are_not_reduced_and_can_be_checked(batch: Path) -> None:
     statement = 'sql = "SELECT run, truth, score FROM guesses"'
     png = draw(batch, statement, 'column = ["truth", "score"]', 'kind = "roc"', 'positive = "b"')
@@ -280,6 +282,7 @@ def test_rows_of_a_table_without_times_are_not_reduced_and_can_be_checked(batch:
     assert "follow" in done.stdout, done.stdout
 
 
+@pytest.mark.integration
 def test_a_density_counts_the_rows_beyond_its_limits(batch: Path) -> None:
     png = draw(batch, *POSES, 'kind = "density"', "bins = 10", "xlim = [0, 3]", "ylim = [-2, 2]", 'where = "noise = 0.1"')
     assert "; 0.4 wide cells; " in said(png)

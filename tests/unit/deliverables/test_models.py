@@ -199,6 +199,7 @@ def test_a_figure_is_drawn_without_a_model_that_fails(root: Path) -> None:
     assert "model m has no prediction" in both.stderr
 
 
+@pytest.mark.integration
 def test_a_model_that_no_figure_shows_is_reported(root: Path) -> None:
     one = "[models.{}]\nexpression = '{}'\ncolumn = '{}'\n{}\n".format
     models = {

@@ -28,6 +28,7 @@ def linked(*columns: str, **keys: object) -> Drawing:
     return Trial("network", {"column": ("from", "to", *columns), **keys}, row, ()).drawing(runs=lambda experiment: 3)
 
 
+@pytest.mark.integration
 def test_edges_have_their_mean_weight_over_the_runs() -> None:
     edges = [tuple(edge.values())[1:] for edge in linked("w").rows["edges"].to_pylist()]
     assert edges == [("a", "b", 2.0), ("b", "c", 2.0)]
@@ -39,6 +40,7 @@ def test_edges_have_their_mean_weight_over_the_runs() -> None:
     assert linked(at=2.0, run=0).rows["edges"].num_rows == 1
 
 
+@pytest.mark.integration
 def test_positions_come_from_the_data_or_from_a_layout_that_is_always_the_same() -> None:
     drawing = linked(place=["x", "y"])
     assert {row["node"]: (row["x"], row["y"]) for row in drawing.rows["nodes"].to_pylist()} == {
@@ -50,6 +52,7 @@ def test_positions_come_from_the_data_or_from_a_layout_that_is_always_the_same()
         assert first == network._layout(edges.slice(0).take([1, 0]), nodes.take([3, 2, 1, 0]), layout)
 
 
+@pytest.mark.integration
 def test_parts_of_a_network_without_edges_between_them_do_not_collapse() -> None:
     """Nodes are apart by a good part of the distance that they would have on a grid."""
     rings = [(f"{ring}-{node}", f"{ring}-{(node + 1) % 5}") for ring in range(4) for node in range(5)]

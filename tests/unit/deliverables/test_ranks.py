@@ -24,6 +24,7 @@ def ranked(*axes: Axis, runs: int = 12, **keys: object) -> Drawing:
     return Trial("critical_difference", keys, row, axes).drawing(runs=lambda experiment: runs)
 
 
+@pytest.mark.integration
 def test_seeds_are_blocks_of_one_variable_and_experiments_of_several() -> None:
     assert "mean ranks of runs, n = 12; 12 blocks, Friedman p = " in noted(ranked(GROUPS)).note
     scenarios = Axis("scenario", tuple("vwxyz"))

@@ -56,6 +56,7 @@ def test_each_figure_is_recorded_once_however_often_it_is_drawn(drawn: Path) -> 
     assert rows(drawn) == before
 
 
+@pytest.mark.integration
 def test_a_run_without_new_data_leaves_figures_and_draws_those_that_were_changed_again(drawn: Path) -> None:
     left, changed = sorted(drawn.glob("figures/*/*.svg"))
     edited, removed = changed.with_suffix(".pdf"), changed.with_suffix(".png")

@@ -58,6 +58,7 @@ def plot_areas(shown: Any) -> list[Any]:
         return [area.get_paths()[0].vertices for area in painted(shown).axes[0].collections]
 
 
+@pytest.mark.integration
 def test_sixty_four_names_have_an_entry_each_and_no_two_look_the_same() -> None:
     names = Axis("controller", tuple(f"controller_{k}" for k in range(64)))
     looks = style.looks(names)
@@ -82,6 +83,7 @@ def plot_of_any(shown: Any) -> Any:
         return painted(shown)
 
 
+@pytest.mark.integration
 def test_surfaces_and_dots_differ_in_more_than_colour() -> None:
     two = (SIZES, Axis("controller", ("walk", "flock", "levy")))
     bars = plot_of_any(Trial("bar", axes=two).drawing())

@@ -329,6 +329,7 @@ def test_equal_batches_are_reported_with_the_list_of_compared_kinds(make: Make, 
     assert "no difference in query, platform, command, image, programs, files, source" in ended.stdout
 
 
+@pytest.mark.integration
 def test_items_that_cannot_be_compared_are_a_usage_error(make: Make) -> None:
     root = make()
     batch = ask(root)

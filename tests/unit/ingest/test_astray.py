@@ -133,6 +133,7 @@ def test_a_run_with_outputs_only_gets_a_note(made: Made) -> None:
     assert "runs wrote files beside their input: {run}/trips.csv" in said
 
 
+@pytest.mark.integration
 def test_declared_outputs_that_are_not_required_may_be_elsewhere(made: Made) -> None:
     root = made(BESIDE, 'observe = "none"', '[outputs.trips]\nfile = "trips.csv"\nrequired = false\n')
     run(root, 0)

@@ -356,6 +356,7 @@ def seeds(count: int) -> list[int]:
     return [seed(0, number) for number in range(count)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("bad", [(0,), (0, 1), pytest.param((3,), marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "fewer rows", "a last line without its end"])
 def test_only_the_faulty_runs_fail_at_any_position(make: Make, bad: tuple[int, ...], fault: str) -> None:

@@ -101,6 +101,7 @@ def test_many_runs_are_described_by_experiment_and_the_crate_says_so(subject: Su
     assert not any(name.startswith("#run-") for name in entities)
 
 
+@pytest.mark.integration
 def test_the_same_records_give_the_same_bytes(subject: Subject) -> None:
     assert json.dumps(written(subject)) == json.dumps(written(subject))
 

@@ -10,6 +10,7 @@ import sierra
 from tests import projects
 
 
+@pytest.mark.integration
 def test_a_missing_package_is_named_before_any_run_executes(tmp_path: Path) -> None:
     config = projects.CONFIG.replace('"python3 ', '"{python} ')
     root = projects.make(tmp_path, 'requires = ["absent-package>=1", "duckdb"]\n' + config)

@@ -672,6 +672,7 @@ def test_differing_bytes_of_binary_files_are_counted_and_not_displayed() -> None
     assert of_texts(b"a\nb\nc\n", b"a\nx\ny\n").reason == "line 2 was 'b' and is 'x'; 2 of 4 lines differ"
 
 
+@pytest.mark.integration
 @given(st.lists(st.text(max_size=300), min_size=1, max_size=3), st.lists(st.text(max_size=300), min_size=1, max_size=3))
 def test_a_report_is_one_short_line_for_any_content(one: list[str], other: list[str]) -> None:
     wide = {f"{n}{one[0]}": other for n in range(99)}

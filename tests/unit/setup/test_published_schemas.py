@@ -132,6 +132,7 @@ def test_the_commented_toml_contains_only_comments_and_blank_lines(reference: st
     assert all(re.match("(?:# |#[^ #]|$)", line) for line in reference.splitlines())
 
 
+@pytest.mark.integration
 def test_the_uncommented_toml_is_a_valid_project(reference: str) -> None:
     whole = uncommented(reference)
     project_file.parse(whole, "sierra.toml")

@@ -91,6 +91,7 @@ def test_bad_habits_of_gazebo_change_no_result(tmp_path: Path, fault: str) -> No
     assert ("signal 6, which changes nothing" in errors, "ignores SIGINT" in errors) == (fault == "aborts", fault == "deaf")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("fault", "message"),
     [

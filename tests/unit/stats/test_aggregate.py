@@ -588,6 +588,7 @@ def test_statements_pass_their_values_as_parameters() -> None:
     assert "1.5" not in re.sub(r"--[^\n]*", "", text)
 
 
+@pytest.mark.integration
 @settings(max_examples=300, deadline=None)
 @given(
     st.one_of(st.floats(1e-12, 0.4), st.floats(0.6, 1 - 1e-9)),

@@ -102,6 +102,7 @@ def test_added_and_removed_segments_are_visible_to_the_next_query(store: Store, 
     assert known.rows(runs) == store.rows(runs)
 
 
+@pytest.mark.integration
 def test_temporary_files_of_a_large_query_are_removed_with_it(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

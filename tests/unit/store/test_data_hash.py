@@ -42,6 +42,7 @@ def test_the_order_of_rows_does_not_count(order: list[int]) -> None:
     assert data_hash(table.take(order)) == data_hash(table)
 
 
+@pytest.mark.integration
 @given(
     st.lists(st.tuples(st.none() | st.floats(), st.none() | st.sampled_from(["", "a", "b", "aa"]) | st.text())), st.randoms()
 )

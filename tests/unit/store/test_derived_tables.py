@@ -82,6 +82,7 @@ def opened(root: Path, tables: dict[str, str], rest: str = "") -> sierra.Project
     return sierra.open(root)
 
 
+@pytest.mark.integration
 def test_a_derived_table_is_a_table_in_sql(root: Path) -> None:
     project = opened(root, TABLES)
     batch = project.batches[0].batch

@@ -462,6 +462,7 @@ def test_columns_of_axes_are_in_the_order_of_the_query(tmp_path: Path) -> None:
         assert ["ordinal", "experiment", *names, "runs", "succeeded", "failed"] in [line.split() for line in shown.splitlines()]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("sizes", [(30_000,) * 800, (9 << 20, 100, 0, 5)])
 def test_objects_are_read_in_any_order_with_little_memory(tmp_path: Path, sizes: tuple[int, ...]) -> None:
     """Readers have the compressed bytes of a row group in memory, which has up to 32 MiB, and only a few rows of it."""

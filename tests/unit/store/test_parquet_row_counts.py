@@ -236,6 +236,7 @@ def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> Non
     assert "submitted before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
 
 
+@pytest.mark.integration
 def test_runs_that_write_no_table_are_reported(tmp_path: Path) -> None:
     summary = sierra.open(projects.make(tmp_path, simulator="pass\n")).run("population_size=1")
     assert any("no run wrote a table" in note for note in summary.notes)

@@ -42,6 +42,8 @@ def readonly(recorded: Path, tmp_path: Path, require: Callable[..., str]) -> Ite
         subprocess.run(["umount", "--lazy", root], check=True)
 
 
+@pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize("words", READING, ids=lambda words: words[0])
 def test_a_read_only_store_can_be_read(readonly: Path, words: tuple[str, ...]) -> None:
     done = projects.quick(readonly, *filled(readonly, words))

@@ -83,6 +83,7 @@ def test_columns_with_equal_names_are_kept(recorded: Path) -> None:
     assert quick(recorded, "sql", text, "--format", "csv").stdout.splitlines()[0] == "a,a_1,a_2"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [("ls",), ("status",), ("sql", "SELECT run, started FROM executions")])
 def test_commands_with_few_rows_load_neither_pyarrow_nor_numpy(recorded: Path, words: tuple[str, ...]) -> None:
     code = (

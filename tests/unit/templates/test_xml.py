@@ -103,6 +103,7 @@ def test_texts_of_elements_are_proposed_with_their_paths() -> None:
     assert template("<a><seed>3</seed><robots>4</robots></a>").attributes() == (("//seed", "3"), ("//robots", "4"))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("element", ["<b c='1'/>", "<b xmlns='urn:b' c='1'/>", "<b id='{n}' c='1'/>"])
 def test_the_time_to_propose_paths_grows_linearly(element: str) -> None:
     def seconds(count: int) -> float:

@@ -17,6 +17,8 @@ from sierra.testing import comparisons as conformance
 from tests import plugins
 
 
+@pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize("name", COMPARISONS.shipped)
 def test_a_shipped_method_fulfils_the_contract(name: str) -> None:
     conformance.check(name)

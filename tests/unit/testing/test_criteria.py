@@ -26,6 +26,8 @@ class Twice(Base):
 """
 
 
+@pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("name", "known", "refused"),
     [
@@ -37,6 +39,7 @@ def test_a_shipped_range_fulfils_the_contract(name: str, known: dict[str, tuple[
     conformance.check(name, known, refused)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("broken", "claim", "message"),
     [

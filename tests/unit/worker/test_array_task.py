@@ -228,6 +228,7 @@ def test_a_killed_array_task_leaves_no_process_and_loses_only_unfinished_runs(fo
     assert list(folder.scratch.iterdir()) == []
 
 
+@pytest.mark.integration
 def test_two_copies_of_an_array_task_do_not_disturb_each_other(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(10, "sleep 0.05; echo $NAME > out"))
     copies = [folder.start(), folder.start()]
@@ -338,6 +339,7 @@ def test_a_run_cannot_lead_its_observation_elsewhere(
     assert (tmp_path / "other").read_text() == "mine"
 
 
+@pytest.mark.integration
 def test_a_file_that_may_have_changed_meanwhile_by_another_clock_is_reported(
     folder: Folder, tmp_path: Path, require: Callable[..., str]
 ) -> None:
@@ -703,6 +705,7 @@ def test_a_full_shared_disk_is_reported_and_packed_results_stay_intact(
     assert Counter(one.result.execution for one in folder.events(Ended)) == Counter(f"run{n}" for n in range(20))
 
 
+@pytest.mark.integration
 def test_a_full_disk_of_a_node_is_reported(folder: Folder, disk: Callable[[Path, str], Path]) -> None:
     folder.deal([job(f"run{n}", "true", files=(("in", os.urandom(2_000_000)),)) for n in range(4)])
     disk(folder.scratch, "3m")
@@ -713,6 +716,7 @@ def test_a_full_disk_of_a_node_is_reported(folder: Folder, disk: Callable[[Path,
     assert [path.name for path in folder.scratch.iterdir()] == ["other_inputs"]
 
 
+@pytest.mark.integration
 def test_a_killed_worker_is_reported_and_leaves_no_process(folder: Folder) -> None:
     folder.deal(many(2, "sleep 60"))
     process = folder.start()
@@ -724,6 +728,7 @@ def test_a_killed_worker_is_reported_and_leaves_no_process(folder: Folder) -> No
     assert "the worker ended with signal 9" in folder.events(Trouble)[0].reason
 
 
+@pytest.mark.integration
 def test_scratch_files_of_a_dead_attempt_are_removed_and_those_of_others_are_kept(folder: Folder) -> None:
     folder.deal(many(2, "sleep 60"))
     alive = folder.start()
@@ -764,6 +769,7 @@ def test_a_python_that_is_too_old_is_reported(folder: Folder, require: Any) -> N
     assert "3.8 or newer is needed" in said
 
 
+@pytest.mark.integration
 def test_the_oldest_supported_python_executes_an_array_task(folder: Folder, require: Any) -> None:
     oldest = python_of("3.8")
     require("Python 3.8", there=oldest is not None)

@@ -76,6 +76,7 @@ def test_a_log_that_is_cut_anywhere_is_never_complete() -> None:
         assert not read(LOG[:size]).complete, LOG[:size][-80:]
 
 
+@pytest.mark.integration
 @given(st.lists(st.integers(0, len(LOG)), max_size=5))
 def test_what_living_programs_have_done_is_read_piece_by_piece_from_a_log_that_grows(
     tmp_path_factory: pytest.TempPathFactory, cuts: list[int]

@@ -53,6 +53,7 @@ def record(end: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("fake", ["exit 1", "exit 0", 'echo "$0: no" >&2; exit 1', "kill -9 $$", None])
 def test_a_run_whose_remembered_tracer_does_not_work_is_executed_unobserved(
     folder: Path, fake: str | None, require: Callable[..., str]

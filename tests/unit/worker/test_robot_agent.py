@@ -390,6 +390,7 @@ def contained(execution: str, script: str, *, held: bool = True) -> dict[str, An
     return {**order, "client": {**client, "start_pipe": held_start.host_pipe()} if held else client}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("held", [True, False])
 def test_a_container_is_started_before_the_common_start_if_its_program_can_wait(agent: Start, held: bool) -> None:
     driver = agent()

@@ -757,6 +757,7 @@ def test_every_line_of_the_journal_is_complete_with_concurrent_runs(start: Calla
     assert sorted(int(end["run"]) for end in worker.events("end")) == list(range(100))
 
 
+@pytest.mark.integration
 def test_a_full_disk_is_reported_and_does_not_hang_the_worker(
     start: Callable[..., Worker], tmp_path: Path, require: Any, mark: str
 ) -> None:

@@ -251,6 +251,7 @@ def test_equal_groups_are_seldom_ordered() -> None:
     assert 0 < found.count(Verdict.does_not_hold) <= most
 
 
+@pytest.mark.integration
 def test_an_order_of_three_needs_both_parts() -> None:
     random = np.random.default_rng(2)
     found = [verdict([random.normal(5, 1, 10), random.normal(0, 1, 10), random.normal(0, 1, 10)]) for _ in range(200)]

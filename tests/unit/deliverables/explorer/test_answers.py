@@ -62,6 +62,7 @@ def test_a_chart_has_the_numbers_of_the_figure_that_is_printed(shown: Drawing) -
     assert (alone.charts, alone.note, alone.data, svg) == (printed.charts, printed.note, printed.data, b"")
 
 
+@pytest.mark.integration
 def test_a_kind_without_charts_is_shown_as_it_is_printed() -> None:
     shown = drawing("stacked")
     assert explored(shown) == explorable(shown)
@@ -105,6 +106,7 @@ def test_several_batches_are_drawn_together_as_by_the_command(own: Path) -> None
     assert data in html.read_text()
 
 
+@pytest.mark.integration
 def test_batches_are_compared_as_by_the_command(own: Path) -> None:
     first, second, _ = ids(own)
     with served(sierra.open(own).explorer(write=True)) as page:
@@ -252,6 +254,7 @@ def test_a_video_is_hashed_once(own: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert "not the recorded one" in page.ask("batch", batch=batch)["videos"][0]["problem"]
 
 
+@pytest.mark.integration
 def test_a_video_that_is_too_large_to_be_played_is_no_missing_one(own: Path) -> None:
     def read(name: str, most: int) -> bytes | None:
         raise TooLarge(name)
@@ -387,6 +390,7 @@ def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
         assert page.ask("query", statement=SETTINGS, batch=batch)["rows"] == before == [["1.8 GiB", "0 bytes"]]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -100,6 +100,7 @@ def test_a_billion_rows_are_cut_and_long_texts_too(page: Page) -> None:
     assert found["rows"][-1][1].endswith("x… (20,000 letters)")
 
 
+@pytest.mark.integration
 def test_many_long_columns_are_cut(page: Page) -> None:
     columns = ", ".join(f"repeat('x', 9999) || range AS c{place}" for place in range(30))
     statement = f"SELECT {columns} FROM range(1000)"

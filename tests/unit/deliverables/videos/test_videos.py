@@ -204,6 +204,7 @@ def test_the_frame_of_a_mean_has_the_colours_of_the_mean(root: Path) -> None:
         assert videos.part(cell(scene, shown[tick], 0, i, j)) == pytest.approx((mean - 10) / 10, abs=0.01)
 
 
+@pytest.mark.integration
 def test_the_frame_of_a_difference_has_the_colour_of_a_minus_b(root: Path) -> None:
     wide = {"show": "difference", "size": [640, 240]}
     _, scene, shown = images(root, groups=["population_size=2", "population_size=1"], run=0, limits=[0, 40], **wide)
@@ -249,6 +250,7 @@ def inked(places: Mapping[str, str], rows: slice) -> tuple[int, Any]:
     return int(found[-1] - found[0]), image
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("place", "rows"),
     [("title", slice(0, 16)), ("panel", slice(0, 15)), ("notes", slice(-12, None)), ("time", slice(-22, None))],

@@ -109,6 +109,7 @@ def test_an_invalid_trial_is_kept_and_repeated_at_the_end_of_its_block(root: Pat
     assert not sierra.open(root).fsck().findings
 
 
+@pytest.mark.integration
 def test_a_supervisor_gets_the_pause_that_is_left(root: Path) -> None:
     pause(root, 1000)
     script = Script(VALID, VALID)
