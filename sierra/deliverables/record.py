@@ -248,28 +248,27 @@ def _changed(row: DeliverableRow, now: Content) -> str:
     if now.data != row.data:
         others = "the store or sierra.toml has changed since" if row.kind == "report" else "the store has other data now"
         return _changed_model(before, now.definition) or others
-    old, new = (_whole(row.kind, one) for one in (before, json.loads(json.dumps(now.definition))))
-    changed = (name.strip() for name in {**old, **new} if old.get(name) != new.get(name))
+    parts = zip(_parts(row.kind, before), _parts(row.kind, json.loads(json.dumps(now.definition))), strict=True)
+    changed = (name for old, new in parts for name in {**old, **new} if old.get(name) != new.get(name))
     differing = [name for name in dict.fromkeys(changed) if name != FORMATS]
     return f"sierra.toml changes how it is made: it has another {' and another '.join(differing)} now" if differing else ""
 
 
-def _whole(kind: str, definition: Mapping[str, JsonView]) -> dict[str, JsonView]:
-    """Return all keys of a definition in one table: also those of the declaration, with the defaults of its other keys.
+def _parts(kind: str, definition: Mapping[str, JsonView]) -> tuple[Mapping[str, JsonView], Mapping[str, JsonView]]:
+    """Return a definition without its declaration, and the declaration with the defaults of its other keys.
 
-    Names in the declaration end with a blank, because both may have one. Of models, only the
-    labels are in it: their values are data, and another program may compute the same.
+    Of models, only the labels are in it: their values are data, and another program may compute the same.
     """
-    whole = {name: value for name, value in definition.items() if name != kind}
-    if isinstance(models := whole.get("models"), Mapping):
-        whole["models"] = {name: one.get("label") for name, one in models.items() if isinstance(one, Mapping)}
+    rest = {name: value for name, value in definition.items() if name != kind}
+    if isinstance(models := rest.get("models"), Mapping):
+        rest["models"] = {name: one.get("label") for name, one in models.items() if isinstance(one, Mapping)}
     declared = definition.get(kind)
     if kind not in DECLARATIONS or not isinstance(declared, Mapping):
-        return whole
+        return rest, {}
     with contextlib.suppress(ConfigError):
         model = options(DECLARATIONS[kind], dict(declared), kind)
         declared = model.model_dump(mode="json", by_alias=True)
-    return {**whole, **{f"{name} ": value for name, value in declared.items()}}
+    return rest, declared
 
 
 def _changed_model(before: Mapping[str, JsonView], now: Mapping[str, JsonView]) -> str:
