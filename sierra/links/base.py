@@ -22,6 +22,12 @@ class Unreachable(Missing):
     """A host that does not answer, or refuses the login. A command may have been executed, in part or not at all."""
 
 
+class Interrupted(Unreachable):
+    """A login that the user has interrupted, or that would have asked something after Ctrl-C."""
+
+    exit_code = 130
+
+
 class UntrustedHost(Missing):
     """A host whose key is unknown, or differs from the known one. Nothing was sent to it."""
 

@@ -11,6 +11,7 @@ import contextlib
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.errors import Missing, SierraError
-from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
+from sierra.links.base import Interrupted, LinkOptions, Unreachable, UntrustedHost
 from sierra.links.commands import PAUSE_S, Commands, Stream, no_session
 from sierra.links.process_stream import ProcessStream
 from sierra.util import terminal
@@ -55,6 +56,7 @@ class OpenSsh(Commands):
         self._folder: Path | None = None
         self._connecting = threading.Lock()
         self._failed: tuple[float, SierraError] | None = None
+        self._interruptions = terminal.interruptions()
 
     def _disconnect(self) -> None:
         with self._connecting:
@@ -124,7 +126,7 @@ class OpenSsh(Commands):
         log = self._folder / "log"
         try:
             with (
-                terminal.reserved() if asks else contextlib.nullcontext(),
+                terminal.reserved(self._interruptions) if asks else contextlib.nullcontext(),
                 log.open("wb") as errors,
             ):  # a file, because the ControlMaster keeps it open
                 done = subprocess.run(
@@ -136,6 +138,11 @@ class OpenSsh(Commands):
                     check=False,
                     env=_quiet(),
                 )
+                if done.returncode == -signal.SIGINT:
+                    terminal.interrupt()  # before another one may ask: this process may hear of Ctrl-C later than its child
+                    raise terminal.Interrupted
+        except terminal.Interrupted:
+            raise Interrupted(f"{self.name}: the login was interrupted") from None
         except FileNotFoundError:
             raise Missing(
                 "the link openssh needs the program ssh; install the OpenSSH client, or use the link fabric"

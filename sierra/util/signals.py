@@ -9,6 +9,8 @@ import stat
 import threading
 from collections.abc import Iterator
 
+from sierra.util import terminal
+
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -39,6 +41,7 @@ def noted(already: bool = False) -> Iterator[list[int]]:
         return
 
     def note(number: int, frame: object) -> None:
+        terminal.interrupt()
         _hang_up(number)
         noted.append(number)
 
@@ -54,6 +57,7 @@ def noted(already: bool = False) -> Iterator[list[int]]:
 
 
 def _interrupt(number: int, frame: object) -> None:
+    terminal.interrupt()
     _hang_up(number)
     raise KeyboardInterrupt
 

@@ -167,26 +167,48 @@ def test_drivers_over_openssh_are_killed_and_lose_a_radio(project: Path, fleet: 
     assert projects.quick(project, "fsck").returncode == 0
 
 
-@pytest.mark.nightly
-def test_ssh_asks_for_the_passphrase_of_each_robot_in_turn(project: Path, fleet: Fleet) -> None:
+PASSPHRASE = "open sesame"
+
+
+def with_passphrase(project: Path, fleet: Fleet) -> tuple[Terminal, str]:
+    """Start a driver in a terminal, over OpenSSH with a locked key; return the terminal and the question of the client."""
     over_openssh(project, fleet)
     robot_project.move(project, 5)
     locked = fleet.folder / "locked"
     shutil.copy(fleet.key, locked)
-    subprocess.run(["ssh-keygen", "-q", "-p", "-P", "", "-N", "open sesame", "-f", locked], check=True)
+    subprocess.run(["ssh-keygen", "-q", "-p", "-P", "", "-N", PASSPHRASE, "-f", locked], check=True)
     fleet.ssh_config.write_text(fleet.ssh_config.read_text().replace(f"IdentityFile {fleet.key}", f"IdentityFile {locked}"))
-    prompt = f"Enter passphrase for key '{locked}': "
     sierra = Path(sys.executable).with_name("sierra")
-    words = (str(sierra), *robot_project.QUERY)
-    with Terminal(project, *words, environment={"SSH_AUTH_SOCK": "", "SSH_ASKPASS_REQUIRE": "never"}) as terminal:
+    never = {"SSH_AUTH_SOCK": "", "SSH_ASKPASS_REQUIRE": "never"}
+    terminal = Terminal(project, str(sierra), *robot_project.QUERY, environment=never)
+    return terminal, f"Enter passphrase for key '{locked}': "
+
+
+@pytest.mark.nightly
+def test_ssh_asks_for_the_passphrase_of_each_robot_in_turn(project: Path, fleet: Fleet) -> None:
+    terminal, prompt = with_passphrase(project, fleet)
+    with terminal:
         for _ in fleet.names:
             terminal.expect(prompt)
             time.sleep(1)  # in which no other client may ask too
-            terminal.type("open sesame\n")
+            terminal.type(f"{PASSPHRASE}\n")
         assert terminal.end() == 0, terminal.shown
     assert terminal.shown.count(f"{prompt}\r\n") == terminal.shown.count("Enter") == len(fleet.names), terminal.shown
     assert "sesame" not in terminal.shown
     robot_project.is_recorded(project, 5)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("answered", [0, 1])
+def test_ssh_asks_nothing_after_ctrl_c(project: Path, fleet: Fleet, answered: int) -> None:
+    terminal, prompt = with_passphrase(project, fleet)
+    with terminal:
+        for _ in range(answered):
+            terminal.answer(prompt, PASSPHRASE)
+        terminal.expect(prompt)
+        terminal.type("\x03")
+        assert terminal.end() == 130, terminal.shown
+    assert terminal.shown.count("Enter") == answered + 1, terminal.shown
 
 
 @pytest.mark.nightly
