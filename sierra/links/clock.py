@@ -20,13 +20,16 @@ class Clock:
     """Its clock at the measurement, since the epoch."""
 
 
-def measured(ask: Callable[[], int]) -> Clock:
-    """Return the measurement by the fastest of `TRIPS` round trips; `ask` returns the host's clock in ns since the epoch."""
-    return min((_trip(ask) for _ in range(TRIPS)), key=lambda one: one.rtt_ns)
+def measured(ask: Callable[[], int], now_ns: Callable[[], int]) -> Clock:
+    """Return the measurement by the fastest of `TRIPS` round trips.
+
+    `ask` returns the host's clock, and `now_ns` the clock of this host with which it is compared, in ns since the epoch.
+    """
+    return min((_trip(ask, now_ns) for _ in range(TRIPS)), key=lambda one: one.rtt_ns)
 
 
-def _trip(ask: Callable[[], int]) -> Clock:
-    began, before = time.monotonic_ns(), time.time_ns()  # a pause between them only adds to the round-trip time
+def _trip(ask: Callable[[], int], now_ns: Callable[[], int]) -> Clock:
+    began, before = time.monotonic_ns(), now_ns()  # a pause between them only adds to the round-trip time
     there = ask()
     rtt = time.monotonic_ns() - began
     return Clock(there - before - rtt // 2, rtt, there)

@@ -22,6 +22,7 @@ from sierra.links.base import Ended, Link, Unreachable, UntrustedHost
 from sierra.links.clock import measured
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.setup.doctor import Check, State
+from sierra.worker.clock_watch import ClockWatch
 
 PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")
 INSTALL = "install Python 3.8 or newer there"
@@ -227,7 +228,7 @@ def _clock(host: HostToCheck, link: Link) -> Check:
         return int(line)
 
     try:
-        clock = measured(ask)
+        clock = measured(ask, ClockWatch().now_ns)
     finally:
         channel.close()
     found = f"{clock.offset_ns / 1e9:+.3f} s from this machine's, ± {clock.rtt_ns / 2e9:.3f} s"

@@ -8,7 +8,7 @@ import json
 import queue
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, InvalidStateError
 from typing import Any
 
@@ -83,9 +83,9 @@ class AgentLink:
         """Send a request without an answer."""
         self._put({"do": do, **fields})
 
-    def clock(self) -> Clock:
-        """Measure the robot's clock. Raises Unreachable."""
-        return measured(lambda: int(self.ask("clock")["wall"]))
+    def clock(self, now_ns: Callable[[], int]) -> Clock:
+        """Measure the robot's clock, compared with `now_ns`. Raises Unreachable."""
+        return measured(lambda: int(self.ask("clock")["wall"]), now_ns)
 
     def close(self) -> None:
         """Give the robot back."""

@@ -218,7 +218,7 @@ class Trial:
 
         def measure(part: Part) -> Clock:
             part.agent.ask("watch")
-            return part.agent.clock()
+            return part.agent.clock(self._watch.now_ns)  # the start is by this clock, also if the wall clock is set
 
         self._watch = ClockWatch()
         for part, clock in zip(self.parts, self._each(measure), strict=True):
@@ -365,7 +365,7 @@ class Trial:
         if part.lost is not None:
             return
         try:
-            clock, watched = part.agent.clock(), part.agent.ask("watched")
+            clock, watched = part.agent.clock(time.time_ns), part.agent.ask("watched")
             part.clock_after, part.course = clock, Course(watched["uneven"], watched["moved"])
         except SierraError as error:
             part.problem = str(error).removeprefix(f"{part.name}: ")

@@ -20,6 +20,7 @@ from sierra.ingest.observations import observed
 from sierra.model import Job
 from sierra.provenance.environment import differing
 from sierra.runners.base import Work
+from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable
 from sierra.runners.robots.runner import Robots
 from sierra.store.layout import SessionPaths
@@ -258,6 +259,27 @@ def test_the_end_of_the_base_station_ends_the_run(fleet: Fleet):
     assert (result.exit_code, result.error) == (0, None)
     assert result.robots == {0: "ada", 1: "bob", 2: "cy"}
     assert fleet.rows_by_place[1]["reason"] == "the run is over"
+
+
+@pytest.mark.integration
+def test_a_clock_of_this_machine_that_is_set_during_a_measurement_delays_no_start(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+):
+    real, ask, step = time.time_ns, AgentLink.ask, [0]
+    monkeypatch.setattr(time, "time_ns", lambda: real() + step[0])
+
+    def set_before_an_answer(agent: AgentLink, do: str, *words: Any, **fields: Any) -> Any:
+        if do == "clock" and agent.name == "bob":
+            step[0] = -20 * 10**9
+        return ask(agent, do, *words, **fields)
+
+    monkeypatch.setattr(AgentLink, "ask", set_before_an_answer)
+    fleet.run(job(1, robots=2))
+    assert fleet.rows_by_place.keys() == {1, 2}
+    for row in fleet.rows_by_place.values():
+        assert abs(row["offset_start_ns"]) < 10e9
+        assert row["start_skew_ns"] < 10e9
+        assert "the wall clock of this machine has moved by -20 s" in row["clock_remark"]
 
 
 @pytest.mark.integration
