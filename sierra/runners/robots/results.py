@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
+import signal
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -87,6 +88,7 @@ def failure(trial: Trial) -> str | None:
         found = [str(trial.stopped)]
     elif found and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
         found.append("the others were stopped")
+    found += [f"{part.name} {text}" for part in trial.parts if (text := _cut(part, trial))]
     return "; ".join(found) or None
 
 
@@ -104,6 +106,14 @@ def _trouble(part: Part, trial: Trial) -> str | None:
     if part.problem and part.files is None:
         return f"has kept its outputs: {part.problem}"
     return _changed(part) or clock_changes.failure(part, trial.course, trial.table.clock_drift)
+
+
+def _cut(part: Part, trial: Trial) -> str | None:
+    """Return that a program was killed when it did not end as it was told to; None if it was not."""
+    end = part.end
+    if end is None or not (part.ended or {}).get("why") or end["signal"] != signal.SIGKILL:
+        return None
+    return f"was killed {trial.table.grace:g} s after the stop, so that its files may be cut; raise grace in [runners.robots]"
 
 
 def _changed(part: Part) -> str | None:
@@ -200,7 +210,7 @@ def _remarks(part: Part, trial: Trial) -> str | None:
     ended = part.ended or {}
     why = [ended["why"]] if ended.get("why") else []
     failed = [text for text in (part.lost, part.failure, part.problem) if text]
-    more = [text for text in (_late(part, trial), _clock(part, trial)) if text]
+    more = [text for text in (_cut(part, trial), _late(part, trial), _clock(part, trial)) if text]
     return "; ".join(dict.fromkeys((*failed, *why, *ended.get("problems", ()), *more))) or None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from sierra.errors import Missing
 from sierra.links.base import LinkOptions
 from sierra.links.fabric import Fabric
 from tests import projects
-from tests.support import robot_project
+from tests.support import robot_fleet, robot_project
 from tests.support.robot_fleet import Fleet
 from tests.support.robot_runs import Runs, job
 from tests.waiting import until
@@ -37,6 +37,10 @@ link_options = {{ ssh_config = "{ssh_config}" }}
 fleet = {{ {fleet} }}
 """
 
+RUN = ("run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
+SHORT_S = 0.01
+"""A grace time that is too short for roslaunch. It depends on the machine whether a bag is cut off then."""
+KILLED = f"was killed {SHORT_S} s after the stop, so that its files may be cut; raise grace in [runners.robots]"
 MOVED = """
 SELECT {robot} AS robot, count(*) AS rows, max({x}) - min({x}) + max({y}) - min({y}) AS way
 FROM {table} GROUP BY {robot} ORDER BY {robot}
@@ -107,7 +111,7 @@ def on_fleet(turtles: Path, fleet: Fleet, length: float) -> None:
 
 def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet: Fleet) -> None:
     on_fleet(turtles, fleet, 2.0)
-    done = projects.quick(turtles, "run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
+    done = projects.quick(turtles, *RUN)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = projects.sql(turtles, MOVED.format(x="x", y="y", table="path", robot="robot"))
     assert [(row["robot"], row["rows"], row["way"] > 0.01) for row in rows] == [(1, 21, True), (2, 21, True)]
@@ -121,14 +125,66 @@ def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_no_node_outlives_a_driver_that_is_ended(turtles: Path, fleet: Fleet, number: signal.Signals) -> None:
     on_fleet(turtles, fleet, 600.0)
-    words = ("run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
-    with robot_project.drive(turtles, words) as process:
+    with robot_project.drive(turtles, RUN) as process:
         for name in fleet.names[:2]:
             until(lambda name=name: any("wander" in line for line in fleet.commands(name)), f"{name} has nodes", 120)
         process.send_signal(number)
         process.communicate(timeout=120)
     for name in fleet.names:
         until(lambda name=name: not fleet.commands(name), lambda name=name: fleet.commands(name), 30)
+
+
+@pytest.fixture
+def recording(turtles: Path, require: Callable[..., str]) -> Iterator[tuple[Path, Fleet]]:
+    """Yield the example, whose runs record until they are stopped, and a fleet with the disks that rosbag needs."""
+    robot_fleet.needed(require)
+    with Fleet(3, disk="2g") as fleet:
+        on_fleet(turtles, fleet, 600.0)
+        config = turtles / "sierra.toml"
+        config.write_text(config.read_text().replace("[platforms.ros]\n", '[platforms.ros]\nrecord = ["/.*/odom"]\n'))
+        yield turtles, fleet
+
+
+def drive_until_recorded(turtles: Path, fleet: Fleet, names: Iterable[str], grace: float) -> subprocess.Popen[str]:
+    """Start a run with this grace time; return its driver when these robots have recorded messages."""
+    config = turtles / "sierra.toml"
+    config.write_text(config.read_text().replace("stop = []\n", f"stop = []\ngrace = {grace}\n"))
+    process = robot_project.drive(turtles, RUN)
+
+    def records(name: str) -> bool:
+        assert process.poll() is None, process.communicate()
+        return any(bag.stat().st_size > 4096 for bag in fleet.robots[name].home.rglob("run.bag.active"))
+
+    for name in names:
+        until(partial(records, name), f"{name} records")
+    return process
+
+
+def bags_of(turtles: Path) -> list[str]:
+    """Return the names of all bags that were pulled."""
+    return sorted(row["path"] for row in projects.sql(turtles, "SELECT path FROM artifacts WHERE path LIKE '%run.bag%'"))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("grace", [SHORT_S, 30.0])
+def test_a_planned_end_counts_only_if_no_bag_can_be_cut(recording: tuple[Path, Fleet], grace: float) -> None:
+    turtles, fleet = recording
+    base, *others = fleet.names
+    text = (turtles / "sierra.toml").read_text().replace('tb3_{number}.csv"', 'none_{number}.csv", required = false')
+    command = '["sh", "-c", "until [ -e /home/robot/go ]; do sleep 0.1; done"]'
+    text = text.replace("\nrobots.count", f"\nrobots.base = {{ command = {command} }}\nrobots.count")
+    (turtles / "sierra.toml").write_text(text.replace(f'host = "{base}"', f'host = "{base}", group = "base"'))
+    with drive_until_recorded(turtles, fleet, others, grace) as process:
+        (fleet.robots[base].home / "go").touch()
+        output, errors = process.communicate(timeout=300)
+    [found] = projects.sql(turtles, "SELECT status, reason FROM executions")
+    if grace == SHORT_S:
+        assert (process.returncode, found["status"]) == (1, "failed"), output + errors
+        assert found["reason"].startswith(f"{others[0]} {KILLED}")
+    else:
+        assert (process.returncode, found["status"]) == (0, "ok"), output + errors
+        assert bags_of(turtles) == ["1/run.bag", "2/run.bag"]
+    assert all(fleet.commands(name) == [] for name in fleet.names)
 
 
 @pytest.mark.nightly

@@ -283,6 +283,25 @@ def test_a_clock_of_this_machine_that_is_set_during_a_measurement_delays_no_star
 
 
 @pytest.mark.integration
+def test_a_run_fails_if_its_planned_end_has_to_kill_a_program(fleet: Fleet, tmp_path: Path):
+    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": RobotTable(host="ada", group="base")}})
+    (fleet.code / "go.py").write_text(
+        "import os, signal, time\n"
+        f"deaf, place = {str(tmp_path / 'deaf')!r}, os.environ['SIERRA_ROBOT']\n"
+        "if place == '1':\n"
+        "    signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "    open(deaf, 'w').close()\n"
+        "while place != '0' or not os.path.exists(deaf):\n"
+        "    time.sleep(0.01)\n"
+    )
+    [result] = fleet.run(job(1, robots=2, base=True))
+    killed = "was killed 0.3 s after the stop, so that its files may be cut; raise grace in [runners.robots]"
+    assert result.error == f"bob {killed}"
+    assert fleet.rows_by_place[1]["reason"] == f"the run is over; {killed}"
+    assert fleet.rows_by_place[2]["reason"] == "the run is over"
+
+
+@pytest.mark.integration
 def test_programs_get_the_known_addresses_of_all_robots_of_their_run(fleet: Fleet):
     own = {"ada": RobotTable(host="ada", group="base", address="10.0.0.1"), "bob": RobotTable(host="bob", address="10.0.0.2")}
     fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, **own}})
