@@ -188,6 +188,28 @@ def test_a_planned_end_counts_only_if_no_bag_can_be_cut(recording: tuple[Path, F
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize("grace", [SHORT_S, 30.0])
+def test_a_lost_radio_ends_recordings_on_all_robots(recording: tuple[Path, Fleet], grace: float) -> None:
+    turtles, fleet = recording
+    first, second, _ = fleet.names
+    with drive_until_recorded(turtles, fleet, (first, second), grace) as process:
+        fleet.radio(second, up=False)
+        output, errors = process.communicate(timeout=300)
+    assert process.returncode in (1, 3), output + errors
+    for name in fleet.names:
+        until(lambda name=name: not fleet.commands(name), lambda name=name: fleet.commands(name))
+    [found] = projects.sql(turtles, "SELECT status, reason FROM executions")
+    assert found["status"] == "failed"
+    assert found["reason"].startswith(f"{second} was lost: ")
+    if grace == SHORT_S:
+        assert f"{first} {KILLED}" in found["reason"]
+    else:
+        assert "killed" not in found["reason"]
+        assert bags_of(turtles) == ["1/run.bag"]
+        assert [bag.name for bag in fleet.robots[second].home.rglob("run.bag*")] == ["run.bag"]
+
+
+@pytest.mark.nightly
 def test_a_run_starts_only_if_topics_have_messages(require: Callable[..., str], fleet: Fleet, tmp_path: Path) -> None:
     require("rostopic")
     name = fleet.names[0]
