@@ -7,13 +7,14 @@ are in no id.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import AfterValidator, Field, StringConstraints
 
 from sierra.plugin import (
     Add,
@@ -45,8 +46,20 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Inside = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 RosName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 NodeName = Annotated[str, StringConstraints(pattern=r"^/?[A-Za-z][A-Za-z0-9_/]*$")]
-Topic = Annotated[str, StringConstraints(pattern=r"^/[A-Za-z0-9_/.*+?\[\]()-]*$")]
 Limits = tuple[Finite, Finite]
+
+
+def _with_slashes(topics: str) -> str:
+    """Check that each alternative of a regular expression can be the name of a topic."""
+    depth = 0
+    for character, following in itertools.pairwise(f"{topics} "):
+        depth += (character == "(") - (character == ")")
+        if character == "|" and depth == 0 and following != "/":
+            raise ValueError("each alternative must begin with /, as in /a/odom|/b/odom or /(a|b)/odom")
+    return topics
+
+
+Topic = Annotated[str, StringConstraints(pattern=r"^/[A-Za-z0-9_/.*+?|\[\]()-]*$"), AfterValidator(_with_slashes)]
 
 
 class RandomPosesTable(Table):

@@ -111,7 +111,8 @@ class Launch2:
         return None if found is None else (found, "namespace")
 
     def recorder(self, topics: Sequence[str]) -> str:
-        words = f"ros2 bag record -s mcap -o $(env SIERRA_OUTPUT)/run --regex '{'|'.join(topics)}'"
+        joined = "|".join(f"({one})" if "|" in one else one for one in topics)
+        words = f"ros2 bag record -s mcap -o $(env SIERRA_OUTPUT)/run --regex '{joined}'"
         return f'<executable cmd="{words}" name="sierra_bag" output="screen"/>'
 
 

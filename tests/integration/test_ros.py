@@ -148,7 +148,7 @@ def test_nothing_is_left_of_a_sierra_that_is_killed_with_its_worker(demo: Path) 
 
 
 def test_a_bag_is_closed_and_begins_with_the_run(demo: Path) -> None:
-    edited(demo, "wait_for", 'record = ["/.*/pose"]\nwait_for')
+    edited(demo, "wait_for", 'record = ["/no/.*|/(robot0|robot1)/pose"]\nwait_for')
     done = projects.quick(demo, "run", "population_size=2", "--runs", "1", "--no-figures")
     assert done.returncode == 0, done.stdout + done.stderr
     run = str(projects.sql(demo, "SELECT run FROM runs")[0]["run"])

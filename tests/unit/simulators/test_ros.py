@@ -186,6 +186,10 @@ def test_topics_are_recorded_by_a_node(tmp_path: Path) -> None:
     node = launch.find("node[@pkg='rosbag']")
     assert node is not None
     assert node.get("args") == "-O $(env SIERRA_OUTPUT)/run.bag -e /tb3_0/odom /.*/scan"
+    options = OPTIONS + 'ros = 2\nrecord = ["/tf", "/a/odom|/b/odom", "/(a|b)/scan"]\n'
+    recorder = launched(make(tmp_path / "two", options, LAUNCH2), "montecarlo.C1").find("executable")
+    assert recorder is not None
+    assert recorder.get("cmd", "").endswith("/run --regex '/tf|(/a/odom|/b/odom)|(/(a|b)/scan)'")
 
 
 def test_no_path_and_no_port_is_in_the_files_of_a_run(tmp_path: Path) -> None:
@@ -232,6 +236,13 @@ def test_the_length_of_ros_2_is_that_of_the_driver(tmp_path: Path) -> None:
         ("length = 1\n", "<launch>", '<launch><machine name="far"/>', TemplateError, "names another machine ('far')"),
         ("length = 1\n", "launch>", "robot>", SierraError, "/launch"),
         ("length = 1\nros = 2\n", "", "", QueryError, "but there are: none"),
+        (
+            'length = 1\nrecord = ["/(a|b)/odom|scan"]\n',
+            "",
+            "",
+            ConfigError,
+            "each alternative must begin with /, as in /a/odom",
+        ),
         ('length = 1\nrobot = "x"\n', "", "", ConfigError, "unknown robot 'x'; known are none"),
         ("length = 1\nposes = [[0, 0]]\n", "", "", QueryError, "there are 1 poses for 2 robots"),
         ("length = 1\nposes = [[0, 0]]\n", ' ns="tb3_0"', ' if="1"', TemplateError, "poses need one group that is one robot"),
