@@ -7,10 +7,8 @@ the one place that escapes the characters that control a terminal. JSON has its 
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
 import math
-import re
 import shutil
 import sys
 import textwrap
@@ -21,22 +19,12 @@ from datetime import datetime
 from decimal import Decimal
 from typing import Any, TextIO
 
-
-@functools.cache
-def _steering() -> re.Pattern[str]:
-    """Return the pattern of characters that are escaped. To compile it takes longer than to print most texts.
-
-    They are control characters except tab and line feed, characters that change the text's direction or are invisible, and
-    bytes that are not UTF-8.
-    """
-    return re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
+from sierra.util.text import visible
 
 
 def safe(text: str) -> str:
-    """Return a text in which escapes replace characters that control a terminal or are invisible."""
-    if all(line.isprintable() for line in text.split("\n")):
-        return text
-    return _steering().sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    """Return a text in which escapes replace characters that control a terminal or deceive its reader."""
+    return visible(text).replace("\r", "\\r")
 
 
 class Safe:
@@ -179,8 +167,8 @@ def fitting(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> int:
 
 
 def readable(text: str) -> str:
-    """Return a text from outside as one line, with escapes for characters that move the cursor or are invisible."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    """Return a text from outside as one line, with escapes for characters that control a terminal or end a line."""
+    return safe(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
 def fields(record: Mapping[str, object], indent: str = "") -> None:

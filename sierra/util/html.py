@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from sierra.util.text import visible
+
 ROWS = 20
 """Maximum number of rows that are shown of a table."""
 MAX_LENGTH = 120
@@ -32,4 +34,4 @@ def _text(value: object) -> str:
             text = f"{value:.6g}"
         case _:
             text = str(value)
-    return escape(text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…")
+    return escape(visible(text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…"))

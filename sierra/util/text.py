@@ -2,8 +2,42 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable, Iterator, Sequence
+
+STEERING = (
+    (0x00, 0x08), (0x0B, 0x0C), (0x0E, 0x1F), (0x7F, 0x9F),  # control characters except tab and the ends of lines
+    (0x2028, 0x2029), (0x202A, 0x202E), (0x2066, 0x2069),  # ends of lines that few programs know; the direction of text
+    (0x2060, 0x2065), (0x206A, 0x206F), (0xFEFF, 0xFEFF), (0xFFF9, 0xFFFB), (0xE0001, 0xE0001),  # invisible, in no word
+    (0xD800, 0xDFFF), (0xFFFE, 0xFFFF),  # bytes that are not UTF-8; no characters, which XML cannot hold
+)  # fmt: skip
+"""The first and the last of the characters of each kind that control a terminal or a page, or deceive its reader.
+
+Characters that belong to words are not among them: joiners and marks of Arabic, Hebrew and Indic scripts and of emoji,
+no-break spaces, and the invisible spaces between words in Thai and Khmer.
+"""
+
+
+@functools.cache
+def _steering() -> re.Pattern[str]:
+    """Return the pattern of `STEERING`. To compile it takes longer than to print most texts."""
+    return re.compile(f"[{''.join(f'{chr(first)}-{chr(last)}' for first, last in STEERING)}]")
+
+
+def visible(text: str) -> str:
+    """Return a text in which escapes replace the characters of `STEERING`; tabs and ends of lines stay.
+
+    Terminal, pages and figures show texts of others in this way: no character is lost, and letters of all scripts stay.
+    """
+    if all(line.isprintable() for line in text.split("\n")):
+        return text
+    return _steering().sub(lambda found: escape(found[0]), text)
+
+
+def escape(text: str) -> str:
+    """Return a text with escapes for tabs, ends of lines, and all characters beyond ASCII."""
+    return text.encode("unicode_escape").decode()
 
 
 def few(things: Sequence[str], most: int) -> str:
@@ -29,8 +63,11 @@ def n_of(counts: Iterable[int]) -> str:
 
 
 def one_line(text: object) -> str:
-    """Return a text on one line, with control characters escaped."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    """Return a text for a message, on one line, with escapes for all characters that are not printable.
+
+    Messages also show blanks of other kinds and joiners, because one of them may be what is wrong.
+    """
+    return "".join(c if c.isprintable() else escape(c) for c in str(text))
 
 
 def outside(text: str, wanted: str) -> Iterator[int]:

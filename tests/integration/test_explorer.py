@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import time
@@ -12,9 +13,11 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.util.text import visible
 from tests import projects, stores
 from tests.browser import INJECTED, Browser
 from tests.support import filmed, many_batches
+from tests.support.characters import MIXED, SHOWN
 from tests.support.photographs import flaws, unfold, unnamed
 from tests.support.reported import ATTACK, ATTACK_IN_TOML
 from tests.waiting import PATIENCE_S
@@ -35,6 +38,7 @@ def browser(require: Callable[..., str], tmp_path: Path) -> Iterator[Browser]:
 HOLD = "((place, keys) => keys.forEach(key => place.dispatchEvent(new KeyboardEvent('keydown', {key, cancelable: true}))))"
 """A function that presses keys before anything else happens in the page."""
 REVERSES = r"/[\u202a-\u202e\u2066-\u2069]/.test"
+ESCAPED = "[...Array(0x110000).keys()].filter(code => (one => sierra.visible(one) !== one)(String.fromCodePoint(code)))"
 ALL_TEXTS = "document.body.textContent + [...document.querySelectorAll('input, textarea')].map(one => one.value).join()"
 TYPE = """((area, text) => { area.focus(); area.value = text; area.selectionStart = area.selectionEnd = text.length;
   area.dispatchEvent(new Event('input')); return [...document.querySelectorAll('#words li')].map(one => one.innerText);
@@ -205,9 +209,11 @@ def test_hostile_names_are_shown_completed_and_drawn(browser: Browser, tmp_path:
         assert "evil" in browser.run(TEXT.format("result"))
         browser.run("document.querySelectorAll('#figures button')[1].click()")
         until(browser, "document.getElementById('toml').textContent.includes('figures.second')")
-        assert "Its statement has characters that are not printable" in browser.run(TEXT.format("chart-of"))
+        assert "Its statement has characters that control" in browser.run(TEXT.format("chart-of"))
         assert "\\U0000202e" in browser.run("document.getElementById('toml').textContent")
         assert browser.run(f"{REVERSES}({ALL_TEXTS})") is False
+        assert browser.run(ESCAPED) == [place for place in range(0x110000) if visible(chr(place)) != chr(place)]
+        assert browser.run(f"sierra.visible({json.dumps(MIXED)})") == SHOWN
         assert browser.run(TYPE % "SELECT max(grö")[0].startswith('"größe"')
         browser.press("Tab")
         assert browser.run(STATEMENT) == 'SELECT max("größe"'

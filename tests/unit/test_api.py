@@ -17,6 +17,7 @@ import sierra
 from sierra.execution import progress_display
 from sierra.execution.observer import Progress
 from tests import projects
+from tests.support.characters import MIXED, SHOWN
 
 WITHOUT_EXAMPLE = {
     *("pin", "pin_all", "build_image", "import_image", "export_image", "image", "images"),  # need a container image
@@ -133,10 +134,10 @@ HOSTILE = "<script>alert('x')</script>"
 
 @pytest.mark.integration
 def test_notebook_html_is_escaped_and_shortened(project: sierra.Project, summary: sierra.Summary) -> None:
-    shown = project.sql('SELECT $x AS "<b>", range AS n FROM range(1000)', x=HOSTILE)._repr_html_()
+    shown = project.sql('SELECT $x AS "<b>", range AS n FROM range(1000)', x=f"{HOSTILE}{MIXED}")._repr_html_()
     assert "<script" not in shown
     assert "<b>" not in shown
-    assert "&lt;script&gt;" in shown
+    assert f"&lt;/script&gt;{SHOWN}" in shown
     assert "1000 rows, 20 of them shown" in shown
     assert shown.count("<tr>") == 21
     assert "population_size=1,2" in project._repr_html_()

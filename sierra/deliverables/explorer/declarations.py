@@ -15,6 +15,7 @@ from sierra.errors import UsageError
 from sierra.store.layout import PYPROJECT
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView
+from sierra.util.text import visible
 
 Kind = Literal["figures", "comparisons"]
 
@@ -31,11 +32,11 @@ def lines(file: Path, kind: Kind, name: str, keys: Mapping[str, JsonView]) -> st
 
 
 def _plain(toml: str) -> str:
-    """Return lines in which characters that are not printable, or reverse the text after them, are escapes of TOML.
+    """Return lines in which the characters that `visible` escapes are escapes of TOML, with which TOML has the same text.
 
     All strings and quoted keys that `lines` writes are basic ones, in which such escapes are allowed.
     """
-    return "".join(c if c.isprintable() or c == "\n" else f"\\U{ord(c):08x}" for c in toml)
+    return "".join(c if visible(c) == c else f"\\U{ord(c):08x}" for c in toml)
 
 
 def append(project: LoadedProject, kind: Kind, name: str, keys: Mapping[str, JsonView], file: str) -> LoadedProject:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sierra.config.deliverable_tables import Format
 from sierra.errors import UsageError
-from sierra.util.text import like
+from sierra.util.text import like, visible
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -38,19 +38,19 @@ PNG_LEVEL = 3
 
 
 def png(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    texts = {"Title": title(drawing), "Description": plain(drawing.note)}
-    texts |= {"sierra": origin, "sierra:sql": plain(drawing.sql)}
+    texts = {"Title": title(drawing), "Description": visible(drawing.note)}
+    texts |= {"sierra": origin, "sierra:sql": visible(drawing.sql)}
     return _saved(figure, "png", texts, pil_kwargs={"compress_level": PNG_LEVEL})
 
 
 def pdf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    texts = {"Title": title(drawing), "Subject": plain(drawing.sql), "Keywords": origin}
+    texts = {"Title": title(drawing), "Subject": visible(drawing.sql), "Keywords": origin}
     return _saved(figure, "pdf", texts | {"CreationDate": None})
 
 
 def svg(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    texts = {"Title": title(drawing), "Description": plain(drawing.note)}
-    return _saved(figure, "svg", texts | {"Identifier": origin, "Source": plain(drawing.sql), "Date": None})
+    texts = {"Title": title(drawing), "Description": visible(drawing.note)}
+    return _saved(figure, "svg", texts | {"Identifier": origin, "Source": visible(drawing.sql), "Date": None})
 
 
 def html(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
@@ -62,7 +62,7 @@ def html(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> byt
 def pgf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
     from sierra.deliverables.figures.tex import picture
 
-    return picture(figure, [title(drawing), origin, *plain(drawing.sql).splitlines()])
+    return picture(figure, [title(drawing), origin, *visible(drawing.sql).splitlines()])
 
 
 def txt(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
@@ -97,13 +97,7 @@ def named(names: Iterable[str]) -> tuple[Format, ...]:
 
 def title(drawing: Drawing) -> str:
     """Return the title of a figure; the name of its files, if it has none."""
-    return plain(drawing.figure.title or drawing.name)
-
-
-def plain(text: str) -> str:
-    """Return the text with blanks for characters that XML, and so SVG, cannot hold."""
-    lines = text.split("\n")
-    return "\n".join(one if one.isprintable() else "".join(c if c.isprintable() else " " for c in one) for one in lines)
+    return visible(drawing.figure.title or drawing.name)
 
 
 def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None], **more: Any) -> bytes:

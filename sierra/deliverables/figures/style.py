@@ -6,6 +6,7 @@ replaces it for more than `FEW` numbers or more than `NAMES` names.
 
 from __future__ import annotations
 
+import re
 import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,6 +40,7 @@ from sierra.deliverables.figures import font, text_layouts
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.text import visible
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -367,7 +369,7 @@ def named(value: Value, limit: int = 28, digits: int = 6) -> str:
 
 def shortened(text: str, limit: int) -> str:
     """Return the text as one line of at most `limit` characters; the middle is left out."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    line = visible(re.sub("[ \t\r\n]+", " ", text).strip(" "))
     half = (limit - 1) // 2
     return line if len(line) <= limit else f"{line[:half]}…{line[-half:]}"
 

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import html
 import json
-import re
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
+from sierra.util.text import STEERING, visible
+
 Data: TypeAlias = "str | int | float | bool | Sequence[Data] | Mapping[str, Data] | None"
 ESCAPES = str.maketrans({"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"})
-STEERING = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters except tab and the ends of lines, those that reverse the text after them, and bytes that are not UTF-8."""
 
 
 def text(content: str) -> str:
     """Return a text for an element or a quoted attribute.
 
-    Characters that control are shown as escapes: a NUL, or one that reverses the direction of the text after it. All others
-    stay as they are, so that names in any script, and SQL, can be copied.
+    Characters that control are shown as escapes: see `sierra.util.text.visible`. All others stay as they are, so that names in
+    any script, and SQL, can be copied.
     """
-    shown = STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), content)
-    return html.escape(shown).replace("\r", "&#13;")
+    return html.escape(visible(content)).replace("\r", "&#13;")
+
+
+def steering() -> str:
+    """Return the characters that `text` escapes, as a class of a script's regular expressions."""
+    spans = (rf"\u{{{first:x}}}-\u{{{last:x}}}" for first, last in STEERING)
+    return f"[{''.join(spans)}]"
 
 
 def data(content: Data) -> str:

@@ -8,7 +8,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from sierra.deliverables.html.escaping import text
+from sierra.deliverables.html.escaping import steering, text
 
 ASSETS = Path(__file__).with_name("assets")
 ASKS = "; frame-src 'self'; media-src 'self'; connect-src 'self'"
@@ -57,9 +57,10 @@ def page(
 
 @cache
 def _script(extra: str) -> str:
+    """Return the scripts of a page, which show the same characters as escapes as the texts in the page."""
     notice = (ASSETS / UPLOT / "LICENSE").read_text("utf-8")
     parts = f"/*! uPlot\n{notice}*/", (ASSETS / UPLOT / "uPlot.iife.min.js").read_text("utf-8"), _asset("page.js")
-    return "\n".join((*parts, *([_asset(f"{extra}.js")] if extra else [])))
+    return "\n".join((*parts, *([_asset(f"{extra}.js")] if extra else []))).replace("[STEERING]", steering())
 
 
 @cache

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.cli.output import safe
+from sierra.cli.output import readable, safe
 from tests import projects, stores
+from tests.support.characters import MIXED, SHOWN
 from tests.unit.store.test_ownership_marks import died
 
 EVIL = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202egnp.exe"
@@ -96,6 +97,12 @@ def test_csv_output_on_a_terminal_has_no_escape_sequences(evil: Path) -> None:
 def test_safe_text_stays_unchanged() -> None:
     assert safe("a\tb\nc äöü → 中文 … é") == "a\tb\nc äöü → 中文 … é"
     assert safe("\ud800\r\u2066") == "\\ud800\\r\\u2066"
+    assert safe(MIXED) == readable(MIXED) == SHOWN
+    assert readable("a\tb\r\nc") == "a\\tb\\r\\nc"
+
+
+def test_tables_of_a_command_show_letters_and_escape_what_deceives(evil: Path) -> None:
+    assert projects.quick(evil, "sql", f"SELECT '{MIXED}' AS a").stdout.splitlines()[1] == SHOWN
 
 
 # ---------------------------------------------------------------- bytes that are not text

@@ -29,6 +29,7 @@ from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.record import origin_of
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.model import Axis
+from tests.support.characters import LETTERS, MIXED, SHOWN
 from tests.tiers import at_night
 
 SIZES = Axis("population_size", (1, 2, 4, 8), unit="robots")
@@ -542,6 +543,12 @@ def test_figures_are_drawn_from_unusual_data(kind: str, case: str) -> None:
     drawn = drawing(kind, axes, tables, title="T_$", ylabel="{" * 99)
     assert all(len(data) > 1000 for ending, data in figures.rendered(drawn) if ending not in ("txt", "tex"))
     assert kind == "stacked" or svg(drawing(kind, axes, tables, log_y=True))
+
+
+def test_figures_show_letters_and_escape_what_deceives() -> None:
+    drawn = drawing("summary", (Axis("law", (LETTERS, "\u202e")),), title=MIXED)
+    written = svg(replace(drawn, note=f"a\tb\n{MIXED}\uffff"))
+    assert {SHOWN, LETTERS, r"\u202e", f"a\tb\n{SHOWN}\\uffff"} <= {one.text for one in ElementTree.XML(written).iter()}
 
 
 def test_timeseries_with_one_time_is_drawn_as_marks() -> None:

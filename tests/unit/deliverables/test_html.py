@@ -25,6 +25,7 @@ from sierra.deliverables.html.page import ASSETS
 from sierra.deliverables.record import origin_of
 from sierra.errors import UsageError
 from sierra.model import Axis
+from tests.support.characters import MIXED, SHOWN
 from tests.unit.deliverables.test_figures import BATCH, NAMES, SIZES, SQL, drawing, svg, table
 
 TITLE = "</title></script><script>alert(1)</script><b>\"'&amp; `x`"
@@ -173,10 +174,11 @@ def test_data_within_a_script_can_hold_any_text(text: str) -> None:
 
 def test_text_shows_characters_that_control_as_escapes() -> None:
     assert escaping.text("a\0b\u202ec\ud800 <'\">\n") == "a\\x00b\\u202ec\\ud800 &lt;&#x27;&quot;&gt;\n"
+    assert escaping.text(MIXED) == SHOWN
 
 
 @pytest.mark.parametrize(
-    "text", ["SELECT\t1,\r\n\t'a\xa0b'", "\u0645\u06cc\u200c\u062e", "क्\u200dष", "א\u200f\u200e", "a\u200b\u2028b\u3000"]
+    "text", ["SELECT\t1,\r\n\t'a\xa0b'", "\u0645\u06cc\u200c\u062e", "क्\u200dष", "א\u200f\u200e", "a\u200bb\u3000"]
 )
 def test_text_of_any_script_can_be_copied(text: str) -> None:
     written = escaping.text(text)

@@ -2,7 +2,7 @@
 // Asks the server, and fills the page with its answers. All texts of the store become text nodes, never HTML; the only HTML
 // that is inserted is that of a chart's section, which the server has escaped.
 (() => {
-  const { make, show, copy, csv, plain } = globalThis.sierra;
+  const { make, show, copy, csv, visible } = globalThis.sierra;
   const token = location.hash.slice(1);
   const of = (id) => document.getElementById(id);
   const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
@@ -40,7 +40,7 @@
       const found = await work();
       return wanted() ? found : null;
     } catch (error) {
-      if (wanted()) place.textContent = plain(error.message);
+      if (wanted()) place.textContent = visible(error.message);
       return null;
     }
   }
@@ -143,7 +143,7 @@
   function describe(one, executing) {
     const id = one.batch.slice(0, 10);
     page.query = one.query;
-    of("batch-title").textContent = plain(one.query);
+    of("batch-title").textContent = visible(one.query);
     const running = executing ? `${executing} being executed now, ` : "";
     of("facts").textContent = `batch ${id}: ${one.experiments} experiments, ${one.runs} runs, ${running}${one.state}; sierra replay ${id}`;
     of("add").disabled = page.together.has(one.batch);
@@ -189,7 +189,7 @@
     of("told").hidden = false;
     of("alone").href = found.address;
     of("frame").src = found.address;
-    of("report-notes").textContent = plain(found.notes.join("; "));
+    of("report-notes").textContent = visible(found.notes.join("; "));
     of("told").scrollIntoView();
   }
 
@@ -330,7 +330,7 @@
     field.name.value = name;
     field.table.selectedIndex = -1;  // a declared figure need not name its table
     if (keys.table) field.table.value = keys.table;
-    if (keys.sql) { field.table.value = ""; of("statement").value = plain(keys.sql); }
+    if (keys.sql) { field.table.value = ""; of("statement").value = visible(keys.sql); }
     field.kind.value = keys.kind ?? "timeseries";
     field.column.value = [].concat(keys.column ?? []).map((one) => (/[",]/.test(one) ? inQuotes(one) : one)).join(", ");
     for (const key of FIELDS) field[key].value = keys[key] === DEFAULTS[key] ? "" : keys[key] ?? "";
@@ -346,8 +346,8 @@
     const place = of(others.length ? "together-error" : "chart-error");
     const found = await drawn(place, () => ask("chart", { batch, name, keys, others }));
     if (!found) return;
-    const more = Object.keys(page.chosen.kept).map(plain).join(", ");
-    const changed = keys.sql && keys.sql !== plain(keys.sql) ? " Its statement has characters that are not printable: below they are blanks." : "";
+    const more = Object.keys(page.chosen.kept).map(visible).join(", ");
+    const changed = keys.sql && keys.sql !== visible(keys.sql) ? " Its statement has characters that control: below they are escapes." : "";
     const also = (more && ` The form does not show its keys ${more}.`) + changed;
     of("chart-of").textContent = `This chart shows ${others.length ? `${batches.length} batches` : `batch ${batch.slice(0, 10)}`}.${also}`;
   }
@@ -380,7 +380,7 @@
     of("drawn").innerHTML = found.section;
     for (const section of of("drawn").children) show(section, "chart");
     of("toml").textContent = found.toml;
-    of("command").textContent = plain(found.command);
+    of("command").textContent = visible(found.command);
     of("declaration").hidden = false;
     of("written").textContent = "";
     say(`Drawn in ${((performance.now() - before) / 1000).toFixed(2)} s.`);

@@ -6,17 +6,19 @@
   const number = (value) => (typeof value === "number" ? value : null);
   const shown = (value) => {
     if (typeof value === "number") return String(Number.isInteger(value) ? value : Number(value.toPrecision(6))).replaceAll("-", "−");
-    return value === null || value === undefined ? "–" : plain(value);
+    return value === null || value === undefined ? "–" : visible(value);
   };
 
-  // A text in which each character that is not printable, or that reverses the text after it, is a blank. The server's
-  // html.escaping is milder: it shows escapes of those that control, and keeps all others, such as joiners.
-  const plain = (text) => String(text).replace(/(?![ \n])[\p{C}\p{Z}]/gu, " ");
+  // A text with escapes for the characters for which the server's html.escaping, too, shows them: html/page.py fills them in.
+  const visible = (text) => String(text).replace(/[STEERING]/gu, (found) => {
+    const code = found.codePointAt(0), [letter, width] = code < 0x100 ? ["x", 2] : code < 0x10000 ? ["u", 4] : ["U", 8];
+    return `\\${letter}${code.toString(16).padStart(width, "0")}`;
+  });
 
   function make(name, parent, attributes = {}, text = "") {
     const element = document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    element.textContent = plain(text);
+    element.textContent = visible(text);
     parent.append(element);
     return element;
   }
@@ -98,7 +100,7 @@
           x: { time: false, auto: false, min: this.whole[0], max: this.whole[1], range: (_, low, high) => [low, high], ...this.scale(x) },
           y: { ...(y.limits ? { range: y.limits } : {}), ...this.scale(y) },
         },
-        axes: [{ ...axis, label: plain(x.label), ...this.ticks(x) }, { ...axis, label: plain(y.label), size: (_, values) => 24 + 7 * Math.max(3, ...(values || []).map((value) => String(value ?? "").length)) }],
+        axes: [{ ...axis, label: visible(x.label), ...this.ticks(x) }, { ...axis, label: visible(y.label), size: (_, values) => 24 + 7 * Math.max(3, ...(values || []).map((value) => String(value ?? "").length)) }],
         series: [{}, ...lines],
         bands: form === "lines" ? this.series.map((one, k) => this.band(one, k)) : [],
         cursor: {
@@ -267,7 +269,7 @@
       this.index = index;
       const { x } = this.spec;
       const name = (at) => shown(x.names.length ? x.names[at] : at);
-      this.caption.textContent = x.column < 0 ? "" : `${plain(x.label)} = ${name(this.xs[index])}`;
+      this.caption.textContent = x.column < 0 ? "" : `${visible(x.label)} = ${name(this.xs[index])}`;
       this.said = this.series.map((one, k) => {
         const found = this.nearestRow(one, index);
         const facts = found ? found.facts : {};
@@ -276,7 +278,7 @@
         const interval = facts.low === null || facts.low === undefined ? "–" : `[${shown(facts.low)}, ${shown(facts.high)}]`;
         const texts = [shown(facts.center) + elsewhere, interval, shown(facts.n) + never];
         this.rows[k].cells.forEach((cell, place) => (cell.textContent = texts[place]));
-        return one.shown ? `${plain(one.name)} ${texts[0]}, interval ${interval}, n = ${texts[2]}` : "";
+        return one.shown ? `${visible(one.name)} ${texts[0]}, interval ${interval}, n = ${texts[2]}` : "";
       });
     }
 
@@ -399,6 +401,6 @@
       button.addEventListener("click", () => copy(csv(tables[Number(button.dataset.csv)]), button)));
   }
 
-  globalThis.sierra = { make, show, copy, csv, plain };
+  globalThis.sierra = { make, show, copy, csv, visible };
   document.querySelectorAll("section").forEach((element, place) => show(element, `section ${place}`));
 })();

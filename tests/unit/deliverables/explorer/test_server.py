@@ -23,6 +23,7 @@ from sierra.deliverables.explorer.server import LONGEST, Server
 from sierra.deliverables.report.make import Source
 from sierra.errors import Missing
 from tests import projects, stores
+from tests.support.characters import LETTERS, MIXED
 from tests.support.explorer_page import Page, served
 
 FOR_EVER = "SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b WHERE (a.range + b.range) % 7 = 1"
@@ -151,10 +152,11 @@ def test_a_chart_whose_name_sierra_toml_cannot_have_gets_another_one(page: Page,
 
 
 def test_lines_to_copy_have_no_characters_that_deceive(page: Page, batch: str) -> None:
-    keys = SWARM | {"title": "a \u202eb\u2066 \x01\x85\U000e0001 'c' \"d\"\n", "where": "true -- \u202e"}
+    keys = SWARM | {"title": "a \u202eb\u2066 \x01\x85\U000e0001 'c' \"d\"\n", "where": f"true -- \u202e {MIXED}"}
     toml = page.ask("chart", batch=batch, name="\u202emine", keys=keys)["toml"]
     assert tomllib.loads(toml) == {"figures": {"mine": keys}}
-    assert toml.replace("\n", "").isprintable()
+    assert LETTERS in toml
+    assert toml.replace("\n", "").replace(LETTERS, "").isprintable()
 
 
 @pytest.mark.parametrize(

@@ -256,11 +256,11 @@ def inked(places: Mapping[str, str], rows: slice) -> tuple[int, Any]:
     [("title", slice(0, 16)), ("panel", slice(0, 15)), ("notes", slice(-12, None)), ("time", slice(-22, None))],
 )
 def test_texts_of_others_are_shown_literally_in_frames(place: str, rows: slice) -> None:
-    """In the font, $ is as wide as S; if it began mathematics, it would not be shown. Characters that control are blanks."""
+    """In the font, $ is as wide as S; if it began mathematics, it would not be shown. Characters that control are escapes."""
     for text in ("a <b> $x$", r"$\frac{$", "$$ and $$", r"\$5 $a_1$"):
         assert inked({place: text}, rows)[0] == pytest.approx(inked({place: text.replace("$", "S")}, rows)[0], abs=3), text
-    for text in () if place == "time" else ("a\nb", "a\u202eb"):
-        assert (inked({place: text}, rows)[1] == inked({place: "a b"}, rows)[1]).all()
+    for text, shown in {} if place == "time" else {"a\nb": "a b", "a\u202eb": r"a\u202eb"}.items():
+        assert (inked({place: text}, rows)[1] == inked({place: shown}, rows)[1]).all()
 
 
 def test_uneven_times_are_noted_and_a_step_makes_them_even(root: Path) -> None:
