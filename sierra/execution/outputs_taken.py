@@ -22,11 +22,17 @@ OWN = ("run", "execution", "file")
 
 @dataclass(frozen=True, slots=True)
 class TakenColumn:
-    """One column of a table: its name and its type in SQL, and its unit if `sierra.toml` declares one."""
+    """One column of a table: its name and its type in SQL, and its unit if `sierra.toml` declares one.
+
+    The name differs from that in the file if SQL or the store needs it for something else: `v` and `V` are `v` and `V_`.
+    """
 
     name: str
     type: str
     unit: str | None = None
+
+
+NO_COLUMN = TakenColumn("", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,26 +213,27 @@ def _undeclared(layouts: Iterable[_Layout]) -> Output:
 
 
 def _table(snapshot: Snapshot, layouts: list[_Layout], size: _Rows, declared: Output | None, kind: str) -> TakenTable:
-    columns = tuple(_columns(snapshot, layouts, declared))
+    columns = list(_columns(snapshot, layouts, declared))
     several = TableLayout.load(layouts[0].table_layout).file is None  # its first column may be the place of a robot
-    first = next((column for column in columns if not (several and column.name == robot_files.COLUMN)), None)
-    named = first.name if first and names_time(first.name) and first.type != "VARCHAR" else ""
+    first, column = next((pair for pair in columns if not (several and pair[0] == robot_files.COLUMN)), ("", NO_COLUMN))
+    named = first if names_time(first) and column.type != "VARCHAR" else ""
+    time = (declared.time if declared else "") or named
     return TakenTable(
         name=size.output,
         file=declared.file if declared else layouts[0].path,
         format=kind,
-        columns=columns,
+        columns=tuple(column for _, column in columns),
         runs=size.runs,
         least=size.least,
         most=size.most,
-        time=(declared.time if declared else "") or named,
+        time=next((column.name for original, column in columns if original == time), time),
         units_row=bool(declared and declared.units_row),
         declared=declared is not None,
     )
 
 
-def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | None) -> Iterator[TakenColumn]:
-    """Yield the columns of a table with their types in SQL."""
+def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | None) -> Iterator[tuple[str, TakenColumn]]:
+    """Yield the columns of a table with the names that they have in its file."""
     layouts = list(layouts)
     name = layouts[0].output
     names = dict.fromkeys(column for row in layouts for column in TableLayout.load(row.table_layout).columns)
@@ -236,9 +243,10 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     described = {row[0]: row[1] for row in snapshot.run(f"DESCRIBE {identifier(name)}")}
     own = {stored: sql for stored, sql in snapshot.views.sql_names.get(name.lower(), {}).items() if stored not in OWN}
     units: Mapping[str, str] = declared.units if declared else {}
-    original = dict(zip(column_names(list(names)), names, strict=True))
+    originals = dict(zip(column_names(list(names)), names, strict=True))
     for stored, sql in own.items():
-        yield TakenColumn(original.get(stored, stored), described.get(sql, ""), units.get(original.get(stored, stored)))
+        original = originals.get(stored, stored)
+        yield original, TakenColumn(sql, described.get(sql, ""), units.get(original))
 
 
 def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:

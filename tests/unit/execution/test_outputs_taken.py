@@ -66,6 +66,19 @@ def test_outputs_shows_the_tables_of_a_batch_or_query_from_the_store(tmp_path: P
     assert "has not been run" in ended.stderr
 
 
+@pytest.mark.integration
+def test_columns_have_the_names_by_which_sql_takes_them(tmp_path: Path) -> None:
+    more = 'open("two.csv", "w").write("population_size,v,V,run\\n0,1,2,3\\n")'
+    declared = '[outputs.two]\nfile = "two.csv"\ntime = "population_size"\nunits = { V = "m" }\n'
+    project(tmp_path, more, f"{projects.CONFIG}\n{declared}")
+    assert quick(tmp_path, *QUERY).returncode == 0
+    [two] = [table for table in json.loads(quick(tmp_path, "outputs", "--json").stdout)["tables"] if table["name"] == "two"]
+    names = [column["name"] for column in two["columns"]]
+    assert [column["unit"] for column in two["columns"]] == [None, None, "m", None]
+    assert two["time"] == names[0]
+    assert [list(row.values()) for row in sql(tmp_path, f"SELECT DISTINCT {', '.join(names)} FROM two")] == [[0, 1, 2, 3]]
+
+
 @pytest.mark.nightly
 def test_declared_keys_of_a_file_that_is_no_table_make_one(tmp_path: Path) -> None:
     project(tmp_path, FILES)
