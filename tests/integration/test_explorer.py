@@ -39,6 +39,11 @@ HOLD = "((place, keys) => keys.forEach(key => place.dispatchEvent(new KeyboardEv
 """A function that presses keys before anything else happens in the page."""
 REVERSES = r"/[\u202a-\u202e\u2066-\u2069]/.test"
 ESCAPED = "[...Array(0x110000).keys()].filter(code => (one => sierra.visible(one) !== one)(String.fromCodePoint(code)))"
+HELD = """((ask, told) => { window.fetch = (...about) => {
+    if (about[0] === "/ask/progress") return Promise.resolve(new Response(JSON.stringify(told)));
+    return about[0] === "/ask/report" ? new Promise(done => { window.go = () => done(ask(...about)) }) : ask(...about);
+} })(window.fetch, TOLD)""".replace("TOLD", json.dumps(f"figure 2 of 7: {MIXED}"))
+"""Tells of a part, and makes no report before `window.go()`."""
 ALL_TEXTS = "document.body.textContent + [...document.querySelectorAll('input, textarea')].map(one => one.value).join()"
 TYPE = """((area, text) => { area.focus(); area.value = text; area.selectionStart = area.selectionEnd = text.length;
   area.dispatchEvent(new Event('input')); return [...document.querySelectorAll('#words li')].map(one => one.innerText);
@@ -310,7 +315,10 @@ def test_batches_are_drawn_together_and_reported(browser: Browser, recorded: Pat
         until(browser, "document.querySelector('#drawn .comparison') !== null")
         assert "[comparisons." in browser.run("document.getElementById('toml').textContent")
         assert "were compared" in browser.run(TEXT.format("drawn")) or "was compared" in browser.run(TEXT.format("drawn"))
+        browser.run(HELD)
         browser.run("document.getElementById('report').click()")
+        until(browser, f"{TEXT.format('status')} === {json.dumps(f'Making the report: figure 2 of 7: {SHOWN} …')}")
+        browser.run("window.go()")
         inner = "document.getElementById('frame').contentDocument"
         until(browser, f"{inner}?.getElementById('reproduce') && document.getElementById('frame').height > 1000")
         assert browser.run(f"{inner}.body.innerText.includes('sierra replay')")

@@ -82,6 +82,8 @@ class Answers:
         self._one = threading.Lock()
         """Held while a question is answered."""
         self._limit: Limit | None = None
+        self._part = ""
+        """The part of a report that is made now, in words."""
         self._snapshots, self._frames = Kept[Snapshot](), Kept[Frame]()
         self._batches: BatchList | None = None
         self.tickets, self._hashes = Tickets(), Hashes()
@@ -211,10 +213,21 @@ class Answers:
         from sierra.deliverables.report import make, recorded
 
         source = self._source()
-        with self._one, self._limited(LONG_WALL_S):
-            made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)])
+        with self._one:
+            try:
+                with self._limited(LONG_WALL_S):
+                    made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)], self._tell)
+            finally:
+                self._part = ""
         address = self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
         return {"address": address, "notes": list(made.notes)}
+
+    def progress(self) -> str:
+        """Return the part of a report that is made now, in words; "" if none is."""
+        return self._part
+
+    def _tell(self, part: str) -> None:
+        self._part = part
 
     def write(self, name: str, keys: Mapping[str, JsonView], file: str, kind: declarations.Kind = "figures") -> JsonView:
         """Append a figure or a comparison to `sierra.toml`, which must still have the hash `file`. Return the figures there."""

@@ -100,6 +100,7 @@ QUESTIONS: Mapping[str, type[Table]] = {
     "chart": _Chart,
     "compare": _Compare,
     "report": _Batch,
+    "progress": _Nothing,
     "write": _Write,
     "stop": _Nothing,
 }

@@ -9,12 +9,14 @@
   const FIELDS = ["x", "series", "facet", "where", "center", "band"];
   const SUBJECT = ["sql", "kind", "column", "log_y"];
   const DEFAULTS = { center: "mean", band: "ci" };
+  const SILENT = ["state", "progress"];  // questions that can be asked while another one is answered
   const EVERY = 5000;
+  const TOLD = 500;
   const PAUSE = 150;
   const page = { batches: [], first: 0, found: 0, batch: null, together: new Map(), tables: {}, outputs: [], variables: [], state: "", asking: 0, choosing: 0, drawing: 0, answering: 0, drawn: null, chosen: null };
 
   async function ask(name, content = {}) {
-    page.asking += name === "state" ? 0 : 1;
+    page.asking += SILENT.includes(name) ? 0 : 1;
     of("stop").disabled = page.asking === 0;
     try {
       const answer = await fetch(`/ask/${name}`, {
@@ -28,7 +30,7 @@
     } catch (error) {
       throw error instanceof TypeError ? new Error("The server has ended. Start it again with: sierra explore") : error;
     } finally {
-      page.asking -= name === "state" ? 0 : 1;
+      page.asking -= SILENT.includes(name) ? 0 : 1;
       of("stop").disabled = page.asking === 0;
     }
   }
@@ -182,7 +184,12 @@
     const [button, batch] = [of("report"), page.batch];
     button.disabled = true;
     say("Making the report …");
+    const told = setInterval(async () => {
+      const part = await ask("progress").catch(() => "");
+      if (button.disabled && part) say(`Making the report: ${visible(part)} …`);
+    }, TOLD);
     const found = await guarded(of("batch-error"), () => ask("report", { batch }), () => page.batch === batch);
+    clearInterval(told);
     button.disabled = false;
     say(found ? "The report is below." : "");
     if (!found) return;

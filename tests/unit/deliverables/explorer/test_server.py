@@ -21,7 +21,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables.explorer.answers import ROWS, Answers
 from sierra.deliverables.explorer.server import LONGEST, Server
 from sierra.deliverables.report.make import Source
-from sierra.errors import Missing
+from sierra.errors import Missing, UsageError
 from tests import projects, stores
 from tests.support.characters import LETTERS, MIXED
 from tests.support.explorer_page import Page, served
@@ -315,6 +315,27 @@ def test_a_statement_within_a_comparison_or_a_report_is_stopped(recorded: Path, 
     with served(sierra.open(root).explorer()) as page:
         compared = stopped(page, "compare", batches=[batch, second], name="x", keys={"table": "endless", "column": "value"})
         assert (compared, stopped(page, "report", batch=batch)) == ("stopped", "stopped")
+
+
+def test_the_part_of_a_report_that_is_made_is_told_with_its_number(
+    page: Page, batch: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, drawn = threading.Event(), threading.Event()
+
+    def drawing(*_: object) -> None:
+        begun.set()
+        drawn.wait(60)
+        raise UsageError("not drawn")
+
+    monkeypatch.setattr("sierra.deliverables.report.results.explorable", drawing)
+    making = threading.Thread(target=page.ask, args=("report",), kwargs={"batch": batch})
+    making.start()
+    assert begun.wait(60)
+    part = page.ask("progress")
+    drawn.set()
+    making.join()
+    assert re.fullmatch(r"figure 1 of [1-9][0-9]*: \w+", part)
+    assert page.ask("progress") == ""
 
 
 @pytest.fixture(params=["sierra.toml", "pyproject.toml"])
