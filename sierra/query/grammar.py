@@ -129,7 +129,7 @@ def _criterion(text: str, tables: Tables) -> Criterion:
     if not text:
         raise QueryError("a criterion must not be empty; use population_size.Log8")
     if not text.isprintable() or " " in text:
-        raise QueryError("a criterion must not contain blanks; use noise=0,0.5,1")
+        raise QueryError(_with_blanks(text))
     name, separator, rest = (*re.split(r"([.=])", text, maxsplit=1), "", "")[:3]
     if not _NAME.fullmatch(name):
         raise QueryError(f"{shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
@@ -264,6 +264,24 @@ def _monte_carlo_mistaken(name: str, rest: str) -> str:
     if name.lower() == MONTE_CARLO:
         return f"{name} must be in small letters; use {MONTE_CARLO}.{rest}"
     return f"{name} has a count, but no range; use {name}.1.9.C5, or {MONTE_CARLO}.{rest} to vary seeds only"
+
+
+def _with_blanks(text: str) -> str:
+    """Return a message that a criterion contains blanks, with a proposal if they are within its values and it is short."""
+    name, _, values = text.partition("=")
+    words = [word.strip(" '\"") for word in values.split(",")]
+    proposal = f"{name}={','.join(word.replace(' ', '_') for word in words)}"
+    if _NAME.fullmatch(name) and any(" " in word for word in words) and _is_valid(proposal):
+        return f"a value must not contain blanks; use {proposal}, or scenarios whose changes set such values"
+    return "a criterion must not contain blanks; use noise=0,0.5,1"
+
+
+def _is_valid(text: str) -> bool:
+    try:
+        parse(text)
+    except QueryError:
+        return False
+    return len(text) <= DIGITS
 
 
 def _right_name(name: str) -> str:

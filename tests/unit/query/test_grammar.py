@@ -200,6 +200,17 @@ def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
         ("", "'': a criterion must not be empty; use population_size.Log8"),
         ("noise = 1", "'noise = 1': a criterion must not contain blanks; use noise=0,0.5,1"),
         ("noise\n=1", r"'noise\n=1': a criterion must not contain blanks; use noise=0,0.5,1"),
+        (
+            "law=slow law,fast",
+            "'law=slow law,fast': a value must not contain blanks; "
+            "use law=slow_law,fast, or scenarios whose changes set such values",
+        ),
+        (
+            "law='slow law', fast",
+            """"law='slow law', fast": a value must not contain blanks; """
+            "use law=slow_law,fast, or scenarios whose changes set such values",
+        ),
+        ("law=slow law,a=b", "'law=slow law,a=b': a criterion must not contain blanks; use noise=0,0.5,1"),
         ("2fast=1", "'2fast=1': '2fast' is not a name of letters, digits and _; use fast"),
         ("max-speed=1", "'max-speed=1': 'max-speed' is not a name of letters, digits and _; use max_speed"),
         ("=1", "'=1': '' is not a name of letters, digits and _; use population_size.Log8"),
