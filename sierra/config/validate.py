@@ -62,7 +62,7 @@ def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, 
     if complaint["type"] == "missing":
         return f"{where!r} is missing"
     if complaint["type"] == "value_error":
-        return f"{where or 'table'}: {complaint['ctx']['error']}"
+        return f"{where}{where and ': '}{complaint['ctx']['error']}"
     if complaint["loc"][-1:] == ("[key]",):
         table = ".".join(map(str, complaint["loc"][:-2]))
         if complaint.get("ctx", {}).get("pattern") == group_names.GROUP_NAME:

@@ -22,7 +22,7 @@ TWO = {"a": {"host": "pi@a"}, "b": {"host": "pi@b", "group": "fast"}}
             "a and b have the same address '10.0.0.1'",
         ),
         ({"fleet": TWO, "use": ["c"], "stop": []}, "use: unknown robot or group 'c'; known are a, b, fast, robot"),
-        ({"fleet": TWO}, "a has no stop command; give stop"),
+        ({"fleet": TWO}, "[runners.robots]: a has no stop command; give stop"),
         ({"fleet": {"a": {"host": "pi@a", "hots": 1}}, "stop": []}, "hots"),
     ],
 )
