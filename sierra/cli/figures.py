@@ -129,7 +129,7 @@ def _check(found: Sequence[Checked], *, as_json: bool) -> None:
     else:
         names = Counter(one.name for one in found)
         for one in found:
-            formats = ", ".join(Path(file).suffix[1:] for file in one.files) if names[one.name] > 1 else ""
+            formats = ", ".join(dict.fromkeys(Path(file).suffix[1:] for file in one.files)) if names[one.name] > 1 else ""
             print(f"{one.name}{formats and f' ({formats})'}: {readable(one.problem or 'follows from the store')}")
         if not found:
             note("no figure of this batch has been drawn; draw them with: sierra figures")

@@ -142,6 +142,21 @@ def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path, monkey
     assert (changed.returncode, "is not the file that SIERRA made" in changed.stdout) == (1, True)
 
 
+@pytest.mark.nightly
+def test_a_check_names_each_format_of_a_video_once(root: Path) -> None:
+    for format_ in ("mp4", "gif"):
+        write(
+            root,
+            f'[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\nsize = [160, 160]\nformats = ["{format_}"]\n'
+            'experiments = "population_size<=2"\n',
+        )
+        done = projects.quick(root, "video", "--json")
+        assert done.returncode == 0, done.stderr
+        assert len(json.loads(done.stdout)["files"]) == 2
+    said = projects.quick(root, "figures", "--check").stdout
+    assert [line.split(":")[0] for line in said.splitlines()] == ["heat (gif)", "heat (mp4)"]
+
+
 def test_the_mean_has_only_good_runs_and_says_how_many(root: Path) -> None:
     made = prepared(root, show="mean", experiments="population_size<=2")
     one, two = made.films
