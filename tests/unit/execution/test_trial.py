@@ -132,6 +132,18 @@ def test_files_that_would_be_no_table_are_named_with_the_reason(tmp_path: Path) 
 
 
 @pytest.mark.nightly
+def test_tables_are_listed_before_other_files_in_try_and_in_init(tmp_path: Path) -> None:
+    pictures = "for n in range(30): open(f'camera{n}.png', 'wb').write(b'x')\n"
+    project = make(tmp_path / "project", simulator=SIMULATOR + pictures)
+    assert [file["path"] for file in tried(project)["files"]][:2] == ["swarm.csv", "camera0.png"]
+    (project / "sierra.toml").unlink()
+    command = ("--template", "arena.xml", "--command", "python3 sim.py {input}")
+    done = quick(project, "init", "-y", *command)
+    assert done.returncode == 0, done.stderr
+    assert "# A run wrote:\n#   swarm.csv: table swarm" in (project / "sierra.toml").read_text()
+
+
+@pytest.mark.nightly
 def test_tables_in_subfolders_are_named_with_the_lines_that_declare_them(tmp_path: Path) -> None:
     folders = "import os\nos.mkdir('floor')\nfor n in range(3): open(f'floor/f-{n}.csv', 'w').write('a\\n1\\n')\n"
     project = make(tmp_path / "project", simulator=SIMULATOR + folders)
