@@ -31,7 +31,7 @@ def reproduce(
     claim: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this claim. May be repeated.")] = None,
     budget: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Only runs that take so long by the record: 90s, 30m, 2h. Touches each claim first."),
+        typer.Option(metavar="TIME", help="Only runs that fit into 90s, 30m or 2h by the record. Touches each claim first."),
     ] = None,
     engine: Annotated[
         str | None,
