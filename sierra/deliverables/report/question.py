@@ -38,7 +38,8 @@ def in_words(state: BatchState) -> str:
     row = state.shown.row
     each = counted(row.runs // row.experiments, "run") if row.experiments and row.runs % row.experiments == 0 else ""
     size = f"{each} each" if each and row.experiments > 1 else each or f"{row.runs} runs in all"
-    size = f"{counted(row.experiments, 'experiment')} with {size}, which differ in their seeds."
+    seeds = ", which differ in their seeds" if row.runs > row.experiments else ""
+    size = f"{counted(row.experiments, 'experiment')} with {size}{seeds}."
     axes = values_of(state)
     if not axes:
         return f"How do results vary if only the seeds differ? {size}"

@@ -231,6 +231,14 @@ def test_a_batch_that_still_runs_is_reported_as_such(tmp_path: Path) -> None:
     assert "Complete. 4 of 4 runs succeeded." in found.text
 
 
+@pytest.mark.nightly
+def test_a_single_run_differs_from_no_other(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    sierra.open(root).run("population_size=1", runs=1, figures=False)
+    found, _ = reported_by(root, to=tmp_path / "one.html")
+    assert "1 experiment with 1 run." in found.text
+
+
 def test_only_a_report_is_replaced(recorded: Path, tmp_path: Path) -> None:
     file = tmp_path / "thesis.html"
     file.write_text("<!DOCTYPE html><p>my thesis")
