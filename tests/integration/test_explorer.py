@@ -256,6 +256,7 @@ def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_
     with explored(root, "--write") as url:
         browser.open(url)
         until(browser, DRAWN)
+        assert browser.run(TEXT.format("left-out")) == "1 batch, the newest first"
         assert "The form does not show its keys title." in browser.run(TEXT.format("chart-of"))
         browser.run("document.querySelector('#chart [name=name]').value = 'another'")
         browser.run("document.querySelector('#chart [name=log_y]').checked = true")

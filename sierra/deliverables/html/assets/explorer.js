@@ -49,6 +49,8 @@
 
   const say = (text) => { of("status").textContent = text; };
 
+  const counted = (count, one, several = `${one}s`) => `${count.toLocaleString()} ${count === 1 ? one : several}`;
+
   // Batches
 
   // Show a part of the list, which the server filters: there may be ten thousand batches.
@@ -61,15 +63,15 @@
     list.replaceChildren();
     found.batches.forEach((one, place) => {
       const entry = make("div", list, { role: "option", id: `batch-${one.batch}`, "data-batch": one.batch, dir: "auto" }, one.query);
-      make("small", entry, {}, [one.batch.slice(0, 10), ...one.groups, one.requested, `${one.runs} runs`, one.state].join(", "));
+      make("small", entry, {}, [one.batch.slice(0, 10), ...one.groups, one.requested, counted(one.runs, "run"), one.state].join(", "));
       entry.setAttribute("aria-posinset", String(first + place + 1));
       entry.setAttribute("aria-setsize", String(found.found));
       entry.addEventListener("click", () => choose(one.batch));
     });
     markChosen();
     const shown = found.batches.length;
-    const part = shown < found.found ? `${(first + 1).toLocaleString()} to ${(first + shown).toLocaleString()} of ${found.found.toLocaleString()}` : `${shown}`;
-    of("left-out").textContent = `${part} batches${found.found < found.all ? ` of ${found.all.toLocaleString()} in all` : ""}, the newest first`;
+    const part = shown < found.found ? `${(first + 1).toLocaleString()} to ${(first + shown).toLocaleString()} of ` : "";
+    of("left-out").textContent = `${part}${counted(found.found, "batch", "batches")}${found.found < found.all ? ` of ${found.all.toLocaleString()} in all` : ""}, the newest first`;
     of("newer").disabled = first === 0;
     of("older").disabled = first + shown >= found.found;
     return true;
@@ -147,7 +149,7 @@
     page.query = one.query;
     of("batch-title").textContent = visible(one.query);
     const running = executing ? `${executing} being executed now, ` : "";
-    of("facts").textContent = `batch ${id}: ${one.experiments} experiments, ${one.runs} runs, ${running}${one.state}; sierra replay ${id}`;
+    of("facts").textContent = `batch ${id}: ${counted(one.experiments, "experiment")}, ${counted(one.runs, "run")}, ${running}${one.state}; sierra replay ${id}`;
     of("add").disabled = page.together.has(one.batch);
   }
 
@@ -528,7 +530,7 @@
     of("write").hidden = !found.writes;
     choices(form().kind, found.kinds, form().kind.value);
     if (!(await listBatches({ first: page.first, again: true }))) return;
-    say(`${page.found.toLocaleString()} batches.`);
+    say(`${counted(page.found, "batch", "batches")}.`);
     const chosen = page.batch ?? page.batches[0]?.batch;
     if (chosen) await choose(chosen);
     else listTables(await ask("tables"));
