@@ -111,8 +111,8 @@ class Answers:
             return self._batches.part(words, max(0, first))
 
     def state(self) -> str:
-        """Return a hash that changes whenever something is recorded or removed."""
-        folder = self._store.paths.segments
+        """Return a hash that changes whenever something is recorded or removed. Raises Missing if the store is gone."""
+        folder = Store(self._store.paths.root).paths.segments
         names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
         return digest("state", {"segments": names})
 

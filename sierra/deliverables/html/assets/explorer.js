@@ -538,10 +538,10 @@
 
   async function look() {
     if (document.hidden || page.asking) return;
-    const state = await ask("state").catch(() => null);
-    if (state === null) say("The server has ended. Start it again with: sierra explore");
-    else if (state !== page.state) {
+    const state = await ask("state").catch((error) => { say(plain(error.message)); return ""; });
+    if (state !== page.state) {
       page.state = state;
+      if (!state) return;
       if (await listBatches({ first: page.first })) say("There are new records. Refresh shows them.");
     }
   }

@@ -311,6 +311,18 @@ def test_a_damaged_store_is_reported_and_answers_again_when_it_is_repaired(own: 
         assert "removed" in page.error("batch", batch=batch) or page.error("batch", batch=batch)
 
 
+@pytest.mark.integration
+def test_a_store_that_was_moved_away_is_missed_and_not_taken_for_an_empty_one(own: Path) -> None:
+    with served(sierra.open(own).explorer()) as page:
+        everything = page.ask("query", statement="SELECT count(*) FROM executions")
+        store = (own / ".sierra").rename(own / "elsewhere")
+        for question in ("state", "batches", "tables"):
+            assert page.error(question).startswith(f"no store in {own / '.sierra'}"), question
+        assert "no store in" in page.error("query", statement="SELECT count(*) FROM executions")
+        store.rename(own / ".sierra")
+        assert page.ask("query", statement="SELECT count(*) FROM executions") == everything
+
+
 HOSTILE = '[sql]\nmemory = "400 GB"\nwall = 1e9\n[tables.few]\nsql = "SELECT run, tick, coverage FROM swarm"\n'
 Limited = list[tuple[float, list[tuple[str, str]]]]
 
