@@ -71,8 +71,10 @@ def videos(
                     prepared = prepare(name, video, galleries, progress)
                     files = write(prepared, folder, jobs, progress)
                 except SierraError as error:
-                    if names or (isinstance(error, Missing) and not isinstance(error, NotInstalled)):
+                    if isinstance(error, Missing) and not isinstance(error, NotInstalled):
                         raise
+                    if names:
+                        raise type(error)(f"video {name}: {error}") from error
                     notes.append(f"video {name}: {error}")
                     complete = False
                     continue

@@ -343,7 +343,8 @@ def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
     done = projects.quick(root, "video")
     assert (done.returncode, done.stdout.count("\n")) == (1, 1), done.stderr
     assert "note: video bad: output 'floor' has no numeric column 'none'" in done.stderr
-    assert projects.quick(root, "video", "bad").returncode == 2
+    named = projects.quick(root, "video", "bad")
+    assert (named.returncode, named.stderr.startswith("sierra: video bad: ")) == (2, True), named.stderr
     assert "there is no [videos.god]" in projects.quick(root, "video", "god").stderr
 
 
