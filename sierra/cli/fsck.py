@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,14 +37,16 @@ def fsck(
       sierra fsck --repair --dry-run
     """
     from sierra.cli import open_project
+    from sierra.cli.progress import telling
 
-    project, tell = open_project.project(), _progress_printer(quiet=as_json)
+    project = open_project.project()
     done: tuple[str, ...] = ()
-    if repair or dry_run:
-        repaired = project.repair(dry_run=dry_run, tell=tell)
-        report, done = repaired.report, repaired.done
-    else:
-        report = project.fsck(tell=tell)
+    with telling(quiet=as_json) as tell:
+        if repair or dry_run:
+            repaired = project.repair(dry_run=dry_run, tell=tell)
+            report, done = repaired.report, repaired.done
+        else:
+            report = project.fsck(tell=tell)
     if as_json:
         print_json({"repaired": list(done), **_report(report)})
     else:
@@ -82,16 +81,3 @@ def _print(report: Report) -> None:
         f"{counted(report.files, 'file')}, {size(report.bytes)}, {counted(report.objects, 'object')}, "
         f"{counted(report.executions, 'execution')} checked in {report.seconds:.1f} s"
     )
-
-
-def _progress_printer(*, quiet: bool) -> Callable[[str], None]:
-    """Return a function that writes the progress of the check to standard error, at most every 5 seconds."""
-    said = time.monotonic()
-
-    def tell(text: str) -> None:
-        nonlocal said
-        if not quiet and time.monotonic() - said > 5:
-            said = time.monotonic()
-            print(text, file=sys.stderr, flush=True)
-
-    return tell
