@@ -538,7 +538,7 @@
 
   async function look() {
     if (document.hidden || page.asking) return;
-    const state = await ask("state").catch((error) => { say(plain(error.message)); return ""; });
+    const state = await ask("state").catch((error) => { say(visible(error.message)); return ""; });
     if (state !== page.state) {
       page.state = state;
       if (!state) return;
