@@ -157,7 +157,7 @@ REMEDIES = {
     "video": "make it again with: sierra video",
     "comparison": "draw it again with: sierra compare",
 }
-"""What to do about a deliverable that does not follow from the store any more, by its kind."""
+"""The advice for a deliverable that does not follow from the store any more, by its kind."""
 DRAW_AGAIN = "draw it again with: sierra figures"
 """The same for all other kinds."""
 DECLARATIONS: Mapping[str, type[Table]] = {
@@ -257,7 +257,7 @@ def _changed(row: DeliverableRow, now: Content) -> str:
 def _parts(kind: str, definition: Mapping[str, JsonView]) -> tuple[Mapping[str, JsonView], Mapping[str, JsonView]]:
     """Return a definition without its declaration, and the declaration with the defaults of its other keys.
 
-    Of models, only the labels are in it: their values are data, and another program may compute the same.
+    Only the labels of models are in it: their values are data, and another program may compute the same.
     """
     rest = {name: value for name, value in definition.items() if name != kind}
     if isinstance(models := rest.get("models"), Mapping):

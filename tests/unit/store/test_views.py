@@ -1,4 +1,4 @@
-"""What views of the store return does not depend on the order in which files are read."""
+"""Views of the store return the same in whatever order files are read."""
 
 from __future__ import annotations
 
