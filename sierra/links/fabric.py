@@ -247,6 +247,8 @@ def _on_the_way(connection: Any) -> list[Any]:
 
 def _check_host_keys(name: str, way: Address, connection: Any) -> None:
     """Load the known keys of a host, as OpenSSH does, and refuse all others."""
+    if connection.ssh_config.get("revokedhostkeys", "none").lower() != "none":
+        raise UntrustedHost(f"{name}: only the OpenSSH client reads the file of RevokedHostKeys; use the link openssh")
     files = [
         Path(file).expanduser()
         for key, default in KNOWN_HOSTS.items()
@@ -257,15 +259,16 @@ def _check_host_keys(name: str, way: Address, connection: Any) -> None:
     alias = connection.ssh_config.get("hostkeyalias")
     address = connection.host if connection.port == 22 else f"[{connection.host}]:{connection.port}"
     for kind, key in (known.lookup(alias or address) or {}).items():
-        if key.get_base64() in revoked:
-            raise UntrustedHost(f"{name}: the host key of {address} is revoked in your known_hosts ({kind} {key.fingerprint})")
         client.get_host_keys().add(address, kind, key)
 
     class Refuse:
         def missing_host_key(self, client: object, hostname: str, key: paramiko.PKey) -> None:
             on = "" if name in (hostname, connection.original_host) else f" on the way to {name}"
+            which = f"{name}: the host key of {hostname}{on} is"
+            if key.get_base64() in revoked:
+                raise UntrustedHost(f"{which} revoked in your known_hosts ({key.get_name()} {key.fingerprint})")
             raise UntrustedHost(
-                f"{name}: the host key of {hostname}{on} is not known ({key.get_name()} {key.fingerprint}); "
+                f"{which} not known ({key.get_name()} {key.fingerprint}); "
                 f"connect once by {way.by_hand}, and compare the fingerprint"
             )
 
@@ -273,20 +276,20 @@ def _check_host_keys(name: str, way: Address, connection: Any) -> None:
 
 
 def _known_keys(files: Iterable[Path]) -> tuple[paramiko.HostKeys, set[str]]:
-    """Return the keys of hosts in some files, and those that are revoked, for whatever host.
+    """Return the keys of hosts in some files without revoked ones, and those that are revoked, for whatever host.
 
     paramiko itself takes marks (`@revoked`, `@cert-authority`) for names. It ends with an error at lines that OpenSSH ignores.
     """
     import paramiko
 
-    known, revoked = paramiko.HostKeys(), set[str]()
-    for line in (line.strip() for file in files for line in file.read_text(errors="replace").splitlines()):
-        if line.startswith("@revoked"):
-            revoked.update(line.split()[3:4])
-        elif line and not line.startswith(("#", "@")):
+    lines = [line.strip() for file in files for line in file.read_text(errors="replace").splitlines()]
+    revoked = {key for line in lines if line.startswith("@revoked") for key in line.split()[3:4]}
+    known = paramiko.HostKeys()
+    for line in lines:
+        if line and not line.startswith(("#", "@")):
             with contextlib.suppress(paramiko.SSHException, paramiko.hostkeys.InvalidHostKey):
                 entry = paramiko.hostkeys.HostKeyEntry.from_line(line)
-                for host in entry.hostnames or () if entry else ():
+                for host in entry.hostnames or () if entry and entry.key.get_base64() not in revoked else ():
                     known.add(host, entry.key.get_name(), entry.key)
     return known, revoked
 

@@ -328,7 +328,7 @@ class Fleet:
     def new_host_key(self, name: str) -> None:
         """Start a robot again with another host key. `known_hosts` has the old one."""
         self.power_cut(name)
-        _make_key(self.robots[name].own / "hostkey")
+        make_key(self.robots[name].own / "hostkey")
         self.boot(name)
         self.robots[name].changed = True
 
@@ -385,7 +385,7 @@ class Fleet:
             with (self.folder / "etc" / file).open("a") as opened:
                 opened.write(f"{line}\n")
         (self.folder / "etc" / "nologin").unlink(missing_ok=True)
-        _make_key(self.key)
+        make_key(self.key)
         _ip("link", "add", self._bridge, "type", "bridge")
         _ip("addr", "add", f"{self._net}.1/24", "dev", self._bridge)
         _ip("link", "set", self._bridge, "up")
@@ -394,7 +394,7 @@ class Fleet:
             (robot.folder / "home").mkdir()
             self._mount(robot, "")
             self._empty(robot)
-            _make_key(robot.own / "hostkey")
+            make_key(robot.own / "hostkey")
             shutil.copytree(robot.own, robot.folder / "first")
             self._configure(robot)
         self._write_client_files()
@@ -535,9 +535,11 @@ def _free_network() -> str:
     return next(net for net in (f"10.{96 + one // 256}.{one % 256}" for one in numbers) if f" {net}." not in used)
 
 
-def _make_key(path: Path) -> None:
+def make_key(path: Path) -> Path:
+    """Write a private key without a passphrase, and the public one beside it; return its path."""
     path.unlink(missing_ok=True)
     _run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path))
+    return path
 
 
 def _answers(address: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import subprocess
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -117,6 +118,94 @@ def test_hosts_on_the_way_are_checked_too(kind: str, fleet: Fleet) -> None:
     with pytest.raises((UntrustedHost, Unreachable), match=host):
         link.run(["hostname"])
     link.close()
+
+
+@pytest.fixture(scope="module")
+def other_key(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the public key of no host."""
+    return public(robot_fleet.make_key(tmp_path_factory.mktemp("key") / "other"))
+
+
+def public(key: Path) -> str:
+    return " ".join(key.with_name(f"{key.name}.pub").read_text().split()[:2])
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("lines", "trusts"),
+    [
+        ("{host} {key}\n@revoked {host} {key}", ""),
+        ("@revoked * {key}\n{host} {key}", ""),
+        ("@revoked * {key}", ""),
+        ("{host} {other}\n{host} {key}\n@revoked * {key}", ""),
+        ("{host} {other}\n{host} {key}\n@revoked * {other}", "fabric openssh"),
+        ("{host} {key}\n{host} {other}\n@revoked * {other}", "fabric openssh"),
+        ("{host} {key}\n@revoked other {key}", "openssh"),
+        ("@cert-authority {host} {key}", ""),
+        ("{host} {key}\n@cert-authority {host} {other}", "fabric openssh"),
+    ],
+)
+def test_a_revoked_key_is_refused_and_a_mark_makes_no_key_known(lines: str, trusts: str, fleet: Fleet, other_key: str) -> None:
+    name = fleet.names[0]
+    host, key = f"{name},{fleet.robots[name].address}", public(fleet.robots[name].own / "hostkey")
+    fleet.known_hosts.write_text(lines.format(host=host, key=key, other=other_key) + "\n")
+    assert trusting(fleet) == trusts.split()
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("lines", "trusts"),
+    [
+        ("@cert-authority {host} {authority}", "openssh"),
+        ("@cert-authority {host} {authority}\n{host} {key}", "fabric openssh"),
+        ("@cert-authority {host} {authority}\n@revoked {host} {key}\n{host} {key}", ""),
+        ("@revoked {host} {authority}\n{host} {key}", "fabric"),
+    ],
+)
+def test_fabric_trusts_the_key_of_a_host_with_a_certificate_and_not_the_certificate(
+    lines: str, trusts: str, fleet: Fleet, tmp_path: Path
+) -> None:
+    robot = fleet.robots[fleet.names[0]]
+    host, key = f"{robot.name},{robot.address}", public(robot.own / "hostkey")
+    authority = robot_fleet.make_key(tmp_path / "authority")
+    subprocess.run(
+        ["ssh-keygen", "-q", "-s", authority, "-h", "-I", "robot", "-n", host, robot.own / "hostkey.pub"], check=True
+    )
+    fleet.configure(robot.name, "HostCertificate /run/robot/hostkey-cert.pub")
+    fleet.known_hosts.write_text(lines.format(host=host, key=key, authority=public(authority)) + "\n")
+    assert trusting(fleet) == trusts.split()
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_a_key_in_the_file_of_revoked_keys_is_not_accepted(kind: str, fleet: Fleet, tmp_path: Path) -> None:
+    name = fleet.names[0]
+    (tmp_path / "revoked").write_text(public(fleet.robots[name].own / "hostkey") + "\n")
+    with fleet.ssh_config.open("a") as file:
+        file.write(f"Host *\n  RevokedHostKeys {tmp_path / 'revoked'}\n")
+    with pytest.raises(UntrustedHost, match="RevokedHostKeys; use the link openssh" if kind == "fabric" else name):
+        MAKERS[kind](name, fleet).run(["true"])
+
+
+def test_a_revoked_key_is_named_as_such(fleet: Fleet) -> None:
+    robot = fleet.robots[fleet.names[0]]
+    key = public(robot.own / "hostkey")
+    with fleet.known_hosts.open("a") as file:
+        file.write(f"@revoked * {key}\n")
+    refused = rf"^{robot.name}: the host key of {robot.address} is revoked in your known_hosts \(ssh-ed25519 SHA256:.*\)$"
+    with pytest.raises(UntrustedHost, match=refused):
+        MAKERS["fabric"](robot.name, fleet).run(["true"])
+
+
+def trusting(fleet: Fleet) -> list[str]:
+    """Return the links that trust the first robot of a fleet."""
+    found = []
+    for kind, make in MAKERS.items():
+        link = make(fleet.names[0], fleet)
+        with contextlib.suppress(UntrustedHost):
+            assert link.run(["hostname"]).stdout.decode() == f"{fleet.names[0]}\n"
+            found.append(kind)
+        link.close()
+    return found
 
 
 @pytest.mark.parametrize("kind", MAKERS)
