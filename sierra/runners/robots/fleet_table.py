@@ -87,7 +87,7 @@ class FleetTable(Table):
     stop: Argv | None = Field(
         None,
         description="the command that brings a robot to a standstill, executed there whenever a run ends; []: it needs none",
-        examples=["rostopic pub -1 /cmd_vel geometry_msgs/Twist '{}'"],
+        examples=[["motor", "0"]],
     )
     stop_limit: Positive = Field(5.0, description="time limit of the stop command, in seconds")
     lease: Annotated[float, Field(ge=0.5, le=600)] = Field(
