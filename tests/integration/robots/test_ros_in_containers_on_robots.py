@@ -9,7 +9,7 @@ import pytest
 
 from tests import projects
 from tests.integration.robots.test_containers_on_robots import left
-from tests.integration.robots.test_ros_on_robots import MOVED, TARGETS
+from tests.integration.robots.test_ros_on_robots import MOVED, on_fleet
 from tests.support import robot_fleet, ros_image
 from tests.support.robot_fleet import Fleet
 
@@ -25,10 +25,9 @@ def test_turtlebots_of_a_fleet_start_their_launch_files_in_the_image(
     root = tmp_path / "demo"
     assert projects.quick(tmp_path, "init", "--example", "turtlebot3", "demo").returncode == 0
     with Fleet(2, disk="6g") as fleet:  # memory is only used for what is written
-        robots = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
-        before, mark, after = TARGETS.format(ssh_config=fleet.ssh_config, fleet=robots).partition("[targets.sim]")
-        container = f'[targets.robots.container]\nimage = "{ros_image.IMAGE}"\nengine = "{engine}"\n'
-        (root / "sierra.toml").write_text(before + (root / "sierra.toml").read_text() + mark + after + container)
+        on_fleet(root, fleet, 5.0)
+        with (root / "sierra.toml").open("a") as file:
+            file.write(f'[targets.robots.container]\nimage = "{ros_image.IMAGE}"\nengine = "{engine}"\n')
         ros_image.pin(root, require)
         query = ("population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
         done = projects.quick(root, "run", *query)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
+import time
+import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -11,32 +14,20 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import Missing
-from sierra.links.base import LinkOptions
+from sierra.links.base import Ended, LinkOptions
 from sierra.links.fabric import Fabric
 from tests import projects
 from tests.support import robot_fleet, robot_project
+from tests.support.pages import DOCS
 from tests.support.robot_fleet import Fleet
 from tests.support.robot_runs import Runs, job
 from tests.waiting import until
 
-TARGETS = """
-target = "sim"
-observe = "none"
-
-[targets.sim]
-
-[targets.robots]
-runner = "robots"
-robots.count = "population_size"
-outputs.path = {{ file = "tb3_{{number}}.csv", time = "time" }}
-
-[runners.robots]
-stop = []
-disk_min = 1
-link_options = {{ ssh_config = "{ssh_config}" }}
-fleet = {{ {fleet} }}
-"""
-
+TABLES = re.compile(r"(?ms)^```toml\n(\[runners\.robots\]\n.*?)^```$")
+VELOCITIES = "/home/robot/velocities"
+"""What the drivers of a robot were told: a time of CLOCK_MONOTONIC, a speed and a turn in each line."""
+TOLD = "    command, commanded = message, time.monotonic()\n"
+"""The line of the stand-in for the drivers that takes a velocity."""
 RUN = ("run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
 SHORT_S = 0.01
 """A grace time that is too short for roslaunch. It depends on the machine whether a bag is cut off then."""
@@ -98,21 +89,43 @@ def test_turtlebots_move_as_cmd_vel_says_and_publish_odom_and_scan(turtles: Path
 
 
 def on_fleet(turtles: Path, fleet: Fleet, length: float) -> None:
-    """Let turtlebots of a fleet execute runs of the example, of so many seconds."""
-    robots = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
-    text = (turtles / "sierra.toml").read_text()
-    first, _, rest = text.partition("\n[platforms.ros]\n")
-    rest = rest.replace("length = 5.0", f"length = {length}")
-    made = TARGETS.format(ssh_config=fleet.ssh_config, fleet=robots)
+    """Let the robots of a fleet execute runs of the example, of so many seconds."""
+    text = 'observe = "none"\n' + (turtles / "sierra.toml").read_text().replace("length = 5.0", f"length = {length}")
+    kept = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("fleet."))
+    robots = "".join(f'fleet.{name} = {{ host = "{name}" }}\n' for name in fleet.names)
     (turtles / "sierra.toml").write_text(
-        made.partition("\n[")[0] + first + "\n[platforms.ros]\n" + rest + "\n[" + made.partition("\n[")[2]
+        f'{kept}disk_min = 1\nlink_options = {{ ssh_config = "{fleet.ssh_config}" }}\n{robots}'
     )
+
+
+def log_velocities(turtles: Path, *, deaf: bool = False) -> None:
+    """Let the stand-in for the drivers write down what it is told. `deaf`: the controller ignores signals."""
+    drivers, wander = (turtles / f"packages/{name}" for name in ("turtlebot3_bringup/scripts/drivers", "wander/scripts/wander"))
+    log = f"    print(time.monotonic(), message.linear.x, message.angular.z, file=open({VELOCITIES!r}, 'a'))\n"
+    assert drivers.read_text().count(TOLD) == 1
+    drivers.write_text(drivers.read_text().replace(TOLD, TOLD + log))
+    if deaf:
+        ignored = "import signal\nfor number in (signal.SIGINT, signal.SIGTERM):\n    signal.signal(number, signal.SIG_IGN)\n"
+        wander.write_text(wander.read_text().replace("rate, turn =", ignored + "rate, turn ="))
+
+
+def velocities(fleet: Fleet, name: str) -> list[tuple[float, bool]]:
+    """Return the time of each velocity that a robot was told, and whether the robot moves by it."""
+    log = fleet.robots[name].home / Path(VELOCITIES).name
+    lines = [line.split() for line in log.read_text().splitlines()] if log.exists() else []
+    return [(float(when), float(forward) != 0 or float(turn) != 0) for when, forward, turn in lines]
+
+
+def all_move(fleet: Fleet, names: Iterable[str]) -> None:
+    for name in names:
+        until(lambda name=name: [moves for _, moves in velocities(fleet, name)][-5:] == [True] * 5, f"{name} moves", 120)
 
 
 def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet: Fleet) -> None:
     on_fleet(turtles, fleet, 2.0)
     done = projects.quick(turtles, *RUN)
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "stop command" not in done.stderr
     rows = projects.sql(turtles, MOVED.format(x="x", y="y", table="path", robot="robot"))
     assert [(row["robot"], row["rows"], row["way"] > 0.01) for row in rows] == [(1, 21, True), (2, 21, True)]
     seen = projects.sql(turtles, "SELECT robot, count(DISTINCT free) > 1 AS changes FROM path GROUP BY robot ORDER BY robot")
@@ -125,13 +138,46 @@ def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_no_node_outlives_a_driver_that_is_ended(turtles: Path, fleet: Fleet, number: signal.Signals) -> None:
     on_fleet(turtles, fleet, 600.0)
+    log_velocities(turtles)
     with robot_project.drive(turtles, RUN) as process:
-        for name in fleet.names[:2]:
-            until(lambda name=name: any("wander" in line for line in fleet.commands(name)), f"{name} has nodes", 120)
+        all_move(fleet, fleet.names[:2])
         process.send_signal(number)
         process.communicate(timeout=120)
     for name in fleet.names:
         until(lambda name=name: not fleet.commands(name), lambda name=name: fleet.commands(name), 30)
+    assert [velocities(fleet, name)[-1][1] for name in fleet.names[:2]] == [False, False], "the last velocity is zero"
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_stop_command_needs_no_master_and_ends_the_velocities_of_a_run(turtles: Path, fleet: Fleet, deaf: bool) -> None:
+    on_fleet(turtles, fleet, 600.0)
+    log_velocities(turtles, deaf=deaf)
+    stop = tomllib.loads((turtles / "sierra.toml").read_text())["runners"]["robots"]["stop"]
+    page = (DOCS / "how-to" / "ros.md").read_text()
+    assert stop in [tomllib.loads(block)["runners"]["robots"].get("stop") for block in TABLES.findall(page)]
+    name = fleet.names[0]
+    link = Fabric(name, LinkOptions(ssh_config=str(fleet.ssh_config)))
+    assert link.run(stop).status == 0, "no program of a run executes"
+    with robot_project.drive(turtles, RUN) as process:
+        all_move(fleet, [name])
+        assert link.run(stop) == Ended(0, b"", b"")
+        ended = time.monotonic()
+        assert not [line for line in fleet.commands(name) if "/wander " in line]
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=120)
+    link.close()
+    told = velocities(fleet, name)
+    assert max(when for when, _ in told) < ended
+    assert told[-1][1] == deaf, "a controller that obeys SIGINT sends zero at its end; the firmware stops the others"
+
+
+def test_rostopic_is_no_stop_command_because_it_fails_without_a_master(require: Callable[..., str], fleet: Fleet) -> None:
+    require("rostopic")
+    link = Fabric(fleet.names[0], LinkOptions(ssh_config=str(fleet.ssh_config)))
+    ended = link.run(["rostopic", "pub", "-1", "/cmd_vel", "geometry_msgs/Twist", "{}"])
+    assert ended.status == 1
+    assert b"Unable to communicate with master" in ended.stdout + ended.stderr
 
 
 @pytest.fixture
@@ -148,7 +194,7 @@ def recording(turtles: Path, require: Callable[..., str]) -> Iterator[tuple[Path
 def drive_until_recorded(turtles: Path, fleet: Fleet, names: Iterable[str], grace: float) -> subprocess.Popen[str]:
     """Start a run with this grace time; return its driver when these robots have recorded messages."""
     config = turtles / "sierra.toml"
-    config.write_text(config.read_text().replace("stop = []\n", f"stop = []\ngrace = {grace}\n"))
+    config.write_text(config.read_text().replace("grace = 8.0", f"grace = {grace}"))
     process = robot_project.drive(turtles, RUN)
 
     def records(name: str) -> bool:
