@@ -164,6 +164,8 @@ def test_a_stop_command_needs_no_master_and_ends_the_velocities_of_a_run(turtles
         assert link.run(stop) == Ended(0, b"", b"")
         ended = time.monotonic()
         assert not [line for line in fleet.commands(name) if "/wander " in line]
+        [written] = fleet.robots[name].home.rglob("tb3_1.csv")
+        assert bool(written.read_text()) != deaf, "a controller that obeys SIGINT closes its file"
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=120)
     link.close()
