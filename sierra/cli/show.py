@@ -16,7 +16,7 @@ from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.deliverables.record import ShownDeliverable
-    from sierra.execution.shown_records import Failed, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
+    from sierra.execution.shown_records import Failed, FirmwareOfBatch, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known
     from sierra.studies.study import Outcome
 
@@ -25,7 +25,19 @@ MORE = 4
 """The largest number of column names that are printed if the columns do not fit the terminal."""
 OPTIONAL = ("named_inputs", "shared_files", "robots")
 """Columns of a spec that are left out if they are NULL."""
-APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history", "around")
+APART = (
+    "build",
+    "failures",
+    "firmware",
+    "programs",
+    "environment",
+    "image",
+    "isolations",
+    "isolation",
+    "host_access",
+    "history",
+    "around",
+)
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
 AT_MOST = {"attempts": 20, "captures": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
@@ -74,6 +86,7 @@ def show(
             spec.pop("robots", None)
             record["spec"] = {**_without_parts(spec), **described(recorded(shown.spec.around), robots)}
             _print_record(_without_parts(record), long=long)
+            _print_firmware(shown.firmware)
             if shown.build:
                 _print_build(shown.build)
             if shown.history:
@@ -127,6 +140,13 @@ def _print_host(shown: ShownBatch | ShownExecution, reach: Sequence[str], isolat
         print_programs(shown.programs)
     if shown.environment:
         print_environment(shown.environment)
+
+
+def _print_firmware(versions: Sequence[FirmwareOfBatch]) -> None:
+    """Print the versions of the firmware of a batch in a line, if it differs between runs."""
+    if versions:
+        each = [f"{one.firmware} ({counted(one.robots, 'robot')}, {counted(one.runs, 'run')})" for one in versions]
+        print(f"\nfirmware differs between runs: {readable(', '.join(each))}")
 
 
 def _print_build(build: ShownBuild) -> None:

@@ -19,10 +19,12 @@ from sierra.execution.shown_records import (
     CountedExperiment,
     CountedFiles,
     Failed,
+    FirmwareOfBatch,
     ImportOfBatch,
     Nondeterminism,
     RecordedFile,
     ReplayOfBatch,
+    RobotOfBatch,
     RunOfExperiment,
     Shown,
     ShownBatch,
@@ -97,6 +99,8 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         targets=sorted({one.target for one in sessions if one.target}),
         captures=snapshot.select(CaptureOfBatch, CAPTURES, b=identity) if snapshot.holds("captures") else (),
         imports=snapshot.select(ImportOfBatch, IMPORTS, b=identity) if snapshot.holds("imports") else (),
+        robots=snapshot.select(RobotOfBatch, ROBOTS, b=identity) if spec.robots else (),
+        firmware=snapshot.select(FirmwareOfBatch, FIRMWARE, b=identity) if spec.robots else (),
     )
 
 
@@ -108,6 +112,17 @@ QUALIFY row_number() OVER (PARTITION BY m.ordinal, m.number, c.run ORDER BY c.la
 IMPORTS = """
 SELECT i.package, i.title, i.date, i.imported_at, coalesce(o.packages[1] = i.package, false) AS counts
 FROM imports i LEFT JOIN origins o ON o.batch = $b WHERE list_contains(i.batches, $b) ORDER BY i.lamport
+"""
+ROBOTS = """
+SELECT robot, place, robot_group, firmware, count(*) AS runs
+FROM robots SEMI JOIN (SELECT execution FROM effective WHERE batch = $b) USING (execution)
+GROUP BY ALL ORDER BY place, robot, firmware
+"""
+FIRMWARE = """
+WITH taken AS (SELECT * FROM robots SEMI JOIN (SELECT execution FROM effective WHERE batch = $b) USING (execution))
+SELECT firmware, count(DISTINCT robot) AS robots, count(DISTINCT execution) AS runs FROM taken
+WHERE firmware IS NOT NULL AND EXISTS (SELECT 1 FROM taken GROUP BY place HAVING count(DISTINCT firmware) > 1)
+GROUP BY firmware ORDER BY firmware
 """
 PACKAGES = "SELECT unnest(packages) FROM imported_sessions WHERE session = $s"
 

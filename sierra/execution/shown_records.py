@@ -126,6 +126,25 @@ class ImportOfBatch(NamedTuple):
     """True if its executions count in the batch; otherwise they stand beside those that do."""
 
 
+class RobotOfBatch(NamedTuple):
+    """A robot that took a place in runs of a batch with one version of its firmware; see the table `robots`."""
+
+    robot: str
+    place: int
+    robot_group: str
+    firmware: str | None
+    """None if it is not recorded."""
+    runs: int
+
+
+class FirmwareOfBatch(NamedTuple):
+    """A version of the firmware, with the numbers of the robots that had it, and of the runs in which they did."""
+
+    firmware: str
+    robots: int
+    runs: int
+
+
 class VerdictOnRun(NamedTuple):
     """The verdict of a replay on an output of a run."""
 
@@ -242,6 +261,10 @@ class ShownBatch:
     imports: Sequence[ImportOfBatch] = ()
     """Packages from which executions of its sessions came."""
     captures: Sequence[CaptureOfBatch] = ()
+    robots: Sequence[RobotOfBatch] = ()
+    """Robots of the executions that count."""
+    firmware: Sequence[FirmwareOfBatch] = ()
+    """Versions of the firmware, if it differs between runs: a place was taken with several. Otherwise empty."""
     log_file: str | None = None
     """Log file of the last session."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import subprocess
 from pathlib import Path
 
@@ -323,3 +324,38 @@ def test_robots_that_have_changed_are_noted_and_stamps_of_set_clocks_are_missing
         {"missing": False, "fine": True, "uncertainty_ns": 1_010_000.0},
         {"missing": True, "fine": False, "uncertainty_ns": 1_010_000.0},
     ]
+
+
+@pytest.mark.integration
+def test_a_batch_names_its_robots_and_says_if_their_firmware_differs_between_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, versions = robots._row, {"tb3-01": "1.4", "tb3-02": "1.5"}
+
+    def row(job: Job, one: Member, code: int) -> RobotRow:
+        made = plain(job, one, code)
+        return made._replace(firmware=versions.get(made.robot))
+
+    monkeypatch.setattr(robots, "_row", row)
+    root = robots.project(tmp_path / "p", '[targets.robots.robots.base]\ncommand = "{python} tracker.py"\n')
+
+    def shown(query: str, **more: int) -> tuple[list[list[object]], list[object], str]:
+        """Execute a query; return the robots and the firmware of its batch in JSON, and its text."""
+        batch = sierra.open(root).run(query, target="robots", figures=False, **more).batch
+        found = json.loads(projects.quick(root, "show", batch, "--json").stdout)
+        listed = [[one[name] for name in ("robot", "place", "firmware", "runs")] for one in found["robots"]]
+        return listed, found["firmware"], projects.quick(root, "show", batch).stdout
+
+    base = ["tb3-00", 0, None, 4]
+    listed, firmware, text = shown("population_size=1,2")
+    assert listed == [base, ["tb3-01", 1, "1.4", 4], ["tb3-02", 2, "1.5", 2]]
+    assert firmware == [], "robots may differ from each other"
+    assert re.search(
+        r"\nrobots:\nrobot +place +robot_group +firmware +runs\ntb3-00 +0 +base +4\ntb3-01 +1 +robot +1.4 +4\n", text
+    )
+    assert "firmware differs" not in text
+    versions["tb3-01"] = "1.5"
+    listed, firmware, text = shown("population_size=1,2", runs=3)
+    assert listed == [["tb3-00", 0, None, 6], ["tb3-01", 1, "1.4", 4], ["tb3-01", 1, "1.5", 2], ["tb3-02", 2, "1.5", 3]]
+    assert firmware == [{"firmware": "1.4", "robots": 1, "runs": 4}, {"firmware": "1.5", "robots": 2, "runs": 4}]
+    assert "\nfirmware differs between runs: 1.4 (1 robot, 4 runs), 1.5 (2 robots, 4 runs)\n" in text
