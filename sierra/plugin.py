@@ -69,6 +69,7 @@ from sierra.links.commands import Commands, Stream
 from sierra.links.process_stream import ProcessStream
 from sierra.model import (
     Add,
+    Area,
     Axis,
     Change,
     Client,
@@ -89,11 +90,11 @@ from sierra.model import (
     Times,
     Value,
 )
-from sierra.platforms.base import Following, Placing, Platform, Rendering, Renders
+from sierra.platforms.base import Following, Placing, PlacingWithin, Platform, Rendering, Renders
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
-from sierra.runners.base import Beat, ContainsMembers, Look, Runner, RunsMembers, Work
+from sierra.runners.base import Beat, ContainsMembers, Look, NamesRobots, Runner, RunsMembers, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
@@ -113,6 +114,7 @@ __all__ = [
     "NAME_LENGTH",
     "VERSION",
     "Add",
+    "Area",
     "Axis",
     "Beat",
     "BootstrapOptions",
@@ -160,6 +162,7 @@ __all__ = [
     "Member",
     "Missing",
     "Mount",
+    "NamesRobots",
     "Needs",
     "NoOptions",
     "NoSession",
@@ -170,6 +173,7 @@ __all__ = [
     "Pair",
     "Parameter",
     "Placing",
+    "PlacingWithin",
     "Platform",
     "PluginError",
     "Point",

@@ -114,6 +114,9 @@ class Pretend:
         if most > self._options.robots:
             raise ConfigError(f"runs take {most} robots, but the fleet has {self._options.robots}")
 
+    def robot_names(self, places: Sequence[tuple[int, str]]) -> Mapping[int, str]:
+        return {place: NAMES[place] for place, _ in places}
+
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._session, self._code = session, work.code
         self._jobs = iter(work.jobs)

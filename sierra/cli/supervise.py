@@ -179,7 +179,10 @@ def _heading(trial: Trial, *, plain: bool) -> Iterator[str]:
     block = f" (block {trial.block + 1} of {trial.blocks})" if trial.blocks > 1 else ""
     yield f"trial {trial.position} of {trial.total}{block}: {values}{', ' if values else ''}run {trial.number}{again}"
     if trial.poses:
-        yield from pose_map.draw(trial.poses, plain=plain)
+        yield from pose_map.draw(trial.poses, trial.area, trial.robots, plain=plain)
+    if others := [place for place in sorted(trial.robots) if not 0 < place <= len(trial.poses)]:
+        named = ", ".join(pose_map.numbered(place, trial.robots) for place in others)
+        yield f"{'not on the map' if trial.poses else 'robots'}: {named}"
     for name, text in trial.facts.items():
         yield f"{name}: {text}"
 

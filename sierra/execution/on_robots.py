@@ -110,10 +110,15 @@ def check_fleet(runner: Runner, name: str, plan: Plan) -> None:
         check_places(runner, inputs, plan.project.robot_groups)
 
 
+def places(files: Files) -> tuple[tuple[int, str], ...]:
+    """Return the numbers of the places in the input files of a run, with their groups."""
+    return tuple((place.number, place.group) for place, _ in robots.read(files))
+
+
 def check_places(runner: RunsMembers, inputs: Iterable[Files], groups: Collection[str]) -> None:
     """Raise ConfigError if a fleet cannot take the places of runs with these inputs.
 
     `groups` are the groups of places that the project declares; recorded runs may have others.
     """
-    runs = {tuple((place.number, place.group) for place, _ in robots.read(files)) for files in inputs}
+    runs = {places(files) for files in inputs}
     runner.check_robots(runs, dict.fromkeys((*groups, *sorted({group for places in runs for _, group in places}))))

@@ -81,6 +81,10 @@ class Plan:
         title = f"plan of batch {short(batch.id)}: {self.text}, {len(batch.runs)} runs"
         return html.page(title, (*axes, "runs"), rows, self.notes, total=len(batch.experiments))
 
+    def files(self, run: Run) -> Files:
+        """Return the input files of a run."""
+        return next(files for one, files in self.inputs.files(self.batch, lambda one: one.id == run.id) if one.id == run.id)
+
     def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
         """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""
         manifest = self.source.manifest if self.source else b""

@@ -183,6 +183,18 @@ class RunsMembers(Protocol):
 
 
 @runtime_checkable
+class NamesRobots(RunsMembers, Protocol):
+    """A runner that knows before a run which of its robots take part, so that a person can place them."""
+
+    def robot_names(self, places: Sequence[tuple[int, str]]) -> Mapping[int, str]:
+        """Return the names of the robots that would take these places of a run now, by place.
+
+        `places` are as in `check_robots`. It is called before each supervised trial, because the answer may change within a
+        session. Raises ConfigError if the fleet cannot execute such a run.
+        """
+
+
+@runtime_checkable
 class ContainsMembers(RunsMembers, Protocol):
     """A runner that executes the members of jobs in the containers of `Work.containers`, if there are any.
 

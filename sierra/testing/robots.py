@@ -24,7 +24,7 @@ from sierra.containers.on_hosts import HostContainer, HostContainers, Prepared
 from sierra.errors import Missing, SierraError
 from sierra.model import Job, Limits, Member
 from sierra.provenance import environment
-from sierra.runners.base import ContainsMembers, Runner, RunsMembers, Work
+from sierra.runners.base import ContainsMembers, NamesRobots, Runner, RunsMembers, Work
 from sierra.store.layout import SessionPaths
 from sierra.testing.assertions import holds
 
@@ -35,7 +35,7 @@ REASON = "this suite has no containers"
 
 def check(make: Callable[[], Runner], folder: Path) -> None:
     """Check all claims. `make` makes a new runner for each claim; `folder` is empty, and on this machine."""
-    for number, claim in enumerate((executes_runs_on_robots, executes_nothing_beside_containers)):
+    for number, claim in enumerate((executes_runs_on_robots, names_its_robots, executes_nothing_beside_containers)):
         own = folder / str(number)
         own.mkdir()
         claim(make(), own)
@@ -44,6 +44,13 @@ def check(make: Callable[[], Runner], folder: Path) -> None:
 def executes_runs_on_robots(runner: Runner, folder: Path) -> None:
     """Check that a runner says that it executes the members of runs."""
     holds(isinstance(runner, RunsMembers), f"{runner.name} has no check_robots: it is not a runner for robots")
+
+
+def names_its_robots(runner: Runner, folder: Path) -> None:
+    """Check that a runner that can name its robots names one for each place."""
+    if isinstance(runner, NamesRobots):
+        names = runner.robot_names([(1, "robot")])
+        holds(set(names) == {1} and bool(names[1]), f"robot_names() of place 1 returns {names!r}")
 
 
 def executes_nothing_beside_containers(runner: Runner, folder: Path) -> None:

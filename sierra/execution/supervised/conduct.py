@@ -17,7 +17,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from sierra.errors import Missing, UsageError
-from sierra.execution import commands
+from sierra.execution import commands, on_robots
 from sierra.execution.follow import Followed
 from sierra.execution.observer import Tally
 from sierra.execution.plan import Plan, context
@@ -28,7 +28,7 @@ from sierra.execution.supervised.supervisor import Ended, Start, Supervisor, Tri
 from sierra.execution.supervised.watched_runner import WatchedRunner
 from sierra.ingest.consistency import find_odd
 from sierra.model import Run, Status
-from sierra.runners.base import Runner
+from sierra.runners.base import NamesRobots, Runner
 from sierra.store.row_types import TrialRow
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
@@ -104,6 +104,7 @@ class Conduct:
         self._done = 0
         try:
             self._position = _next_position(self._store, self._plan.batch.id)
+            self._area = poses.area(self._plan)
             self._operator = self._supervisor.begin(self._left)
             for _, block in groupby(turns, key=lambda turn: turn.block):
                 self._conduct_block(deque(block))
@@ -125,7 +126,8 @@ class Conduct:
         """
         while True:
             try:
-                return self._try(turn.run, *self._prepared(turn))
+                runner = self._runner()
+                return self._try(turn.run, runner, *self._prepared(turn, runner))
             except Missing as error:
                 execution = self._execution(turn.run)
                 has_begun = bool(self._store.select(_State, STATE, execution=execution))
@@ -140,8 +142,8 @@ class Conduct:
         """Return the id of the next execution of a run."""
         return commands.execution_id(self._session.id, run.id, self._tries.get(run.id, 0))
 
-    def _prepared(self, turn: Turn) -> tuple[Trial, TrialRow]:
-        """Return a trial as it is presented, and the row that is recorded with its execution."""
+    def _prepared(self, turn: Turn, runner: Runner) -> tuple[Trial, TrialRow]:
+        """Return a trial as it is presented, and the row that is recorded with its execution. `runner` executes it."""
         run, trials, root = turn.run, self._trials, self._plan.project.root
         values = self._plan.batch.experiments[run.experiment].values
         placed = poses.of_run(self._plan, run)
@@ -156,6 +158,8 @@ class Conduct:
             blocks=self._order[-1].block + 1,
             attempt=self._tries.get(run.id, 0),
             poses=placed,
+            area=self._area,
+            robots=self._robots(run, runner),
             facts=printed,
             wait_s=max(0.0, self._ended + trials.pause - time.monotonic()),
         )
@@ -176,14 +180,18 @@ class Conduct:
         )
         return trial, row
 
-    def _try(self, run: Run, trial: Trial, row: TrialRow) -> bool:
+    def _robots(self, run: Run, runner: Runner) -> Mapping[int, str]:
+        """Return the names of the robots that take part in a run, by place; nothing if the runner does not know them."""
+        return runner.robot_names(on_robots.places(self._plan.files(run))) if isinstance(runner, NamesRobots) else {}
+
+    def _try(self, run: Run, runner: Runner, trial: Trial, row: TrialRow) -> bool:
         """Execute a trial unless the person decides otherwise, and record the verdict; return False if it is to be repeated."""
         with self._supervisor.attending(trial) as attendant:
-            runner = WatchedRunner(self._runner(), attendant, ends=self._trials.stop == "ends")
-            followed = self._execute(run, trial.attempt, runner, _as_json(row))
+            watched = WatchedRunner(runner, attendant, ends=self._trials.stop == "ends")
+            followed = self._execute(run, trial.attempt, watched, _as_json(row))
         self._outcome.notes.update(dict.fromkeys(followed.notes))
-        if runner.decision is not Start.GO:
-            self._leave_out(run, runner.decision, interrupted=followed.interrupted)
+        if watched.decision is not Start.GO:
+            self._leave_out(run, watched.decision, interrupted=followed.interrupted)
             return True
         self._ended = time.monotonic()
         self._tries[run.id] = trial.attempt + 1
@@ -193,8 +201,8 @@ class Conduct:
             self._done += 1
         if followed.interrupted or not recorded:
             self._outcome.interrupted = followed.interrupted
-            return not runner.stopped  # the person stopped it before it began
-        verdict = self._verdict(run, trial, _ended(recorded[0], runner), row._replace(stopped=runner.stopped))
+            return not watched.stopped  # the person stopped it before it began
+        verdict = self._verdict(run, trial, _ended(recorded[0], watched), row._replace(stopped=watched.stopped))
         self._left -= verdict.valid
         if verdict.valid:  # only now it is compared with its siblings, because it did not count before
             now = context(self._plan, self._session.id, self._session.number)

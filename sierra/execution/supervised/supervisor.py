@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from sierra.model import Pose, Status, Value
+from sierra.model import Area, Pose, Status, Value
 from sierra.runners.base import Beat
 
 
@@ -34,6 +34,11 @@ class Trial:
     attempt: int = 0
     """The number of earlier trials of the run in this session."""
     poses: Sequence[Pose] = ()
+    """The start poses of the robots 1, 2, …"""
+    area: Area | None = None
+    """The smallest area that contains the start poses of all runs; None if none are declared."""
+    robots: Mapping[int, str] = field(default_factory=dict)
+    """The names of the robots that take part, by place; empty if the runner does not know them. A base station has 0."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """The output of the declared commands, by name."""
     wait_s: float = 0.0
@@ -83,7 +88,7 @@ class Attendant(Protocol):
         ...
 
     def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
-        """Return True to stop the trial; it is called after GO.
+        """Return True to stop the trial; it is called after GO, until the trial ends.
 
         `seconds` have passed since the decision; `beats` are the robots' last signs of life.
         """

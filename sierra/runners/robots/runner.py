@@ -110,6 +110,9 @@ class Robots:
         for places in sorted(runs, key=len, reverse=True):
             allocate(self._table, places)
 
+    def robot_names(self, places: Sequence[tuple[int, str]]) -> Mapping[int, str]:
+        return allocate(self._table, places)
+
     def hold(self) -> None:
         self._may_begin.clear()
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sierra.cli import pose_map
-from sierra.model import Pose
+from sierra.model import Area, Pose
 from tests import projects
 from tests.terminals import Terminal
 from tests.waiting import until
@@ -146,3 +146,16 @@ def test_a_map_shows_robots_where_they_start() -> None:
         "  4: x 4 m, y 2 m, heading 0 degrees",
     ]
     assert len(pose_map.draw([Pose(1, 1)])) == 20, "one robot alone has room around it"
+
+
+def test_maps_of_an_area_have_one_scale_and_the_list_names_the_robots() -> None:
+    arena = Area((0, 4), (0, 3))
+    first, second = (pose_map.draw(poses, arena, {1: "tb1"}) for poses in ([Pose(1, 1), Pose(2, 2)], [Pose(4, 3), Pose(0, 0)]))
+    assert [line for line in first if line[0] not in " |"] == [line for line in second if line[0] not in " |"]
+    assert first[-3] == "x: 0 to 4 m (to the right), y: 0 to 3 m (up)"
+    assert first[-2:] == ["  1 (tb1): x 1 m, y 1 m", "  2: x 2 m, y 2 m"]
+    rows = [row for row in range(1, 17) if first[row].strip("| ")]
+    assert [(row, first[row].find(character)) for row, character in zip(rows, "21", strict=True)] == [(6, 21), (11, 11)]
+    assert (second[1].index("1"), second[16].index("2")) == (41, 1)
+    assert pose_map.draw([Pose(5, 1)], arena)[-2] == "x: 0 to 5 m (to the right), y: 0 to 3 m (up)", "nobody is left out"
+    assert pose_map.draw([Pose(0.1, 0.1)], Area((0, 0.2), (0, 0.2)))[-2].startswith("x: 0 to 0.2 m"), "a small arena"

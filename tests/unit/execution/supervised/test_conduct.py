@@ -16,8 +16,9 @@ import sierra
 from sierra.errors import Missing, UsageError
 from sierra.execution import execute_missing
 from sierra.execution.supervised.supervisor import Agreeing, Attendant, Ended, Start, Trial, Verdict
+from sierra.model import Area
 from sierra.runners.base import Beat
-from tests import projects
+from tests import projects, robots
 
 TRIALS = """
 [trials]
@@ -172,6 +173,30 @@ def test_a_trial_is_recorded_with_the_operator_and_what_is_declared(root: Path) 
         {"firmware": "1.2.3"},
         {"arena.xml": digest},
     ]
+
+
+@pytest.mark.integration
+def test_each_trial_names_the_robots_that_take_part_now_and_shows_the_same_area(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robots.register(monkeypatch)
+    more = "[targets.robots.trials]\nsupervised = true\n[targets.robots.trials.draw_poses]\n"
+    declared = 'count = "population_size"\nx = [0, 4]\ny = [-1, 1]\n'
+    root = robots.project(tmp_path / "p", more + declared)
+
+    class Moving(Script):
+        def verdict(self, trial: Trial, ended: Ended) -> Verdict:
+            monkeypatch.setattr(robots, "NAMES", ("tb3-00", "spare", *robots.NAMES[2:]))
+            return super().verdict(trial, ended)
+
+    script = Moving(FELL, VALID, VALID)
+    sierra.open(root).run("population_size=1,2", runs=1, target="robots", figures=False, supervisor=script)
+    first, *others = script.trials
+    assert first.robots == {place: f"tb3-0{place}" for place in range(1, len(first.poses) + 1)}
+    assert [one.robots[1] for one in others] == ["spare", "spare"]
+    assert {one.area for one in script.trials} == {Area((0, 4), (-1, 1))}
+    for row in projects.sql(root, "SELECT position, robot FROM robots JOIN trials USING (execution) WHERE place = 1"):
+        assert row["robot"] == script.trials[row["position"]].robots[1]
 
 
 @pytest.mark.integration
