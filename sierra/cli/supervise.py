@@ -1,7 +1,8 @@
 """The supervisor at a terminal: prompts before and after each trial, and any key stops it.
 
 Prompts are lines that end with Enter, so that they work in every terminal. Keys that were pressed before a prompt appeared do
-not answer it. Only while a trial runs or is about to begin, single keys are read; then Ctrl-C works as always.
+not answer it, except those that a person types ahead while the files of a trial are collected. Only while a trial runs or is
+about to begin, single keys are read; then Ctrl-C works as always.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ import termios
 import time
 import tty
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO, cast
 
 from sierra.cli import pose_map
-from sierra.cli.output import raw, safe
+from sierra.cli.output import Safe, raw, safe
 from sierra.config.trial_tables import Trials
 from sierra.execution.supervised.supervisor import Agreeing, Attendant, Start, Supervisor, Verdict
 from sierra.model import Status
@@ -66,7 +67,7 @@ class Person:
     @contextlib.contextmanager
     def attending(self, trial: Trial) -> Iterator[Attendant]:
         self._terminal.show("", *_heading(trial, plain=self._terminal.plain))
-        with self._terminal.restored():
+        with self._terminal.restored(), self._terminal.with_notes():
             person = PersonAttending(self._terminal, trial, self._trials.countdown)
             try:
                 yield person
@@ -86,27 +87,31 @@ class Person:
         return Verdict(valid=True, note=self._note())
 
     def _is_valid(self, *, good: bool) -> bool:
+        """Return the answer. A line that was typed ahead and is no answer may be chance; those after it are forgotten then."""
         prompt = "valid? Enter or v: yes, i: no > " if good else "v: it stays as it is, Enter or i: not valid, repeat it > "
+        ahead = True
         while True:
-            match self._terminal.ask(prompt).lower():
+            match self._terminal.ask(prompt, ahead=ahead).lower():
                 case "v" | "valid" | "y" | "yes":
                     return True
                 case "i" | "invalid" | "n" | "no":
                     return False
                 case "":
                     return good
+                case _:
+                    ahead = False
 
     def _reason(self) -> str:
         listed = [f"{number}: {reason}" for number, reason in enumerate(self._trials.reasons, 1)]
         while True:
-            given = self._terminal.ask(f"reason ({', '.join(listed)}, or text) > ")
+            given = self._terminal.ask(f"reason ({', '.join(listed)}, or text) > ", ahead=True)
             if given.isdecimal() and 1 <= int(given) <= len(listed):
                 return self._trials.reasons[int(given) - 1]
             if given and not given.isdecimal():
                 return given
 
     def _note(self) -> str | None:
-        return self._terminal.ask("note (Enter: none) > ") or None
+        return self._terminal.ask("note (Enter: none) > ", ahead=True) or None
 
 
 class PersonAttending:
@@ -159,11 +164,16 @@ class PersonAttending:
         return None
 
     def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
-        self._terminal.redraw(_live(seconds, beats))
+        self._terminal.redraw(_live(f"{seconds:.0f} s; any key: stop", beats))
         if not self._terminal.pressed():
             return False
         self._terminal.end_line("stopping")
         return True
+
+    def ending(self, beats: Sequence[Beat], collecting_s: float | None) -> None:
+        if collecting_s is not None:
+            self._terminal.keep_keys()
+        self._terminal.redraw(_live("stopping" if collecting_s is None else f"collecting files, {collecting_s:.0f} s", beats))
 
     def leave(self) -> None:
         """End the line of the prompt, or that of the running trial."""
@@ -187,13 +197,13 @@ def _heading(trial: Trial, *, plain: bool) -> Iterator[str]:
         yield f"{name}: {text}"
 
 
-def _live(seconds: float, beats: Sequence[Beat]) -> str:
-    """Return the line that shows a running trial."""
+def _live(state: str, beats: Sequence[Beat]) -> str:
+    """Return the line that shows a trial from its start to its record."""
     robots = (
         f"{one.name} {one.age_s:.1f} s{'' if one.battery is None else f' {one.battery:.0f} %'}"
         for one in sorted(beats, key=lambda one: one.name)
     )
-    return "  ".join([f"{seconds:.0f} s; any key: stop", *robots])
+    return "  ".join([state, *robots])
 
 
 def _ending(ended: Ended) -> str:
@@ -216,8 +226,12 @@ class _Terminal:
         self._keyboard = sys.stdin.fileno()
         self._screen = raw(sys.stderr)
         self._redraws = os.environ.get("TERM", "dumb") != "dumb"
-        self._drawn, self._width = 0.0, 0
+        self._drawn, self._width, self._is_open = 0.0, 0, False
         self._typed = b""
+        self._kept: bytes | None = None
+        """Keys that were pressed while the files of a trial were collected; None if none are kept."""
+        self._ahead: list[str] = []
+        """Lines that these keys have typed, for the prompts that follow. The last one may lack its end."""
         with _if_lost():
             self._lines = termios.tcgetattr(self._keyboard)
         self.plain = "utf" not in (self._screen.encoding or "").lower()
@@ -227,34 +241,44 @@ class _Terminal:
         for line in lines:
             self._write(f"{line}\n")
 
-    def ask(self, prompt: str) -> str:
-        """Return the line that the person types, without blanks around it. Raises KeyboardInterrupt if the terminal is gone."""
-        self.prompt(prompt)
+    def ask(self, prompt: str, *, ahead: bool = False) -> str:
+        """Return the line that the person types, without blanks around it. Raises KeyboardInterrupt if the terminal is gone.
+
+        `ahead`: see `prompt`.
+        """
+        self.prompt(prompt, ahead=ahead)
         while (line := self.typed(None)) is None:
             pass
         return line
 
-    def prompt(self, prompt: str) -> None:
-        """Show a prompt for a line. Keys that were pressed before are forgotten."""
+    def prompt(self, prompt: str, *, ahead: bool = False) -> None:
+        """Show a prompt for a line. Keys that were pressed before are forgotten; with `ahead`, kept ones answer it."""
+        if not ahead:
+            self._ahead = []
+        elif self._kept is not None:
+            self._ahead = _lines(self._kept + self._keys())
+        self._kept = None
         with _if_lost():
             termios.tcsetattr(self._keyboard, termios.TCSANOW, self._lines)
             termios.tcflush(self._keyboard, termios.TCIFLUSH)
-        self._typed = b""
-        self._write(prompt)
+        line = self._ahead.pop(0) if self._ahead else ""
+        self._typed = line.encode()
+        self._write(prompt + line)
 
     def typed(self, seconds: float | None = 0.0) -> str | None:
         """Return the line that was typed at the prompt, without blanks around it; None if there is none.
 
         `seconds` is how long it is waited for; None: until something is there.
         """
-        with _if_lost():
-            if not select.select([self._keyboard], [], [], seconds)[0]:
-                return None
-            more = os.read(self._keyboard, 1024)
-        if not more:
-            raise KeyboardInterrupt
-        self._typed += more
-        return self._typed.decode("utf-8", "replace").strip() if more.endswith(b"\n") else None
+        if not self._typed.endswith(b"\n"):
+            with _if_lost():
+                if not select.select([self._keyboard], [], [], seconds)[0]:
+                    return None
+                more = os.read(self._keyboard, 1024)
+            if not more:
+                raise KeyboardInterrupt
+            self._typed += more
+        return self._typed.decode("utf-8", "replace").strip() if self._typed.endswith(b"\n") else None
 
     def begin_keys(self) -> None:
         """Read single keys from now on. Keys that were pressed before are forgotten."""
@@ -262,15 +286,30 @@ class _Terminal:
             termios.tcflush(self._keyboard, termios.TCIFLUSH)
         self.pressed()
 
+    def keep_keys(self) -> None:
+        """Keep the keys that are pressed from now on for the prompts that follow. Keys that were pressed before are forgotten.
+
+        The line that is redrawn says so at once.
+        """
+        if self._kept is None:
+            with _if_lost():
+                termios.tcflush(self._keyboard, termios.TCIFLUSH)
+            self._kept, self._drawn = b"", 0.0
+        self._kept += self._keys()
+
     def pressed(self) -> bool:
-        """Return whether a key was pressed.
+        """Return whether a key was pressed."""
+        return bool(self._keys())
+
+    def _keys(self) -> bytes:
+        """Return the keys that were pressed.
 
         If the process was stopped and goes on, the shell may have changed the terminal; so each call sets it again.
         """
         with _if_lost():
             if termios.tcgetattr(self._keyboard)[3] & (termios.ICANON | termios.ECHO):
                 tty.setcbreak(self._keyboard, termios.TCSANOW)
-            return bool(select.select([self._keyboard], [], [], 0)[0] and os.read(self._keyboard, 1024))
+            return os.read(self._keyboard, 1024) if select.select([self._keyboard], [], [], 0)[0] else b""
 
     @contextlib.contextmanager
     def restored(self) -> Iterator[None]:
@@ -281,6 +320,21 @@ class _Terminal:
             with contextlib.suppress(termios.error, OSError):
                 termios.tcsetattr(self._keyboard, termios.TCSADRAIN, self._lines)
 
+    @contextlib.contextmanager
+    def with_notes(self) -> Iterator[None]:
+        """Show what others write to standard error beneath the line that is redrawn, not within it."""
+        before = sys.stderr
+        sys.stderr = cast("TextIO", _Beneath(self._screen, self))
+        try:
+            yield
+        finally:
+            sys.stderr = before
+
+    def end_open_line(self) -> None:
+        """End the line that is redrawn, if there is one."""
+        if self._is_open:
+            self.end_line()
+
     def redraw(self, line: str) -> None:
         """Show a line in the place of the last one, now and then."""
         now = time.monotonic()
@@ -288,7 +342,7 @@ class _Terminal:
             return
         self._drawn = now
         self._write(f"\r{safe(line).ljust(self._width)}" if self._redraws else f"{line}\n", steering=True)
-        self._width = len(line)
+        self._width, self._is_open = len(line), self._redraws
 
     def end_line(self, text: str = "") -> None:
         """End the line that is redrawn; a text takes its place."""
@@ -296,12 +350,42 @@ class _Terminal:
             self._write(f"\r{text.ljust(self._width)}\n" if text else "\n", steering=True)
         elif text:
             self._write(f"{text}\n")
-        self._drawn, self._width = 0.0, 0
+        self._drawn, self._width, self._is_open = 0.0, 0, False
 
     def _write(self, text: str, *, steering: bool = False) -> None:
         with _if_lost():
             self._screen.write(text if steering else safe(text))
             self._screen.flush()
+
+
+class _Beneath(Safe):
+    """A stream to a terminal, whose line that is redrawn ends before anything else is written."""
+
+    def __init__(self, stream: TextIO, terminal: _Terminal) -> None:
+        super().__init__(stream)
+        self._terminal = terminal
+
+    def write(self, text: str) -> int:
+        self._terminal.end_open_line()
+        return super().write(text)
+
+
+def _lines(keys: bytes) -> list[str]:
+    """Return the lines that keys type; the last one may lack its end.
+
+    Enter before any text is left out: it may have been meant to stop the trial, and an answer by default needs a question.
+    """
+    text = ""
+    for key in keys.decode("utf-8", "replace"):
+        if key in "\b\x7f":
+            text = text if text.endswith("\n") else text[:-1]
+        elif key == "\x15":  # Ctrl-U
+            text = text[: text.rfind("\n") + 1]
+        elif key in "\r\n":
+            text += "\n"
+        elif key.isprintable():
+            text += key
+    return text.lstrip().splitlines(keepends=True)
 
 
 @contextlib.contextmanager

@@ -94,6 +94,10 @@ class Look:
     """True while a run is prepared and waits until it may begin: see `Holds`."""
     watched: bool = False
     """True while a person may stop the run with a key, so that the next look must follow soon."""
+    stopping: bool = False
+    """True while the run is being stopped, for example because a robot was lost. `stop` cannot change that it ends."""
+    collecting: bool = False
+    """True while the run is over, and its files are being collected."""
 
 
 class Runner(Protocol):

@@ -94,6 +94,14 @@ class Attendant(Protocol):
         """
         ...
 
+    def ending(self, beats: Sequence[Beat], collecting_s: float | None) -> None:
+        """Show that a trial ends on robots; it is called instead of `watch`, when there is nothing to decide any more.
+
+        `collecting_s`: the time for which files have been collected from the robots; None while these are being stopped,
+        without a decision of the person.
+        """
+        ...
+
 
 class Supervisor(Protocol):
     """Starts, watches and judges trials for a person. Every method may raise KeyboardInterrupt, which ends the session.
@@ -152,3 +160,6 @@ class AgreeingAttendant:
 
     def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
         return False
+
+    def ending(self, beats: Sequence[Beat], collecting_s: float | None) -> None:
+        pass

@@ -33,14 +33,14 @@ class WatchedRunner:
         self.remote = runner.remote
         self._attendant = attendant
         self._ends = ends
-        self._submitted = self._over = False
+        self._submitted = self._over = self._told = self._collecting = False
         self._began = time.monotonic()
         self.decision: Start | None = None
         """The decision of the person; None until there is one."""
         self.seconds = 0.0
-        """Seconds from the decision to the last look."""
+        """Seconds from the decision to the last look, or to the end of the run if its files are collected afterwards."""
         self.stopped = False
-        """True if the person has stopped the trial."""
+        """True if the person has stopped the trial; false if it was over, or being stopped, before the person did so."""
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._work, self._session = work, session
@@ -57,18 +57,28 @@ class WatchedRunner:
 
     def look(self) -> Look:
         look = self.runner.look() if self._submitted else Look((), 0, alive=not self._over)
-        self.seconds = time.monotonic() - self._began if self.decision is Start.GO else 0.0
+        if not self._collecting:
+            self.seconds = time.monotonic() - self._began if self.decision is Start.GO else 0.0
+        self._collecting = self._collecting or look.collecting
         if look.alive and not self._over:
             self._attend(look)
-        watched = look.alive and self.decision is Start.GO and not self.stopped
+        watched = look.alive and self.decision is Start.GO and not (self._told or self._collecting)
         return replace(look, results=tuple(map(self._own, look.results)), watched=watched)
 
     def _attend(self, look: Look) -> None:
-        """Let the person decide if the trial begins; once it has, let the person stop it."""
+        """Let the person decide if the trial begins; once it has, let the person stop it until it ends."""
         if self.decision is None:
             self._decide(ready=look.ready or not self._submitted)
-        if self.decision is Start.GO and not self.stopped and self._attendant.watch(self.seconds, look.beats):
-            self.stopped = True
+        if self.decision is Start.GO:
+            self._watch(look)
+
+    def _watch(self, look: Look) -> None:
+        if self._collecting:
+            self._attendant.ending(look.beats, time.monotonic() - self._began - self.seconds)
+        elif look.stopping and not self._told:
+            self._attendant.ending(look.beats, None)
+        elif not self._told and self._attendant.watch(self.seconds, look.beats):
+            self._told = self.stopped = True
             self.runner.stop()
 
     def _decide(self, *, ready: bool) -> None:
@@ -84,7 +94,8 @@ class WatchedRunner:
 
         A worker does not read the outputs of a run that it was told to end, because such a run is not recorded. This one is.
         """
-        if not self.stopped or result.stopped != Status.INTERRUPTED:
+        self.stopped = self._told and result.stopped == Status.INTERRUPTED
+        if not self.stopped:
             return result
         result = replace(result, stopped=None if self._ends else Status.STOPPED)
         return result if result.outputs else _with_outputs(result)

@@ -144,6 +144,8 @@ class Robots:
             wrong=wrong,
             beats=tuple(Beat(one.name, one.agent.silence, one.before.get("battery")) for one in trial.parts) if trial else (),
             ready=trial is not None and trial.waits,
+            stopping=trial is not None and trial.stopped is not None,
+            collecting=trial is not None and trial.over,
         )
 
     def stop(self) -> None:

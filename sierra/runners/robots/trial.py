@@ -133,6 +133,8 @@ class Trial:
         """The common start by this host's clock."""
         self.waits = False
         """True while all robots are armed, and the run may not begin."""
+        self.over = False
+        """True from the end of the run on all robots on."""
         self.course: Course | None = None
         """The course of this host's clock between the measurements of the robots' clocks; None before the last ones."""
         self.table = table
@@ -163,6 +165,7 @@ class Trial:
             if not self._cancel(f"not all robots were ready: {error}"):
                 raise
         self._supervise()
+        self.over = True
         return True
 
     def _check(self) -> None:

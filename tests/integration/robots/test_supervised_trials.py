@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import re
 import time
 from functools import partial
 from pathlib import Path
@@ -80,7 +82,7 @@ def project(fleet: Fleet, folder: Path) -> Path:
 def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path: Path) -> None:
     root = project(fleet, tmp_path)
     with Terminal(root, str(projects.SIERRA), *RUN) as terminal:
-        terminal.expect("a: abort > ")
+        assert "\nrobots: 1 (rb1), 2 (rb2)\r\n" in terminal.expect("a: abort > ")
         for name in fleet.names[:2]:
             until(partial(is_armed, fleet, name), "it is armed while the person places it")
             assert not is_moving(fleet, name)
@@ -123,6 +125,39 @@ def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path
         {"robot": 2, "coverage": 2},
     ]
     assert projects.sql(root, "SELECT count(*) AS n FROM artifacts WHERE path LIKE '%swarm.csv'") == [{"n": 4}]
+    [batch] = projects.sql(root, "SELECT batch FROM batches")
+    shown = json.loads(projects.quick(root, "show", batch["batch"], "--json").stdout)
+    assert [(one["robot"], one["place"], one["firmware"], one["runs"]) for one in shown["robots"]] == [
+        (name, place, f"1.4 of {name}", 1) for place, name in enumerate(BATTERIES, 1)
+    ]
+
+
+def test_keys_do_not_stop_a_trial_that_has_lost_a_robot_but_answer_the_prompts(fleet: Fleet, tmp_path: Path) -> None:
+    root, (first, second) = project(fleet, tmp_path), fleet.names[:2]
+    placed = "countdown = 0\n[trials.draw_poses]\ncount = 2\nx = [0, 4]\ny = [0, 3]\n"
+    config = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(config.replace("countdown = 0\n", placed) + "lease = 2\ngrace = 1\n")
+    with Terminal(root, str(projects.SIERRA), *RUN) as terminal:
+        shown = terminal.answer("a: abort > ")
+        assert "x: 0 to 4 m (to the right), y: 0 to 3 m (up)\r\n" in shown
+        assert re.search(rf"\n  1 \({first}\): x .*\n  2 \({second}\): x ", shown)
+        terminal.expect(f"any key: stop  {first} ")
+        for name in (first, second):
+            until(partial(has_written, fleet, name))
+        fleet.radio(second, up=False)
+        terminal.expect(f"\nnote: {second} does not answer; ")
+        terminal.expect("collecting files, 0 s  ")
+        terminal.type("\ni\n2\n")
+        fleet.radio(second, up=True)
+        ended = terminal.expect("repeat it > i\r\n")
+        assert "any key" not in ended
+        assert re.search(rf"\nended after [0-9.]+ s; failed: {second} was lost: ", ended)
+        terminal.expect("or text) > 2\r\n")
+        terminal.answer("none) > ")
+        terminal.answer("a: abort > ", "a")
+        terminal.end()
+    verdicts = projects.sql(root, "SELECT valid, t.reason, stopped FROM trials t")
+    assert verdicts == [{"valid": False, "reason": "hardware failure", "stopped": False}]
 
 
 def test_robots_that_wait_are_disarmed_if_the_trial_is_skipped(fleet: Fleet, tmp_path: Path) -> None:

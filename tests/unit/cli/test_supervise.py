@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import signal
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +29,33 @@ ENDLESS = projects.SIMULATOR + "import time\nif count == 9:\n    time.sleep(600)
 TRIALS = """
 SELECT operator, valid, t.reason, note, stopped, status FROM trials t JOIN executions e USING (execution) ORDER BY position
 """
+ENDING = """
+import sys, time
+from pathlib import Path
+from sierra.cli.supervise import Person
+from sierra.config.trial_tables import Trials
+from sierra.execution.supervised.supervisor import Ended, Trial
+from sierra.model import Pose, Status
+from sierra.runners.base import Beat
+
+def wait(name, *arguments):
+    while not Path(name).exists():
+        attendant.ending(*arguments)
+        time.sleep(0.01)
+
+person, beats = Person(Trials(countdown=0), "Ann"), (Beat("tb2", 4.0, 79.0),)
+trial = Trial("r", 0, {}, 1, 1, 0, 1, poses=(Pose(1, 1),), robots={0: "tracker", 1: "tb1", 2: "tb2"})
+with person.attending(trial) as attendant:
+    while attendant.decide(ready=True) is None:
+        time.sleep(0.01)
+    while not attendant.watch(1.0, beats) and not Path("lost").exists():
+        time.sleep(0.01)
+    print("note: tb2 does not answer", file=sys.stderr)
+    wait("over", beats, None)
+    wait("collected", beats, 3.0)
+print(person.verdict(trial, Ended(Status.OK, None, 1.0, False)))
+"""
+"""A program in which a person attends to a trial whose robots are stopped and whose files are collected."""
 GO, VALID, REASON, NOTE = "go, s: skip, a: abort > ", "i: no > ", "or text) > ", "note (Enter: none) > "
 
 
@@ -104,6 +134,52 @@ def test_ctrl_c_at_every_prompt_keeps_what_was_measured_and_restores_the_termina
             assert terminal.mode() == before
         kept = [("Ann", False, "nobody has judged it", None, None, "invalid")] * max(0, last - 2)
         assert trials(root) == kept
+
+
+@contextlib.contextmanager
+def collecting(folder: Path) -> Iterator[Terminal]:
+    """Yield the terminal of a trial whose files are being collected, after keys were typed in vain while robots stopped."""
+    with Terminal(folder, sys.executable, "-c", ENDING) as terminal:
+        before = terminal.mode()
+        assert "\nnot on the map: 0 (tracker), 2 (tb2)\r\n" in terminal.answer(GO)
+        terminal.expect("1 s; any key: stop  tb2 4.0 s 79 %")
+        (folder / "lost").touch()
+        terminal.expect("\nnote: tb2 does not answer\r\n")
+        terminal.expect("stopping  tb2")
+        terminal.type("i\n")
+        (folder / "over").touch()
+        assert "any key" not in terminal.expect("collecting files, 3 s  tb2 4.0 s 79 %")
+        yield terminal
+        assert terminal.end() == 0
+        assert terminal.mode() == before
+
+
+def test_lines_that_are_typed_while_files_are_collected_answer_the_prompts(tmp_path: Path) -> None:
+    with collecting(tmp_path) as terminal:
+        terminal.type("v\x7fi\n2\nit f")
+        terminal.expect("collecting")
+        (tmp_path / "collected").touch()
+        assert "stopped" not in terminal.expect(f"{VALID}i\r\n")
+        terminal.expect(f"{REASON}2\r\n")
+        terminal.expect(f"{NOTE}it f")
+        terminal.type("ell\n")
+        terminal.expect("Verdict(valid=False, reason='hardware failure', note='it fell')")
+
+
+@pytest.mark.parametrize("keys", ["\n\n \n", "asdf\n\nv\n"])
+def test_keys_that_may_have_been_meant_to_stop_do_not_judge_a_trial(tmp_path: Path, keys: str) -> None:
+    with collecting(tmp_path) as terminal:
+        terminal.type(keys)
+        terminal.expect("collecting")
+        (tmp_path / "collected").touch()
+        terminal.expect(VALID)
+        if keys.strip():
+            terminal.expect("asdf\r\nvalid? ")
+            terminal.expect(VALID)
+        terminal.answer("", "i")
+        terminal.answer(REASON, "1")
+        terminal.answer(NOTE)
+        terminal.expect("Verdict(valid=False, reason='wrong start', note=None)")
 
 
 @pytest.mark.nightly

@@ -63,6 +63,9 @@ class Script:
     def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
         return self._stops() or seconds > 60
 
+    def ending(self, beats: Sequence[Beat], collecting_s: float | None) -> None:
+        raise AssertionError("a runner of this machine collects nothing")
+
     def unready(self, reason: str) -> Start | None:
         self.unready_because.append(reason)
         step = self._steps.pop(0)

@@ -19,7 +19,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.ingest.observations import observed
 from sierra.model import Job
 from sierra.provenance.environment import differing
-from sierra.runners.base import Work
+from sierra.runners.base import Look, Work
 from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable
 from sierra.runners.robots.runner import Robots
@@ -151,6 +151,37 @@ def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
     assert str(was).startswith("sha256 ")
     assert was != found
     assert re.search(r"^libc6==", str(after["packages"]), re.MULTILINE)
+
+
+def test_a_look_tells_that_a_run_is_being_stopped_and_then_that_its_files_are_collected(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+):
+    plain = LocalLink.pull
+
+    def pull(link: LocalLink, folder: str, target: Path) -> None:
+        time.sleep(0.3)
+        plain(link, folder, target)
+
+    monkeypatch.setattr(LocalLink, "pull", pull)
+    states: list[tuple[bool, bool]] = []
+    take = fleet.take
+
+    def taken(runner: Robots) -> Look:
+        look = take(runner)
+        states.extend([now] if [now := (look.stopping, look.collecting)] != states[-1:] else [])
+        return look
+
+    monkeypatch.setattr(fleet, "take", taken)
+    [result] = fleet.run(job(1, "1", "deaf", "2", "7", "3", "nap"))
+    assert str(result.error).startswith("bob has failed: its program ended with status 7; the others were stopped")
+    assert states == [(False, False), (True, False), (True, True), (False, False)]
+
+
+def test_the_names_of_robots_are_those_that_take_the_places(fleet: Fleet):
+    runner = Robots(1, fleet.table.model_copy(update={"use": ("bob", "cy")}), fleet.make_link)
+    assert runner.robot_names([(1, "robot"), (2, "robot")]) == {1: "bob", 2: "cy"}
+    with pytest.raises(ConfigError, match=r"a run needs 3 robots of the group 'robot'"):
+        runner.robot_names([(1, "robot"), (2, "robot"), (3, "robot")])
 
 
 def test_the_runner_passes_its_conformance_suite(fleet: Fleet, tmp_path: Path):
