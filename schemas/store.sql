@@ -210,8 +210,8 @@ CREATE TABLE findings (
 CREATE TABLE artifacts (
     "execution" VARCHAR,  -- the execution
     "run" VARCHAR,  -- the run
-    "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr
-    "kind" VARCHAR,  -- table, file or log
+    "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr; late/PLACE/… for what a lost robot gave back later
+    "kind" VARCHAR,  -- table, file or log; logs are no part of a result
     "output" VARCHAR,  -- the declared or detected output that it belongs to, which is the table's name
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end
@@ -754,8 +754,8 @@ CREATE TABLE origins (
 CREATE TABLE all_artifacts (
     "execution" VARCHAR,  -- the judgement
     "run" VARCHAR,  -- the run
-    "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr
-    "kind" VARCHAR,  -- table, file or log
+    "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr; late/PLACE/… for what a lost robot gave back later
+    "kind" VARCHAR,  -- table, file or log; logs are no part of a result
     "output" VARCHAR,  -- the declared or detected output that it belongs to, which is the table's name
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end

@@ -625,6 +625,17 @@ class OutputFile:
 
 
 @dataclass(frozen=True, slots=True)
+class LateFiles:
+    """Files of a lost robot, which were collected after its execution was recorded."""
+
+    execution: str
+    place: int
+    robot: str
+    directory: str
+    """A run's folder."""
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """A worker's report on one execution."""
 

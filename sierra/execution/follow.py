@@ -154,6 +154,7 @@ class _Following:
             if status is not Status.INTERRUPTED:
                 self._tally.ended(result.run, status)
         self._recorder.add_rows(look.rows, look.copies)
+        self._recorder.add_late(look.late)
         for text in look.notes:
             self._tally.observer.notice(text)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from sierra.errors import Damaged, SierraError
 from sierra.execution import sessions
 from sierra.ingest.recording_context import Context
-from sierra.model import Result, Status
+from sierra.model import LateFiles, Result, Status
 from sierra.runners.journal_reader import Journal, Row
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
@@ -56,7 +56,8 @@ def recover(store: Store, paths: SessionPaths) -> int:
     events = list(Journal(paths.journal).read())
     ended = (_own(paths, event) for event in events if isinstance(event, Result))
     results = [result for result in ended if result is not None]
-    if not results:
+    late = [event for event in events if isinstance(event, LateFiles) and _is_here(paths, event)]
+    if not (results or late):
         return 0
     context = Context.load(paths.context)
     recorded = set(store.values(str, "SELECT execution FROM executions WHERE session = $s", s=context.session))
@@ -65,10 +66,17 @@ def recover(store: Store, paths: SessionPaths) -> int:
     new = {result.execution for result in missing}
     rows = [(event.table, event.row) for event in events if isinstance(event, Row)]
     recorder.add_rows([(table, row) for table, row in rows if row.get("execution", "") in (*new, "")], ())
+    recorder.add_late(late)
     added = [recorder.add(result) for result in missing]
     recorder.flush()
     find_odd(store, paths, context)
     return sum(status is not Status.INTERRUPTED for status in added)
+
+
+def _is_here(paths: SessionPaths, late: LateFiles) -> bool:
+    """Return whether the folder of late files is one of this session."""
+    folder = Path(late.directory)
+    return folder.name.isdigit() and folder.parent.resolve() == paths.runs.resolve() and folder.is_dir()
 
 
 def _own(paths: SessionPaths, result: Result) -> Result | None:

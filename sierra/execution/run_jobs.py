@@ -32,6 +32,7 @@ from sierra.provenance import environment, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, check_members, needed
+from sierra.store import ownership_marks
 from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.store import Store
@@ -151,6 +152,7 @@ class Service:
             environment.recorded(record),
             self._setup.environment._asdict(),
             self._setup.root,
+            ownership_marks.identity(self._store.paths),
             self._hosts,
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)

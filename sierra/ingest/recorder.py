@@ -22,7 +22,7 @@ from sierra.ingest.recording_context import Context
 from sierra.ingest.silent_runs import SilentRuns
 from sierra.ingest.success import Doubt, Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
-from sierra.model import OutputFile, Result, Status
+from sierra.model import LateFiles, OutputFile, Result, Status
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
@@ -40,6 +40,8 @@ PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
 LOG_SHOWN = 2000
+LATE = "late"
+"""The folder of the files of robots that were lost, and have given them back later; each place has a folder."""
 WITH_EXECUTION = ("robots", "trials")
 """Tables of which a runner reports rows that are recorded with their execution."""
 ONCE = {"environments": "environment", "isolations": "isolation"}
@@ -48,7 +50,16 @@ TRACED = "strace"
 """The method of observations by the tracer."""
 COUNT = "SELECT count(*) AS executions FROM executions WHERE session = $s"
 RESULTS = "SELECT execution, result FROM executions WHERE session = $s"
+LACKING = f"""
+SELECT run, batch FROM executions WHERE execution = $e AND NOT EXISTS (
+    FROM artifacts a WHERE a.execution = $e AND (starts_with(path, $p) OR starts_with(path, '{LATE}/' || $p)))
+"""
 COPIES = "SELECT c.execution, c.attempt FROM duplicates c JOIN executions e USING (execution) WHERE e.session = $s"
+
+
+class _Execution(NamedTuple):
+    run: str
+    batch: str
 
 
 class _ResultHash(NamedTuple):
@@ -104,6 +115,9 @@ class Recorder:
         self._left_nothing = False
         """True if some execution has left no file."""
         self._silent = SilentRuns()
+        self._late: list[LateFiles] = []
+        self._collected: dict[str, None] = {}
+        """Notes about late files."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -154,6 +168,10 @@ class Recorder:
             self._other_rows.setdefault(table, []).append(row)
         self._copies += copies
 
+    def add_late(self, late: Iterable[LateFiles]) -> None:
+        """Add files of executions that are recorded already, or will be with the next write."""
+        self._late += late
+
     def due(self) -> bool:
         """Check if it is time to write: soon at first, then less and less often, so that there are few segments."""
         now = time.monotonic()
@@ -168,6 +186,7 @@ class Recorder:
         """
         self._flushed = time.monotonic()
         if not (self._pending or self._other_rows or self._copies):
+            self._record_late()
             return []
         writer = self._store.writer(self._session.segment, self.context.batch)
         for table, rows in self._other_rows.items():
@@ -184,6 +203,7 @@ class Recorder:
             self._put_away(one.result)
         self._pending, self._bytes = [], 0
         self._other_rows, self._copies = {}, []
+        self._record_late()
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
     def _compared(self) -> Iterator[DuplicateRow]:
@@ -229,6 +249,7 @@ class Recorder:
         ]
         return [
             *self._twice(),
+            *self._collected,
             *lost(list(self._left_out)),
             *self._silent.notes(),
             *elsewhere,
@@ -262,6 +283,23 @@ class Recorder:
             writer.records([IngestRulesRow(self._reading, self.context.declared)])
             writer.records([self.context.isolation] if self.context.isolation else [])
         return judged
+
+    def _record_late(self) -> None:
+        """Record late files with the batches of their executions, if these are recorded without files of the same robot."""
+        while self._late:
+            late = self._late[0]
+            for execution in self._store.select(_Execution, LACKING, e=late.execution, p=f"{late.place}/"):
+                writer = self._store.writer(self._session.segment, execution.batch)
+                objects = Objects(writer.path("objects"))
+                rows = list(_late_artifacts(late, execution.run, objects))
+                writer.records(rows)
+                objects.close()
+                self._store.publish(writer)
+                said = f"{late.robot}: collected what it had measured in a run of which it was lost"
+                if rows:
+                    self._collected[f"{said}; sierra files {short(late.execution)} lists it in {LATE}/{late.place}"] = None
+            discard(Path(late.directory), self._session)
+            self._late.pop(0)
 
     def _marked(self, one: Judgement) -> Judgement:
         """Return the judgement by which the run is reported: that of a person who found the trial invalid, if there is one."""
@@ -351,11 +389,27 @@ def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bo
             if raw or row.kind == "file":
                 objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
             yield row
+    yield from _logs(result.directory, result.execution, result.run, objects)
+
+
+def _logs(directory: str, execution: str, run: str, objects: Objects, prefix: str = "") -> Iterator[ArtifactRow]:
+    """Yield the rows of a run's logs, and store what is kept of them."""
     for name in (RUN_STDOUT, RUN_STDERR):
-        content, size = kept_of(f"{result.directory}/{name}")
+        content, size = kept_of(f"{directory}/{name}")
         if size:
             digest = objects.add(content)
-            yield ArtifactRow(result.execution, result.run, name, "log", None, size, digest, None, None, None)
+            yield ArtifactRow(execution, run, prefix + name, "log", None, size, digest, None, None, None)
+
+
+def _late_artifacts(late: LateFiles, run: str, objects: Objects) -> Iterator[ArtifactRow]:
+    """Yield the rows of a lost robot's files, and store them. As logs, they are no part of the result, and of no table."""
+    prefix = f"{LATE}/{late.place}/"
+    yield from _logs(late.directory, late.execution, run, objects, prefix)
+    files, _ = worker.list_files(f"{late.directory}/{RUN_OUTPUT}")
+    for file in worker.described(files, lambda: None):
+        objects.add_file(Path(late.directory, RUN_OUTPUT, file["path"]), file["sha256"], file["bytes"])
+        path = f"{prefix}{RUN_OUTPUT}/{file['path']}"
+        yield ArtifactRow(late.execution, run, path, "log", None, file["bytes"], file["sha256"], None, None, None)
 
 
 def result_hash(outputs: Iterable[OutputFile]) -> str:

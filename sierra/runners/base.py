@@ -22,7 +22,7 @@ from sierra.config.field_types import Table
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
 from sierra.containers.on_hosts import HostContainers
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
-from sierra.model import Job, Requirement, Result, Times
+from sierra.model import Job, LateFiles, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
 from sierra.runners import schedulers
@@ -49,6 +49,8 @@ class Work:
     """The row of `environments` of this process. It supplies what a node does not report about itself."""
     code: Path | None = None
     """The folder of the code, which robots get; None if the runs do not need it."""
+    store: str = ""
+    """The id of the store to which results go: robots keep files for it."""
     containers: HostContainers | None = None
     """The containers in which robots execute runs; None without containers."""
 
@@ -94,6 +96,8 @@ class Look:
     """True while a run is prepared and waits until it may begin: see `Holds`."""
     watched: bool = False
     """True while a person may stop the run with a key, so that the next look must follow soon."""
+    late: tuple[LateFiles, ...] = ()
+    """Files of executions that were recorded without them. As with a result, a directory belongs to the caller."""
     stopping: bool = False
     """True while the run is being stopped, for example because a robot was lost. `stop` cannot change that it ends."""
     collecting: bool = False

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from sierra.model import OutputFile, Result
+from sierra.model import LateFiles, OutputFile, Result
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView, RecordValue
 
@@ -55,7 +55,7 @@ class Row:
     row: Mapping[str, RecordValue]
 
 
-Event = Started | Stalled | Row | Result
+Event = Started | Stalled | Row | LateFiles | Result
 Made = TypeVar("Made")
 
 
@@ -104,6 +104,8 @@ def _event(line: bytes) -> Event | None:
                 return made(Started, event)
             case "stalled":
                 return made(Stalled, event)
+            case "late":
+                return made(LateFiles, event)
             case "row":
                 return Row(event["table"], {name: _moment(name, value) for name, value in event["row"].items()})
             case _:

@@ -277,8 +277,11 @@ class ArtifactRow(NamedTuple):
 
     execution: Annotated[str, "the execution"]
     run: Annotated[str, "the run"]
-    path: Annotated[str, "path in the output folder; for logs, stdout or stderr"]
-    kind: Annotated[str, "table, file or log"]
+    path: Annotated[
+        str,
+        "path in the output folder; for logs, stdout or stderr; late/PLACE/… for what a lost robot gave back later",
+    ]
+    kind: Annotated[str, "table, file or log; logs are no part of a result"]
     output: Annotated[str | None, "the declared or detected output that it belongs to, which is the table's name"]
     size: Annotated[int, "its size", "bytes"]
     sha256: Annotated[str, "SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end"]
