@@ -120,6 +120,7 @@ LOG_BYTES = 256 << 20  # limit for standard output and for standard error, indep
 CHUNK = 1 << 20
 SETTLE_S = 2.0
 GRACE_S = 5.0  # between SIGTERM and SIGKILL, if the job does not say
+STOPPED, FAILED, FULL = 1, 3, 4  # exit statuses
 CLEAN_S = 10.0  # for an engine's cleanup after its containers have ended
 START_S = 60.0  # for an engine to start a container
 GIVE_UP_S = 5.0  # to read the outputs of ended runs after the worker was told to stop
@@ -299,6 +300,11 @@ class End(Outcome):
 Event = Union[Start, Ready, Stalled, End]
 
 
+READY, BEGUN, ENDING, GONE, OVER = "r", "b", "e", "g", "o"
+"""The states of a run that a worker announces at once: prepared, begun, told to end or ended, without a process, reported."""
+Announce = Callable[[str], None]
+
+
 class GivenUp(Exception):
     """The worker stops, and no longer reads the outputs of a run."""
 
@@ -328,6 +334,9 @@ class Journal:
                 os.ftruncate(self._file, os.fstat(self._file).st_size - written)
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "journal.jsonl")
 
+    def close(self) -> None:
+        os.close(self._file)
+
 
 class Waker:
     """A means to wake the main thread from any thread, from a signal handler, or when a pipe is closed.
@@ -352,6 +361,10 @@ class Waker:
         with contextlib.suppress(BlockingIOError):
             os.write(self._write_end, b"!")
 
+    def close(self) -> None:
+        os.close(self._read_end)
+        os.close(self._write_end)
+
     def wait(self, seconds: float) -> bool:
         """Wait for so many seconds, or until woken. Return False if the pipe was closed."""
         ready = [descriptor for descriptor, _ in self._poll.poll(seconds * 1000)]
@@ -366,8 +379,16 @@ class Waker:
 class Running:
     """A running program. Its lock guards the moment from which its process id may belong to another process."""
 
-    def __init__(self, job: Job, folder: str, process: subprocess.Popen[bytes], observation: Observation | None = None) -> None:
+    def __init__(
+        self,
+        job: Job,
+        folder: str,
+        process: subprocess.Popen[bytes],
+        observation: Observation | None = None,
+        announce: Announce = lambda state: None,
+    ) -> None:
         self.run, self.execution = job["run"], job["execution"]
+        self.announce = announce
         self.observation = observation
         self.seal = job.get("seal")
         self.conducted = is_conducted(job)
@@ -400,6 +421,7 @@ class Running:
         with self.lock:
             if self.stopped is None and not self.over and not has_ended(self.pid):
                 self.stopped = reason
+                self.announce(ENDING)
                 self.kill_at = time.monotonic() + self.limits.get("grace_s", GRACE_S)
                 signal_group(self.pid, signal.SIGTERM)
                 for pid in self.pids():  # a stopped process reacts to SIGTERM only when it is continued
@@ -762,13 +784,22 @@ class Worker:
     """Slots, each a thread, which take jobs from a queue; and the main thread, which watches over them."""
 
     def __init__(
-        self, folder: str, slots: int, *, journal: str | None = "", adopts: bool = False, places: tuple[str, ...] = ()
+        self,
+        folder: str,
+        slots: int,
+        *,
+        journal: str | None = "",
+        adopts: bool = False,
+        places: tuple[str, ...] = (),
+        announce: Announce = lambda state: None,
     ) -> None:
         """Prepare a worker in `folder` with `slots` slots.
 
         `adopts`: this process becomes the parent of all orphans of its runs. `places`: folders that runs share. `journal` is a
-        file, by default in the folder; None is standard output.
+        file, by default in the folder; None is standard output. `announce` is called with each state of a run, before anything
+        else that could fail or take long.
         """
+        self.announce = announce
         self.folder = folder
         self.adopts = adopts
         self.slots = slots
@@ -798,8 +829,19 @@ class Worker:
         self.wall = 0.0
         self.trusts = True  # that a tracer works which has worked before
 
-    def work(self, stream: TextIO) -> bool:
-        """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
+    @property
+    def status(self) -> int:
+        """Return the exit status of its process: see above."""
+        return (FULL if self.full else FAILED) if self.failure else STOPPED if self.stopping else 0
+
+    def report_failure(self) -> None:
+        """Write why it could not continue, if it could not."""
+        if self.failure:
+            with contextlib.suppress(OSError):
+                os.write(2, ("worker: %s\n" % self.failure).encode("utf-8", "backslashreplace"))
+
+    def work(self, stream: TextIO) -> None:
+        """Execute all jobs in `stream`, or stop before its end: see `status`."""
         kind = os.fstat(stream.fileno()).st_mode
         if stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind):
             self.waker.watch_pipe(stream.fileno())
@@ -815,7 +857,6 @@ class Worker:
         if self.contains:
             await_orphans()
         end_orphans(None)
-        return not self.stopping
 
     def read(self, stream: TextIO) -> None:
         """Put the jobs into the queue, until the line that ends them.
@@ -843,6 +884,11 @@ class Worker:
         self.stop_reading_at = self.stop_reading_at or time.monotonic() + GIVE_UP_S
         self.stopping = True
         self.waker.wake()
+
+    def close(self) -> None:
+        """Close the files of the worker."""
+        self.journal.close()
+        self.waker.close()
 
     def check_stop(self) -> None:
         """Raise GivenUp if the worker was told to stop so long ago that outputs are no longer read."""
@@ -950,7 +996,8 @@ class Worker:
             wall = time.monotonic() - started
             self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + why_not_started(error, job)))
             return
-        running = Running(job, folder, process, observation)
+        running = Running(job, folder, process, observation, self.announce)
+        self.announce(BEGUN)
         if held and running.meter:
             running.meter.since = running.started
         with self.lock:
@@ -969,6 +1016,8 @@ class Worker:
             end_container(running.client)
         # a run with a seal is alone in its container
         alone = end_orphans(None if running.seal else running.execution, running.pid, running.is_tracer)
+        if alone:
+            self.announce(GONE)
         observed, disturbed = self.keep_observation(job, running, services)
         if disturbed:
             self.await_signal()  # a scheduler may kill the tracer before it tells this process to end
@@ -1011,6 +1060,7 @@ class Worker:
             if held:
                 held.await_ready(lambda: self.stopping)
             self.journal.write({"event": "ready", "execution": job["execution"]})
+            self.announce(READY)
             come = self.has_time_come(held)
         finally:
             if held and not come:
@@ -1589,6 +1639,7 @@ def await_end(running: Running) -> tuple[int, struct_rusage]:
     """
     if hasattr(os, "waitid"):
         os.waitid(os.P_PID, running.pid, os.WEXITED | os.WNOWAIT)
+        running.announce(ENDING)
         while running.kill_at is not None and any(is_alive_in(pid, running.pid) for pid in orphans()):
             time.sleep(POLL_S / 10)
         with running.lock:
@@ -2052,8 +2103,7 @@ def end_orphans(execution: str | None, group: int | None = None, is_tracer: Call
             return not living
         for pid in own:
             signal_process(pid, signal.SIGKILL)
-            with contextlib.suppress(ChildProcessError):
-                os.waitpid(pid, 0)
+        select.select((), (), (), POLL_S / 50)  # no wait for one of them, which may never end if it is another user's
     return False
 
 
@@ -2176,24 +2226,29 @@ def become_subreaper(*, secretive: bool) -> bool:
     return adopts and os.path.exists("/proc/self/task/%d/children" % os.getpid())
 
 
-def main(arguments: list[str]) -> int:
+def execute(arguments: Sequence[str], announce: Announce = lambda state: None) -> Worker:
+    """Execute the jobs on standard input; return the worker, which has ended. See `Worker` for `announce`."""
     folder, slots = arguments[:2]
-    piped = arguments[2:3] == ["-"]
+    piped = list(arguments[2:3]) == ["-"]
     journal = None if piped else "".join(arguments[2:3])
     adopts = become_subreaper(secretive=piped)
-    worker = Worker(os.path.abspath(folder), int(slots), journal=journal, adopts=adopts, places=tuple(arguments[3:]))
+    worker = Worker(
+        os.path.abspath(folder), int(slots), journal=journal, adopts=adopts, places=tuple(arguments[3:]), announce=announce
+    )
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)  # perhaps ignored by the process that started this one in the background
     signal.signal(signal.SIGTERM, lambda number, frame: worker.terminate())
     signal.signal(signal.SIGHUP, lambda number, frame: worker.stop())
     signal.signal(signal.SIGINT, lambda number, frame: None)  # a signal that is ignored here would be ignored by all runs
-    finished = worker.work(sys.stdin)
-    if worker.failure:
-        with contextlib.suppress(OSError):
-            os.write(2, ("worker: %s\n" % worker.failure).encode("utf-8", "backslashreplace"))
-        return 4 if worker.full else 3
-    return 0 if finished else 1
+    worker.work(sys.stdin)
+    return worker
+
+
+def main(arguments: list[str]) -> int:
+    worker = execute(arguments)
+    worker.report_failure()
+    return worker.status
 
 
 if __name__ == "__main__":
