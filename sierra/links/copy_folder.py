@@ -7,14 +7,22 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from sierra.errors import Missing
 from sierra.links import remote_folder
 from sierra.links.base import Folder, Overdue, Unreachable
 
-if TYPE_CHECKING:
-    from sierra.links.commands import Exchange
+
+class Conversation(Protocol):
+    """A command on a host, as bytes: see `sierra.links.commands.Exchange`."""
+
+    name: str
+
+    def send(self, data: bytes, timeout: float) -> None: ...
+
+    def read(self, timeout: float) -> tuple[int, bytes] | None: ...
+
 
 Entry = list[Any]
 """See `sierra.links.remote_folder`."""
@@ -45,7 +53,7 @@ def listed(folder: Path) -> list[Entry]:
 
 
 def push(
-    exchange: Exchange, folder: Path, entries: list[Entry], target: str, timeout: float, progress: Callable[[int], None]
+    exchange: Conversation, folder: Path, entries: list[Entry], target: str, timeout: float, progress: Callable[[int], None]
 ) -> Folder:
     """Send a folder, unless the host has it already."""
     host = _Host(exchange, timeout, f"{exchange.name}: {_shown(target)} cannot be written")
@@ -58,9 +66,12 @@ def push(
     return _folder(entries)
 
 
-def pull(exchange: Exchange, folder: str, target: Path, timeout: float) -> Folder:
-    """Receive a folder, unless the target has its contents already."""
-    host = _Host(exchange, timeout, f"{exchange.name}: {_shown(folder)} cannot be copied")
+def pull(exchange: Conversation, folder: str, target: Path, timeout: float, *, started: bool = False) -> Folder:
+    """Receive a folder, unless the target has its contents already.
+
+    `started`: the part on the host has its program already, so that the first line is the request.
+    """
+    host = _Host(exchange, timeout, f"{exchange.name}: {_shown(folder)} cannot be copied", started=started)
     is_there = os.path.lexists(target)
     host.request(folder, "compare" if is_there else "copy")
     answer = host.answer()
@@ -105,12 +116,12 @@ def _with_digests(entries: list[Entry], digests: list[str]) -> list[Entry]:
 class _Host:
     """The part on the host, with a limit on its silence."""
 
-    def __init__(self, exchange: Exchange, timeout: float, failure: str) -> None:
-        self._exchange, self._timeout, self.failure = exchange, timeout, failure
+    def __init__(self, exchange: Conversation, timeout: float, failure: str, *, started: bool = False) -> None:
+        self._exchange, self._timeout, self.failure, self._started = exchange, timeout, failure, started
         self._held, self._errors = b"", b""
 
     def request(self, *words: object) -> None:
-        for line in (Path(remote_folder.__file__).read_text(), words):
+        for line in (*(() if self._started else (Path(remote_folder.__file__).read_text(),)), words):
             self.send(json.dumps(line).encode() + b"\n")
 
     def send(self, data: bytes) -> None:

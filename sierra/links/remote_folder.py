@@ -292,9 +292,8 @@ def contents(path: bytes, size: int) -> Iterator[bytes]:
             yield data
 
 
-def main() -> None:
-    source: Any = sys.stdin.buffer
-    out = sys.stdout.buffer
+def serve(way: str, source: Any, out: Any) -> None:
+    """Execute `push` or `pull` with what is read from a file, and write to another one."""
     last = [time.monotonic()]
 
     def answer(**fields: Any) -> None:
@@ -322,7 +321,7 @@ def main() -> None:
     signal.alarm(SILENCE_S)
     line = source.readline()
     try:
-        push(read, line, answer, alive) if sys.argv[1] == "push" else pull(line, answer, alive, out)
+        push(read, line, answer, alive) if way == "push" else pull(line, answer, alive, out)
     except Problem as error:
         answer(error=str(error))
     except OSError as error:
@@ -330,4 +329,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve(sys.argv[1], sys.stdin.buffer, sys.stdout.buffer)
