@@ -1,13 +1,17 @@
 """Checks of hosts that are reached over SSH: connection, key, Python, disk, clock, battery, and what is installed there.
 
-Of a robot of the fleet, the setup line, the firmware and the calibration are checked, too: no run starts if one of them fails.
+On a robot of the fleet, the agent is started as for a run. It executes the setup line, the stop command and a program, and
+reads battery, firmware and calibration: no run starts if one of them fails.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import queue
+import shlex
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,8 +24,12 @@ from sierra.config.project_file import Project
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.links.base import Ended, Link, Unreachable, UntrustedHost
 from sierra.links.clock import measured
-from sierra.runners.robots.fleet_table import FleetTable
+from sierra.runners.robots import agent_start
+from sierra.runners.robots.agent_link import AgentLink, Refused
+from sierra.runners.robots.fleet_table import FleetTable, RobotTable
+from sierra.runners.robots.trial import CHECK_S
 from sierra.setup.doctor import Check, State
+from sierra.util.hashing import short
 from sierra.worker.clock_watch import ClockWatch
 
 PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")
@@ -31,7 +39,7 @@ ZONE = "time zone"
 CLOCK_S = 1.0
 """The offset of a clock from which on a check names a remedy."""
 LOOK = r"""
-import json, os, platform, shutil, subprocess, sys, time
+import json, os, platform, shutil, sys, time
 asked = json.loads(sys.argv[1])
 found = {"python": list(sys.version_info[:3]), "system": platform.platform(), "machine": platform.machine()}
 folder = os.path.expanduser(asked["folder"] if asked["folder"].startswith(("~", "/")) else "~/" + asked["folder"])
@@ -41,41 +49,30 @@ found["utc_offset"] = time.localtime().tm_gmtoff
 found["folder"], found["free"] = folder, shutil.disk_usage(folder).free
 found["writable"] = os.access(folder, os.W_OK)
 found["programs"] = [name for name in asked["programs"] if shutil.which(name)]
-battery, found["battery"] = asked["battery"], None
+found["battery"] = None
 supplies = "/sys/class/power_supply"
-supplied = sorted(os.listdir(supplies)) if os.path.isdir(supplies) else []
-guessed = [os.path.join(supplies, name, "capacity") for name in supplied if name.startswith("BAT")][:1]
-def text_of(source):
-    if isinstance(source, list):
-        return subprocess.check_output(source, stdin=subprocess.DEVNULL, stderr=subprocess.STDOUT, timeout=10).decode()
-    with open(os.path.expanduser(source), "rb") as file:
-        return file.read().decode("utf-8", "replace")
-errors = found["errors"] = {}
-if battery is None and guessed:
-    battery = guessed[0]
-sources = {"battery": battery, "firmware": asked["firmware"], "calibration": asked["calibration"]}
-for name in sorted(name for name in sources if sources[name]):
+for name in sorted(os.listdir(supplies)) if os.path.isdir(supplies) else []:
     try:
-        text = text_of(sources[name]).strip()
-        if name != "calibration" and not text:
-            errors[name] = "it is empty"
-        elif name == "battery":
-            charge = float(text.split()[0].rstrip("%"))
-            if not 0 <= charge <= 100:
-                raise ValueError(charge)
-            found[name] = charge
-    except OSError as error:
-        errors[name] = "%s: %s" % (error.filename, error.strerror)
-    except ValueError:
-        errors[name] = "%r is not a charge from 0 to 100 %%" % text[:60]
-    except subprocess.TimeoutExpired:
-        errors[name] = "%s did not end within 10 s" % sources[name][0]
-    except subprocess.CalledProcessError as error:
-        errors[name] = " ".join(error.output.decode("utf-8", "replace").split()) or "status %d" % error.returncode
+        with open(os.path.join(supplies, name, "capacity")) as file:
+            found["battery"] = float(file.read()) if name.startswith("BAT") and found["battery"] is None else found["battery"]
+    except (OSError, ValueError):
+        pass
 print(json.dumps(found))
 """
 """The look at a host, as a program for its Python: older ones than 3.8 can execute it, too."""
 CLOCK = "import sys, time\nfor line in sys.stdin:\n    print(time.time_ns(), flush=True)"
+
+
+REMEDIES = {
+    "stop": "stop the robot by hand, and correct stop in sierra.toml",
+    "setup": "correct setup in sierra.toml",
+    "lock": "try again when it is free",
+}
+"""The remedies for what an agent refuses, by the part of its first request that has failed."""
+
+
+class _NoPython(Exception):
+    """A host on which Python has failed, with its last words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +84,11 @@ class HostToCheck:
     link: str = "fabric"
     link_options: Mapping[str, Any] = field(default_factory=dict)
     python: str = "python3"
-    variables: Mapping[str, str] = field(default_factory=dict)
-    setup: str | None = None
     folder: str = "~"
-    battery: str | tuple[str, ...] | None = None
-    firmware: tuple[str, ...] | None = None
-    calibration: str | None = None
-    battery_min: float = 0.0
     disk_min: int = 1
+    robot: RobotTable | None = None
+    """Declared as a robot of this fleet."""
+    fleet: FleetTable | None = None
 
 
 def all_checks(names: Sequence[str], link: str | None = None) -> list[Check]:
@@ -144,14 +138,10 @@ def _fleet(links: Mapping[str, RawTable], runners: Mapping[str, RawTable], link:
             chosen,
             robot.link_options if chosen == table.link else links.get(chosen, {}),
             python=table.python,
-            variables=robot.variables,
-            setup=robot.setup,
             folder=table.folder,
-            battery=robot.battery,
-            firmware=robot.firmware,
-            calibration=robot.calibration,
-            battery_min=table.battery_min,
             disk_min=table.disk_min,
+            robot=robot,
+            fleet=table,
         )
         for name, robot in table.used().items()
     }
@@ -164,43 +154,67 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
         began = time.monotonic()
         link.run(["true"])
         yield Check(f"{host.name}: connection", "ok", f"{host.link}, in {time.monotonic() - began:.2f} s; its key is known")
-        yield from _look(host, link)
+        fits = yield from _look(host, link)
+        if fits and host.robot and host.fleet:
+            yield from _as_robot(host, link, host.robot, host.fleet)
     except UntrustedHost as error:
         yield Check(f"{host.name}: key", "missing", *_split(host, error))
     except Missing as error:
         yield Check(f"{host.name}: connection", "missing", *_split(host, error))
+    except _NoPython as error:
+        yield Check(f"{host.name}: python", "missing", str(error), INSTALL)
     except (ValueError, LookupError, TypeError):  # of an answer that is none
         yield Check(f"{host.name}: python", "missing", f"{host.python} answers with something else than it was asked", INSTALL)
     finally:
         link.close()
 
 
-def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
-    asked = {name: getattr(host, name) for name in ("folder", "battery", "firmware", "calibration")}
-    given = ["env", *(f"{name}={value}" for name, value in host.variables.items())]
-    argv = [*given, host.python, "-c", LOOK, json.dumps({**asked, "programs": PROGRAMS})]
-    if host.setup:
-        ended = link.run([*given, "bash", "-c", host.setup])
-        if ended.status != 0:
-            yield Check(f"{host.name}: setup", "missing", _last_words(ended), "correct setup in sierra.toml")
-            return
-        argv = [*given, "bash", "-c", f'{host.setup} > /dev/null\nexec "$@"', "bash", *argv[len(given) :]]
-    ended = link.run(argv)
+def _look(host: HostToCheck, link: Link) -> Generator[Check, None, bool]:
+    """Yield the checks that any host gets; return whether its Python fits."""
+    asked = {"folder": host.folder, "programs": PROGRAMS}
+    ended = link.run([host.python, "-c", LOOK, json.dumps(asked)])
     if ended.status != 0:
-        yield Check(f"{host.name}: python", "missing", _last_words(ended).removeprefix("timeout: "), INSTALL)
-        return
-    if not ended.stdout:
-        yield Check(f"{host.name}: setup", "missing", "it ends the shell, by exit or exec", "correct setup in sierra.toml")
-        return
+        raise _NoPython(_last_words(ended).removeprefix("timeout: "))
     found = json.loads(ended.stdout.splitlines()[-1])
     version = ".".join(map(str, found["python"]))
     fits = tuple(found["python"]) >= OLDEST
     yield _check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
     yield _disk(host, found)
     yield _clock(host, link)
-    yield Check(f"{host.name}: {ZONE}", "ok", f"UTC{found['utc_offset'] / 3600:+g} h now")
-    yield from _facts(host, found)
+    if not host.robot:
+        yield _zone(host, found)
+        yield from _battery(host, found["battery"], 0.0)
     yield Check(f"{host.name}: installed", "ok", ", ".join(found["programs"]) or "none of the programs that runs may need")
+    return fits
+
+
+def _zone(host: HostToCheck, found: Mapping[str, Any]) -> Check:
+    return Check(f"{host.name}: {ZONE}", "ok", f"UTC{found['utc_offset'] / 3600:+g} h now")
+
+
+def _as_robot(host: HostToCheck, link: Link, robot: RobotTable, fleet: FleetTable) -> Iterator[Check]:
+    """Start the agent as for a run, and yield what it has found."""
+    link.python = fleet.python
+    agent = AgentLink(host.name, link, fleet.lease, queue.SimpleQueue())
+    try:
+        own = robot.model_copy(update={"checks": (), "topic_rates": {}})
+        hello = agent_start.start(agent, own, fleet, f"doctor {os.getpid()}", "")
+        yield _zone(host, hello)
+        yield Check(f"{host.name}: stop", "ok", f"{shlex.join(robot.stop)}: succeeds" if robot.stop else "needs no command")
+        yield Check(f"{host.name}: runs", "ok", f"a program was executed in {hello['folder']}")
+        checked = agent.ask("check", CHECK_S)
+        for name, reason in checked["unread"].items():
+            yield _check(host, name, False, f"not readable: {reason}", f"correct {name} in sierra.toml")
+        yield from _battery(host, checked["battery"], fleet.battery_min)
+        if checked.get("firmware"):
+            yield Check(f"{host.name}: firmware", "ok", checked["firmware"])
+        if checked.get("calibration"):
+            yield Check(f"{host.name}: calibration", "ok", f"{robot.calibration} {short(checked['calibration'])}")
+    except Refused as error:
+        reason = str(error).removeprefix(f"{host.name}: ")
+        yield Check(f"{host.name}: {error.about or 'runs'}", "missing", reason, REMEDIES.get(error.about, ""))
+    finally:
+        agent.close()
 
 
 def _last_words(ended: Ended) -> str:
@@ -236,12 +250,10 @@ def _clock(host: HostToCheck, link: Link) -> Check:
     return _check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, found, remedy, "absent")
 
 
-def _facts(host: HostToCheck, found: Mapping[str, Any]) -> Iterator[Check]:
-    for name, reason in found["errors"].items():
-        yield _check(host, name, False, f"not readable: {reason}", f"correct {name} in sierra.toml")
-    if found["battery"] is not None:
-        fits = found["battery"] >= host.battery_min
-        yield _check(host, "battery", fits, f"{found['battery']:g} %", f"charge it: {host.battery_min:g} % are needed")
+def _battery(host: HostToCheck, charge: float | None, least: float) -> Iterator[Check]:
+    """Yield the check of a battery, if its charge is known."""
+    if charge is not None:
+        yield _check(host, "battery", charge >= least, f"{charge:g} %", f"charge it: {least:g} % are needed")
 
 
 def _check(host: HostToCheck, name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:

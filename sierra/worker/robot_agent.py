@@ -9,7 +9,7 @@ Both sides exchange lines of JSON: the driver sends requests (`do`), the agent a
 
 | `do` | answer | meaning |
 |---|---|---|
-| `hello` | `hello` or `refused` | lock the robot, end and remove leftovers, execute the setup line |
+| `hello` | `hello` or `refused` | lock the robot, end leftovers, execute the setup line, the stop command and a first program |
 | `check` | `checked` | measure battery and disk; before a run, also read firmware and calibration, and execute the checks |
 | `watch` | `watching` | begin to watch the wall clock (see `clock_watch`) |
 | `clock` | `clock` | the wall clock, in ns |
@@ -17,6 +17,7 @@ Both sides exchange lines of JSON: the driver sends requests (`do`), the agent a
 | `arm` | `armed` or `refused` | make the run's folder, and start its worker and its container, which wait |
 | `at` | `gated`, `late`, `refused` | start the run at this time (ns) of this robot's clock, if nobody set it since |
 | `stop` | (`ended`) | end the run |
+| `pull` | `data`, …, `pulled` | send a folder: the lines of `remote_folder` for `pull`, in pieces, as base64 |
 | `done` | `removed` | remove the run's folder |
 | `beat` | `beat` | the driver lives |
 | `bye` | | give the robot back |
@@ -29,31 +30,42 @@ when that process ends. Whoever finds it taken connects to it, and reads who has
 *Lease*: each byte of the driver renews it. If it has expired by the monotonic clock, or if the input has ended, nothing more
 starts, a run is ended as by `stop`, and the agent ends. Therefore nothing is left to start later, also after a reboot.
 
-*Stop*: SIGTERM to the run (by its worker), and the stop command of the robot at the same time; after the grace time, SIGKILL.
-If processes had to be killed, the stop command is executed once more, because they may have moved the robot since. It is also
-executed when a run has ended by itself. If it fails or takes too long, the event `ended` says so. All processes that a run
-started are found: the worker is their subreaper, and the agent is that of the worker. If an agent was killed, its worker ends
-the run, and the next agent executes the stop command. So it does after a power cut or a restart in the middle of a run, because
-the motors may have a controller with power of its own, which obeys the last command.
+*Standstill*: the agent owns the stop command of the robot. It executes the command
+
+- at each `hello`: a robot whose command fails is refused
+- at the first sign of an end, whoever or whatever ends the run: the driver, the lease, a limit, the program itself, a signal. A
+  worker announces what it sees before it does anything else
+- once more when the last process of the run is gone, because processes may have moved the robot since
+
+At an end, nothing that can fail stands before the command: no file, no disk, no other process. One execution follows the other.
+If the last one has failed, the robot may be moving: `ended` says so. If the agent is killed, its `Guard` does the same. After a
+power cut or a restart, the next `hello` does, because motors may have a controller with power of its own, which obeys the last
+command.
+
+*End*: SIGTERM to the run (by its worker), and SIGKILL after the grace time. All processes that a run started are found: the
+worker is their subreaper, and the agent is that of the worker.
 
 A run's folder is FOLDER/runs/ATTEMPT. It has `process.json` from the time when the run is armed, and `ended.json` at its end.
-An attempt whose folder exists is never started again.
+An attempt whose folder exists is never started again. A worker executes one run after the other, until it has to end one.
 """
 
 from __future__ import annotations
 
+import base64
+import collections
 import contextlib
+import errno
 import functools
+import io
 import json
 import os
 import select
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Collection, Dict, Mapping, Sequence
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -63,60 +75,262 @@ Record = Dict[str, Any]
 RUNS = "runs"
 FIRST = "1"  # the folder in which a worker executes its only run
 WORKER = "worker"  # the only argument of a worker
-PROCESS, ENDED, STOP_LOG, WORKER_LOG = "process.json", "ended.json", "stop.log", "worker.log"
+PROCESS, ENDED, WORKER_LOG = "process.json", "ended.json", "worker.log"
+PROBE = "probe"  # the name of a run that only shows that runs can be executed
 LEASE_S, GRACE_S, STOP_S = 5.0, 2.0, 5.0
-SETUP_S, CHECK_S = 60.0, 10.0
+SETUP_S = 60.0
+PROBE_S = 30.0
+GUARD_S = 60.0  # for the guard of an agent that was killed
+IMMORTAL_S = 10.0  # for killed processes, until the run is reported although they are there
+IMMORTAL = "a process of the run cannot be ended"
+MOST_STOPS = 5  # when no process is left: one execution, and more if it leaves processes itself
+HANG_S = 1.0  # for killed processes to be gone, before the stop command is executed nevertheless
 SETTLE_S = 3.0  # after the grace time, for a worker to end what it has killed, and to hash the outputs of others
 LOOK_S = 0.1  # between two looks at a run, and at the clocks
 SILENT_S = 1.0  # for a holder of the lock that says nothing, because it is ending
 SOON_S = 60.0  # a start that is farther away is a mistake
 STEP_S = 0.05  # of the wall clock after its measurement, from which on nothing starts
 TAIL_BYTES = 400
-MOST_UNSENT = 1 << 20
+MOST_UNSENT = 1 << 22
+PIECE = 1 << 16  # bytes of a folder in one message
+LARGE = 1 << 20  # bytes of a folder that an agent does not send, because base64 makes it longer
+PASSING = (errno.EAGAIN, errno.ENOMEM, errno.EMFILE, errno.ENFILE)  # reasons why a program cannot be started that pass
 LEFT_OUT = ("_", "SHLVL", "PWD", "OLDPWD")  # variables that a shell sets
 
 
 class Refused(Exception):
-    """A request that cannot be fulfilled, with the reason in one line."""
+    """A request that cannot be fulfilled, with the reason in one line, and the part of a `hello` that it is about."""
+
+    def __init__(self, reason: str, about: str = "") -> None:
+        super().__init__(reason)
+        self.about = about
 
 
-class Stopping:
-    """The stop command of a robot while it executes."""
+class Standstill:
+    """The stop command of a robot. Each demand is fulfilled by an execution that begins after it, one after the other."""
 
-    def __init__(self, argv: Sequence[str], environment: Mapping[str, str], log: str, limit: float) -> None:
-        self.process: subprocess.Popen[bytes] | None = None
-        self.problem: str | None = None
-        self.log = log
+    def __init__(self, argv: Sequence[str] = (), environment: Mapping[str, str] | None = None, limit: float = STOP_S) -> None:
+        """`argv`: the command; empty: the robot needs none. `limit`: the seconds that it may take."""
+        self.argv = argv
+        self.environment = environment
         self.limit = limit
-        self.kill_at = time.monotonic() + limit
-        try:
-            with open(log, "wb") as file:
-                self.process = subprocess.Popen(
-                    argv, stdin=subprocess.DEVNULL, stdout=file, stderr=file, env=environment, start_new_session=True
-                )
-        except (OSError, ValueError) as error:
-            self.problem = "cannot be started: " + the_worker().explain(error)
+        self.problem: str | None = None
+        """Why the last execution has failed; None if it has not."""
+        self.problems: list[str] = []
+        """Why executions have failed since this list was emptied."""
+        self.demanded = False
+        self.process: subprocess.Popen[bytes] | None = None
+        self.retry_until = self.kill_at = 0.0
+        """Until when a failed start is tried again, and when an execution takes too long."""
+        self.said = b""
+        self.null = os.open(os.devnull, os.O_RDWR)
 
     @property
-    def problems(self) -> list[str]:
-        """Return what went wrong, in at most one line."""
-        return ["the stop command %s" % self.problem] if self.problem else []
+    def pid(self) -> int:
+        """Return the process of the command; 0 if it does not execute."""
+        return self.process.pid if self.process else 0
 
-    def has_ended(self) -> bool:
-        """Return whether it has ended; ends it if it takes too long."""
-        if self.process is None:
-            return True
-        status = self.process.poll()
+    def demand(self) -> None:
+        """Execute the command as soon as an execution that has begun before has ended."""
+        if self.argv:
+            self.demanded, self.retry_until = True, time.monotonic() + self.limit
+            self.look()
+
+    @property
+    def busy(self) -> bool:
+        """Return whether an execution has begun or is demanded."""
+        return self.process is not None or self.demanded
+
+    def look(self) -> bool:
+        """Start or end executions that are due; return whether nothing is left to do."""
+        if self.process is not None and self.has_ended(self.process):
+            self.process = None
+        if self.process is None and self.demanded:
+            self.start()
+        return not self.busy
+
+    def execute(self) -> str | None:
+        """Execute the command, and wait for its end; return why it has failed."""
+        self.demand()
+        while not self.look():
+            select.select((), (), (), LOOK_S / 20)  # a clock that tests replace makes time.sleep fail
+        return self.problem
+
+    def start(self) -> None:
+        try:
+            self.process = subprocess.Popen(
+                self.argv,
+                stdin=self.null,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=self.environment,
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            if getattr(error, "errno", None) in PASSING and time.monotonic() < self.retry_until:
+                return  # it is tried again
+            self.demanded = False
+            self.note("cannot be started: " + the_worker().explain(error))
+            return
+        self.demanded, self.said, self.kill_at = False, b"", time.monotonic() + self.limit
+        os.set_blocking(output_of(self.process), False)
+
+    def has_ended(self, process: subprocess.Popen[bytes]) -> bool:
+        """Return whether an execution has ended; ends it if it takes too long."""
+        status = process.poll()
+        with contextlib.suppress(BlockingIOError):  # it could not end if nobody read what it prints
+            while data := os.read(output_of(process), 1 << 16):
+                self.said = (self.said + data)[-TAIL_BYTES:]
         if status is None and time.monotonic() < self.kill_at:
             return False
+        kill_all(process.pid)
+        process.wait()
+        close_pipes(process)
+        words = self.said.decode("utf-8", "replace").strip().splitlines()[-1:]
         if status is None:
-            self.problem = "did not end within %g s" % self.limit
-        elif status:
-            self.problem = "ended with %s%s" % (ending(status), last_line(self.log))
-        kill_all(self.process.pid)
-        self.process.wait()
-        self.process = None
+            self.note("did not end within %g s" % self.limit)
+        else:
+            self.note(": ".join(["ended with %s" % ending(status), *words]) if status else None)
         return True
+
+    def note(self, problem: str | None) -> None:
+        self.problem = problem and "the stop command " + problem
+        if self.problem and self.problem not in self.problems:
+            self.problems.append(self.problem)
+
+
+class Guard:
+    """A second process, which brings the robot to a standstill if the agent is killed while it has a run.
+
+    The agent gives it the record of the run that it has, or an empty line if it has none any more.
+    """
+
+    def __init__(self, standstill: Standstill) -> None:
+        """Start the process. Raises OSError."""
+        own, self.pipe = os.pipe()
+        self.pid = os.fork()
+        if self.pid == 0:
+            with contextlib.suppress(BaseException):
+                guard(own, standstill)
+            os._exit(0)
+        os.close(own)
+
+    def is_alive(self) -> bool:
+        return is_running(self.pid)
+
+    def tell(self, run: Record | None) -> None:
+        with contextlib.suppress(OSError):  # it is gone; there is a new one with the next run
+            the_worker().write_all(self.pipe, (json.dumps(run) if run else "").encode() + b"\n")
+
+    def close(self) -> None:
+        """End the process. The agent must not have a run."""
+        os.close(self.pipe)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(self.pid, 0)
+
+
+def guard(pipe: int, standstill: Standstill) -> None:
+    """Wait until the agent is gone. If it has a run then, end this as the agent would, with the stop command."""
+    os.setsid()
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    signal.set_wakeup_fd(-1)
+    keep_open(pipe, standstill.null)
+    with open(pipe, "rb") as lines:
+        told = collections.deque(lines, maxlen=1)
+    if told and told[0].strip():
+        standstill.demand()
+        try:
+            end_run(json.loads(told[0]), standstill)
+        finally:  # the line is cut off if the agent was killed while it wrote it, before the run was armed
+            standstill.execute()
+
+
+def end_run(run: Record, standstill: Standstill) -> None:
+    """Wait until the worker has ended a run, as it does if its agent is gone, and end what is left after its grace time."""
+    give_up = time.monotonic() + run["grace"] + SETTLE_S
+    while is_running(run["pid"], run["born"]) and time.monotonic() < give_up:
+        standstill.look()
+        select.select((), (), (), LOOK_S / 20)
+    end_processes_of(run)
+    if run["client"]:
+        standstill.execute()  # the engine may take long
+        the_worker().end_container(run["client"])
+
+
+class Sending:
+    """A folder that is sent to the driver by a process of its own, so that the agent stays attentive."""
+
+    def __init__(self, line: str) -> None:
+        """Start the process. `line` is the request of `remote_folder.pull`. Raises OSError."""
+        self.pipe, out = os.pipe()
+        self.pid = os.fork()
+        if self.pid == 0:
+            with contextlib.suppress(BaseException):
+                signal.set_wakeup_fd(-1)
+                keep_open(out)
+                with open(out, "wb") as file:
+                    load("remote_folder").serve("pull", io.BytesIO(line.encode() + b"\n"), file)
+            os._exit(0)
+        os.close(out)
+
+    def next(self) -> bytes:
+        """Return the next piece; nothing at the end."""
+        return os.read(self.pipe, PIECE)
+
+    def close(self) -> None:
+        os.close(self.pipe)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(self.pid, 0)
+
+
+def keep_open(*descriptors: int) -> None:
+    """Close all other files of this process, which was forked. Standard input and output lead nowhere then."""
+    null = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        os.dup2(null, descriptor)
+    for descriptor in [int(name) for name in os.listdir("/proc/self/fd")]:
+        if descriptor > 2 and descriptor not in descriptors:
+            with contextlib.suppress(OSError):  # of that listing
+                os.close(descriptor)
+
+
+class Serving:
+    """A worker as a process, which executes one run after the other until one of them has to be ended."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        """Start it; it waits for the folder of a run (see `become_worker`). Raises OSError."""
+        self.process = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-B", os.path.abspath(__file__), WORKER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=dict(environment),
+            start_new_session=True,
+        )
+        self.pid = self.process.pid
+        os.set_blocking(self.pipe, False)
+
+    @property
+    def pipe(self) -> int:
+        """Return where it announces the states of a run."""
+        return output_of(self.process)
+
+    def is_alive(self) -> bool:
+        return self.process.poll() is None
+
+    def announced(self) -> str:
+        """Return the states that it has announced since the last call."""
+        try:
+            return os.read(self.pipe, 1 << 10).decode("ascii", "replace")
+        except (BlockingIOError, ValueError):
+            return ""
+
+    def end(self) -> None:
+        """End it with all that it has started."""
+        kill_all(self.pid)
+        self.process.wait()
+        close_pipes(self.process)
 
 
 class Run:
@@ -126,41 +340,59 @@ class Run:
         self,
         folder: str,
         order: Record,
-        worker: subprocess.Popen[bytes],
-        environment: Mapping[str, str],
-        stop: Sequence[str],
+        worker: Serving,
+        standstill: Standstill,
         grace: float,
-        stop_limit: float,
+        spared: Collection[int] = (),
+        guard: int | None = None,
     ) -> None:
         """Make its folder, and let a worker prepare the job and wait for its moment. Raises OSError.
 
-        `worker` is one of `start_worker`. `stop` is the stop command, `stop_limit` the seconds that it may take.
+        `spared` are processes of the agent that belong to no run; `guard` is its guard.
         """
         self.folder = folder
+        self.spared = spared
         self.attempt: str = order["attempt"]
         self.job: Record = order["job"]
-        self.environment = environment
-        self.stop_argv = stop
+        self.worker = worker
+        self.standstill = standstill
         self.grace = grace
-        self.stop_limit = stop_limit
-        self.gated = self.begun = self.reported = self.over = self.stop_executed = False
+        self.states: set[str] = set()
+        """The states that its worker has announced."""
+        self.gated = self.reported = self.ending = self.over = self.last_stop = False
+        self.owed = True
+        """True if the stop command must be executed once more when no process is left."""
+        self.stops = 0
+        """How often it was executed because no process was left."""
+        self.give_up: float | None = None
+        """When processes that were killed are not waited for any more."""
+        self.immortal = False
+        """True if a process of the run cannot be ended."""
         self.armed: Record | None = {"event": "armed", "attempt": self.attempt, "id": order.get("id")}
         """The answer to the order, until the worker is ready for the job."""
         self.why: str | None = None
         self.kill_at: float | None = None
-        self.killed = False
-        self.stopping: Stopping | None = None
         self.problems: list[str] = []
+        standstill.problems = []
         os.makedirs(os.path.dirname(folder), exist_ok=True)
         os.mkdir(folder)
-        self.worker = worker
-        born = the_worker().birth(self.worker.pid)
-        executions = [self.job["execution"]]
         self.client = (
             the_worker().with_folder(self.job["client"], os.path.join(folder, FIRST)) if "client" in self.job else None
         )
-        known = {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "client": self.client}
-        write_whole(os.path.join(folder, PROCESS), {**known, "who": order.get("who")})
+        self.known: Record = {
+            "pid": worker.pid,
+            "born": the_worker().birth(worker.pid),
+            "boot": boot_id(),
+            "executions": [self.job["execution"]],
+            "client": self.client,
+            "who": order.get("who"),
+            "execution": self.job["execution"],
+            "place": order.get("place"),
+            "grace": grace,
+            "guard": guard,
+        }
+        """What another process needs to know to end the run."""
+        write_whole(os.path.join(folder, PROCESS), self.known)
         self.tell_worker({"folder": folder}, {**self.job, "waits": True})
 
     def begin(self, moment: float, wall: float) -> None:
@@ -170,7 +402,7 @@ class Run:
 
     def tell_worker(self, *records: Record) -> None:
         try:
-            pipe = the_worker().stdin_of(self.worker)
+            pipe = the_worker().stdin_of(self.worker.process)
             for record in records:
                 pipe.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
             pipe.flush()
@@ -178,66 +410,90 @@ class Run:
             self.problems.append("its worker is gone: " + the_worker().explain(error))
 
     def end(self, why: str) -> None:
-        """Tell the run to end, and start the stop command. The first reason counts."""
+        """Tell the run to end. The first reason counts."""
         if self.why is not None or self.over:
             return
         self.why = why
+        self.begin_end()
         self.kill_at = time.monotonic() + self.grace + SETTLE_S
-        self.worker.terminate()
-        if self.has_begun():
-            self.execute_stop_command()
+        self.worker.process.terminate()
 
-    def execute_stop_command(self) -> None:
-        self.stop_executed = True
-        if self.stop_argv:
-            log = os.path.join(self.folder, STOP_LOG)
-            self.stopping = Stopping(self.stop_argv, self.environment, log, self.stop_limit)
+    def begin_end(self) -> None:
+        """Demand a standstill at the first sign of an end."""
+        if not self.ending:
+            self.ending = True
+            self.demand_standstill()
+
+    def demand_standstill(self) -> None:
+        """Demand a standstill, if the program may have begun."""
+        if self.gated:
+            self.standstill.demand()
 
     def look(self, now: float) -> bool:
-        """Look at the run; return whether it has ended, with all of its processes."""
-        if self.kill_at is not None and now >= self.kill_at:
-            if self.client and not self.killed:  # which the worker did not do
-                the_worker().end_container(self.client)
-            self.killed = True
-            kill_all(self.worker.pid)
-        if self.worker.poll() is None:
-            return False
-        if not self.over:
+        """Look at the run; return whether it has ended, with all of its processes, and the stop command after them."""
+        gone = not self.worker.is_alive()
+        self.hear()
+        if not self.over and self.kill_at is not None and now >= self.kill_at:
+            self.kill()
+        if not self.over and (gone or the_worker().OVER in self.states):
             self.over = True
-            self.close_pipe()
-            self.killed = end_orphans(self.worker_of_stop()) or self.killed or self.was_killed()
-            if self.has_begun() and not self.stop_executed:
-                self.execute_stop_command()
-        if self.stopping is not None:
-            if not self.stopping.has_ended():
+            self.give_up = self.give_up or now + HANG_S
+        if not self.over or self.end_remains():
+            if not self.is_hanging(now):
+                self.standstill.look()
                 return False
-            self.problems += self.stopping.problems
-            again, self.killed, self.stopping = self.killed and self.why is not None, False, None
-            if again:
-                self.execute_stop_command()
-                return False
-        return not end_orphans(0)
+        elif self.owed and self.stops < MOST_STOPS:
+            self.owed = False
+            self.stops += 1
+            self.demand_standstill()
+        return self.standstill.look()
 
-    def worker_of_stop(self) -> int:
-        """Return the process of the stop command; 0 if there is none."""
-        return self.stopping.process.pid if self.stopping and self.stopping.process else 0
+    def is_hanging(self, now: float) -> bool:
+        """Return whether processes have survived SIGKILL for too long. Before, demand a standstill in spite of them, once."""
+        if self.give_up is None or now < self.give_up:
+            return False
+        if not self.last_stop:
+            self.last_stop = True
+            self.demand_standstill()
+        self.immortal = now >= self.give_up + IMMORTAL_S
+        return self.immortal
 
-    def was_killed(self) -> bool:
-        """Return whether the worker had to kill the run's program."""
-        record = self.record()
-        return self.why is not None and record is not None and record.get("signal") == signal.SIGKILL
+    def kill(self) -> None:
+        """Kill the worker and all that it has started."""
+        kill_all(self.worker.pid)
+        if self.give_up is None:
+            self.owed = True
+            if self.client:  # which the worker did not do
+                the_worker().end_container(self.client)
+            self.give_up = time.monotonic() + HANG_S
+
+    def hear(self) -> None:
+        """Take what the worker announces, and react to the first sign of an end, and to the last process being gone."""
+        announced = self.worker.announced()
+        self.states.update(announced)
+        if the_worker().ENDING in announced:
+            self.begin_end()
+        if the_worker().GONE in announced:
+            self.owed = False
+            self.demand_standstill()
+
+    def end_remains(self) -> bool:
+        """Kill the processes that the run has left; return whether one was alive."""
+        alive = end_children({self.standstill.pid, self.worker.pid, *self.spared})
+        if self.worker.is_alive():  # it says that none is left
+            for pid in the_worker().descendants(self.worker.pid):
+                if pid != self.worker.pid and is_running(pid):
+                    alive = True
+                    kill_all(pid)
+        self.owed = self.owed or alive
+        return alive
 
     def events(self) -> list[Record]:
         return events_in(self.folder)
 
     def has_begun(self) -> bool:
         """Return whether its program was started."""
-        self.begun = self.begun or has_begun(self.events())
-        return self.begun
-
-    def is_ready(self) -> bool:
-        """Return whether the run is prepared."""
-        return any(event["event"] == "ready" for event in self.events())
+        return the_worker().BEGUN in self.states or has_begun(self.events())
 
     def record(self) -> Record | None:
         """Return the worker's report on the run's end; None without one."""
@@ -247,22 +503,24 @@ class Run:
     def ended(self) -> Record:
         """Return the report on the run's end."""
         record = self.record()
-        status = self.worker.returncode
-        if record is None and (self.has_begun() or self.why is None):
-            words = last_line(os.path.join(self.folder, WORKER_LOG))
-            self.problems.append("its worker ended with %s%s" % (ending(status), words))
+        begun = self.has_begun()
+        if record is None and (begun or self.why is None):
+            self.problems.append(self.failure_of_worker())
         return {
             "attempt": self.attempt,
-            "started": self.has_begun(),
+            "started": begun,
             "why": self.why,
             "end": record,
-            "problems": self.problems,
+            "problems": [*self.problems, *self.standstill.problems, *([IMMORTAL] if self.immortal else [])],
+            "moving": (IMMORTAL if self.immortal else self.standstill.problem) if self.gated else None,
         }
 
-    def close_pipe(self) -> None:
-        with contextlib.suppress(OSError):
-            if self.worker.stdin is not None:
-                self.worker.stdin.close()
+    def failure_of_worker(self) -> str:
+        """Return why the worker has left no report."""
+        status = self.worker.process.returncode
+        if status == the_worker().FULL:
+            return "its disk is full"
+        return "its worker ended with %s%s" % (ending(status or 0), last_line(os.path.join(self.folder, WORKER_LOG)))
 
 
 class Agent:
@@ -275,18 +533,16 @@ class Agent:
         self.who: Record = {}
         self.lease = LEASE_S
         self.grace = GRACE_S
-        self.stop_limit = STOP_S
-        self.stop_argv: Sequence[str] = ()
-        self.battery: Sequence[str] | str | None = None
-        self.firmware: Sequence[str] | None = None
-        self.calibration: str | None = None
-        self.checks: Sequence[Sequence[str]] = ()
-        self.topic_rates: Mapping[str, float] = {}
+        self.standstill = Standstill()
+        self.guard: Guard | None = None
+        self.condition = condition({}, {})
         self.environment: dict[str, str] = {}
         self.looker = load("robot_software").Looker()
         self.watch = load("clock_watch").ClockWatch()
         self.run: Run | None = None
-        self.spare: subprocess.Popen[bytes] | None = None
+        self.spare: Serving | None = None
+        self.sending: tuple[int, Sending] | None = None
+        """The folder that is sent, with the number of its request."""
         self.heard = time.monotonic()
         self.leaving: str | None = None
         self.terminated = False
@@ -299,7 +555,7 @@ class Agent:
 
     def serve(self) -> None:
         """Serve the driver until it says good-bye, or is not heard of any more."""
-        while not (self.leaving and self.run is None):
+        while not (self.leaving and self.run is None and self.standstill.look()):
             self.wait(self.until_next())
             now = time.monotonic()
             self.watch.look()
@@ -316,12 +572,13 @@ class Agent:
         run = self.run
         if run is None:
             return max(0.0, min(1.0, self.heard + self.lease - now + 0.001))
-        changes = run.armed or run.why or run.over or (run.gated and not run.reported)
-        return LOOK_S / 20 if changes else LOOK_S
+        return LOOK_S / 20 if run.why or run.over or run.standstill.busy else LOOK_S
 
     def wait(self, seconds: float) -> None:
         """Wait so long, or until there is a request, and execute all requests."""
         reading: list[Any] = [self.wake, *([] if self.leaving else [0]), *([self.lock] if self.lock else [])]
+        reading += [self.run.worker.pipe] if self.run and not self.run.over else []
+        reading += [self.sending[1].pipe] if self.sending and len(self.unsent) < MOST_UNSENT // 2 else []
         ready, writable, _ = select.select(reading, [1] if self.unsent else [], [], seconds)
         if self.wake in ready:
             os.read(self.wake, 4096)
@@ -329,6 +586,8 @@ class Agent:
             self.write()
         if self.lock in ready:
             self.say_who()
+        if self.sending and self.sending[1].pipe in ready:
+            self.send_piece(*self.sending)
         if 0 in ready:
             self.read()
 
@@ -353,7 +612,7 @@ class Agent:
         try:
             answer = self.answer(request)
         except Refused as error:
-            answer = {"event": "refused", "reason": str(error)}
+            answer = {"event": "refused", "reason": str(error), "about": error.about}
         except (OSError, ValueError) as error:
             answer = {"event": "refused", "reason": the_worker().explain(error)}
         if answer is not None:
@@ -370,6 +629,7 @@ class Agent:
             "arm": self.arm,
             "at": self.at,
             "stop": self.stop,
+            "pull": self.pull,
             "done": self.done,
             "beat": lambda _: {"event": "beat"},
             "bye": lambda _: self.leave("the driver has ended it"),
@@ -379,20 +639,29 @@ class Agent:
         return known[request["do"]](request)
 
     def hello(self, request: Record) -> Record:
-        """Lock the robot, remove leftovers, and execute the setup line."""
+        """Lock the robot, bring it to a standstill, end leftovers, and show that runs can be executed."""
+        if self.run is not None:
+            raise Refused("run %s is not over" % self.run.attempt)
         self.lease, self.grace = request.get("lease", LEASE_S), request.get("grace", GRACE_S)
         self.who = request["who"]
-        self.stop_argv, self.stop_limit = request.get("stop", ()), request.get("stop_limit", STOP_S)
-        self.battery, self.checks = request.get("battery"), request.get("checks", ())
-        self.topic_rates = request.get("topic_rates", {})
-        self.firmware, self.calibration = request.get("firmware"), request.get("calibration")
         self.acquire(time.monotonic() + request.get("patience", 0.0))
-        os.makedirs(self.folder, exist_ok=True)
+        leftovers = self.end_leftovers()
         before = dict(os.environ)
         given = request.get("variables", {})
-        self.environment = with_setup(request.get("setup"), {**before, **given})
-        leftovers = self.end_leftovers(request.get("keep", ()))
+        try:
+            self.environment, refusal = with_setup(request.get("setup"), {**before, **given}), None
+        except (Refused, OSError, ValueError) as error:
+            self.environment, refusal = {**before, **given}, error
+        self.stand(request.get("stop", ()), request.get("stop_limit", STOP_S))
+        if refusal:
+            raise refusal
+        for left in leftovers:
+            if left["client"]:
+                the_worker().end_container(left["client"])
+        os.makedirs(self.folder, exist_ok=True)
+        self.condition = condition(request, self.environment)
         self.prepare_worker()
+        self.probe()
         changed = [name for name, value in self.environment.items() if before.get(name) != value]
         names = {*changed, *given, "PATH"}  # the login may have the same value for a given one
         variables = {name: self.environment[name] for name in sorted(names & self.environment.keys())}
@@ -408,8 +677,43 @@ class Agent:
             "software": self.looker.news(self.environment),
             "home": os.path.expanduser("~"),
             "variables": variables,
-            "leftovers": leftovers,
+            "leftovers": [{key: value for key, value in left.items() if key != "client"} for left in leftovers],
         }
+
+    def stand(self, argv: Sequence[str], limit: float) -> None:
+        """Execute the stop command, and be ready to do so at any time. Raises Refused if it fails."""
+        if self.guard is not None:
+            self.guard.close()
+        self.guard = None
+        self.standstill = Standstill(argv, self.environment, limit)
+        if problem := self.standstill.execute():
+            raise Refused("may be moving: " + problem, "stop")
+
+    def probe(self) -> None:
+        """Execute a program in the folder, as runs do. Raises Refused."""
+        folder, program = (os.path.join(self.folder, name) for name in (PROBE, PROBE + ".sh"))
+        the_worker().remove(folder)
+        with open(program, "w", encoding="ascii") as file:
+            file.write("#!/bin/sh\n")
+        os.chmod(program, 0o700)
+        job = {"run": PROBE, "execution": PROBE, "argv": [program], "environment": {}, "files": {}, "limits": {}}
+        run = Run(folder, {"attempt": PROBE, "job": job}, self.take_worker(), Standstill(), self.grace, self.spared())
+        run.begin(time.monotonic(), time.time())
+        give_up = time.monotonic() + PROBE_S
+        while not run.look(time.monotonic()):
+            if time.monotonic() > give_up:
+                run.end("no program has ended within %g s" % PROBE_S)
+            select.select([run.worker.pipe], [], [], LOOK_S / 20)
+        self.keep_worker(run.worker)
+        report = run.ended()
+        the_worker().remove(folder)
+        os.unlink(program)
+        end = report["end"]
+        if end is None:
+            raise Refused("cannot execute runs: %s" % (*report["problems"], report["why"])[0], "runs")
+        if end["error"] or end["exit_code"] != 0:
+            why = end["error"] or "its program ended with status %s" % end["exit_code"]
+            raise Refused("cannot execute programs in %s: %s; set folder in [runners.robots]" % (self.folder, why), "runs")
 
     def acquire(self, give_up: float) -> None:
         """Lock the robot. An agent that is ending, or that of the same driver, is waited for. Raises Refused."""
@@ -427,10 +731,12 @@ class Agent:
                 now = time.monotonic()
                 own = holder.get("session") == self.who.get("session")
                 if own and holder.get("robot") != self.who.get("robot"):
-                    raise Refused("is the same host as %s; each robot needs a host of its own" % holder.get("robot")) from None
+                    same = "is the same host as %s; each robot needs a host of its own" % holder.get("robot")
+                    raise Refused(same, "lock") from None
                 waits = now < give_up if holder.get("leaving") or own else not holder and now < began + SILENT_S
                 if not waits:
-                    raise Refused("in use by %s" % (holder.get("text") or "another process that holds its lock")) from None
+                    text = holder.get("text") or "another process that holds its lock"
+                    raise Refused("in use by %s" % text, "lock") from None
                 time.sleep(LOOK_S)
 
     def holder(self) -> Record:
@@ -452,123 +758,32 @@ class Agent:
                     other.setblocking(False)
                     other.send(json.dumps({**self.who, "leaving": bool(self.leaving)}).encode() + b"\n")
 
-    def end_leftovers(self, keep: Sequence[str]) -> list[Record]:
-        """End what earlier agents left running, and remove the folders of their runs, except those to keep. Return them all."""
+    def end_leftovers(self) -> list[Record]:
+        """End what earlier agents left running; return a description of each of their runs, whose folders stay."""
         root = os.path.join(self.folder, RUNS)
         found = []
         for attempt in sorted(the_worker().entries_of(root)):
             folder = os.path.join(root, attempt)
             record = read_record(os.path.join(folder, PROCESS)) or {}
+            await_guard(record)
             ended = end_processes_of(record)
-            if record.get("client"):
-                the_worker().end_container(record["client"])
             report = read_record(os.path.join(folder, ENDED))
-            may_have_begun = record.get("boot") != boot_id() or has_begun(events_in(folder))  # a power cut loses events
-            problems = []
-            if ended or (report is None and may_have_begun):  # its agent was killed before it could execute the stop command
-                problems = self.execute_stop_command()
-            found.append({"attempt": attempt, "ended": ended, "report": report, "problems": problems})
-            if attempt not in keep:
-                the_worker().remove(folder)
+            known = {name: record.get(name) for name in ("who", "execution", "place", "client")}
+            known["files"] = os.path.isdir(os.path.join(folder, FIRST))
+            found.append({"attempt": attempt, "ended": ended, "report": report, **known})
         return found
-
-    def execute_stop_command(self) -> list[str]:
-        """Execute the stop command, and wait for its end; return its problem, if it has one."""
-        if not self.stop_argv:
-            return []
-        stopping = Stopping(self.stop_argv, self.environment, os.path.join(self.folder, STOP_LOG), self.stop_limit)
-        while not stopping.has_ended():
-            time.sleep(LOOK_S / 10)
-        return stopping.problems
 
     def check(self, request: Record) -> Record:
         """Measure battery (percent) and disk (bytes). Before a run, also describe the robot, and execute the checks."""
-        space = shutil.disk_usage(self.folder)
-        found: Record = {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": []}
+        found: Record = {"event": "checked", "failed": [], **self.condition.measured(self.folder)}
         if request.get("checks", True):
-            found.update(firmware=self.firmware_version(), calibration=self.calibration_hash())
-            found.update(software=self.looker.news(self.environment), failed=self.failed_checks())
+            described = self.condition.described()
+            found = {**found, **described, "unread": {**found["unread"], **described["unread"]}}
+            found["software"] = self.looker.news(self.environment)
         for path, state in request.get("unchanged", {}).items():
             if load("on_host").state(path)[1:] != state:
                 found["failed"].append("%s has changed since it was verified" % path)
         return found
-
-    def failed_checks(self) -> list[str]:
-        """Execute all checks at once, because each may wait for something; return a line for each one that has failed."""
-        from concurrent.futures import ThreadPoolExecutor
-
-        with ThreadPoolExecutor(max(1, len(self.checks) + len(self.topic_rates))) as pool:
-            rates = pool.map(self.slow_topic, self.topic_rates)
-            ended = list(pool.map(self.output_of, self.checks))
-        return [
-            *(
-                "%s: %s" % (" ".join(argv), words or "status %s" % status)
-                for argv, (status, words) in zip(self.checks, ended)
-                if status != 0
-            ),
-            *filter(None, rates),
-        ]
-
-    def slow_topic(self, topic: str) -> str | None:
-        """Return why a topic has too few messages a second; None if it has enough."""
-        found: str | None = load("topic_rates").shortfall(topic, self.topic_rates[topic], self.environment)
-        return found
-
-    def firmware_version(self) -> str | None:
-        """Return what the command prints that knows the version; None without a command. Raises Refused."""
-        if self.firmware is None:
-            return None
-        status, words = self.output_of(self.firmware)
-        if status != 0 or not words:
-            raise Refused("its firmware cannot be read: %s: %s" % (" ".join(self.firmware), words or "status %s" % status))
-        return words
-
-    def calibration_hash(self) -> str | None:
-        """Return the SHA-256 of the calibration file; None without one. Raises Refused."""
-        if self.calibration is None:
-            return None
-        path = os.path.expanduser(self.calibration)
-        try:
-            return str(the_worker().describe(path, path)["sha256"])
-        except OSError as error:
-            raise Refused("its calibration cannot be read: %s" % the_worker().explain(error)) from None
-
-    def battery_level(self) -> float | None:
-        """Return the first number that the battery's file or command gives; None without one. Raises Refused."""
-        if self.battery is None:
-            return None
-        if isinstance(self.battery, str):
-            with open(os.path.expanduser(self.battery), encoding="utf-8", errors="replace") as file:
-                words = file.read(4096)
-        else:
-            status, words = self.output_of(self.battery)
-            if status != 0:
-                raise Refused("its battery cannot be read: %s" % (words or "status %s" % status))
-        try:
-            level = float(words.split()[0].rstrip("%"))
-        except (IndexError, ValueError):
-            raise Refused("its battery cannot be read: %r is not a number" % words[:40]) from None
-        if not 0 <= level <= 100:  # also nan, which no limit would refuse, and volts or milliampere hours
-            raise Refused("its battery cannot be read: %r is not a charge from 0 to 100 %%" % words[:40])
-        return level
-
-    def output_of(self, argv: Sequence[str]) -> tuple[int | None, str]:
-        """Execute a command; return its status, None if it does not end in time, and its output or the error."""
-        try:
-            ended = subprocess.run(
-                argv,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                env=self.environment,
-                timeout=CHECK_S,
-                start_new_session=True,
-            )
-        except subprocess.TimeoutExpired:
-            return None, "did not end within %g s" % CHECK_S
-        except (OSError, ValueError) as error:
-            return None, the_worker().explain(error)
-        return ended.returncode, " ".join(ended.stdout.decode("utf-8", "replace").split())[-TAIL_BYTES:]
 
     def begin_watch(self, _: Record) -> Record:
         self.watch = load("clock_watch").ClockWatch()
@@ -583,30 +798,45 @@ class Agent:
         folder = os.path.join(self.folder, RUNS, order["attempt"])
         if os.path.lexists(folder):
             raise Refused("attempt %s was armed before" % order["attempt"])
+        if self.guard is not None and not self.guard.is_alive():
+            self.guard.close()
+            self.guard = None
+        self.guard = self.guard or Guard(self.standstill)
         worker = self.take_worker()
         try:
-            self.run = Run(folder, order, worker, self.environment, self.stop_argv, self.grace, self.stop_limit)
+            order["who"] = self.who
+            self.run = Run(folder, order, worker, self.standstill, self.grace, self.spared(), self.guard.pid)
         except OSError:
-            end_worker(worker)
+            worker.end()
             the_worker().remove(folder)
             raise
+        self.guard.tell(self.run.known)
         return None  # `attend` answers
 
-    def prepare_worker(self) -> None:
-        """Start the worker of the next run already, because a Python takes long to start.
+    def spared(self) -> list[int]:
+        """Return the processes of this agent that belong to no run."""
+        return [*([self.guard.pid] if self.guard else []), *([self.sending[1].pid] if self.sending else [])]
 
-        There is none while a run executes: it costs time of the processor, and whatever the agent has started is ended then.
-        """
+    def prepare_worker(self) -> None:
+        """Start the worker of the next run already, because a Python takes long to start."""
         if self.spare is not None:
-            end_worker(self.spare)  # it has the variables of an earlier setup line
+            self.spare.end()  # it has the variables of an earlier setup line
         self.spare = None
         with contextlib.suppress(OSError):  # it is tried again for the run
-            self.spare = start_worker(self.environment)
+            self.spare = Serving(self.environment)
 
-    def take_worker(self) -> subprocess.Popen[bytes]:
+    def take_worker(self) -> Serving:
         """Return a worker that waits for its folder. Raises OSError."""
         worker, self.spare = self.spare, None
-        return worker if worker is not None and worker.poll() is None else start_worker(self.environment)
+        return worker if worker is not None and worker.is_alive() else Serving(self.environment)
+
+    def keep_worker(self, worker: Serving) -> None:
+        """Use a worker for the next run, too, unless it has ended with its last one."""
+        if worker.is_alive():
+            self.spare = worker
+        else:
+            worker.end()
+            self.prepare_worker()
 
     def at(self, request: Record) -> Record:
         """Start the armed run at a time of this robot's wall clock (ns)."""
@@ -628,6 +858,23 @@ class Agent:
             self.run.end(request["why"])
         return None
 
+    def pull(self, request: Record) -> None:
+        """Begin to send a folder. Raises Refused if another one is sent, or if it is large."""
+        if self.sending is not None:
+            raise Refused("it sends another folder")
+        if the_worker().size_of(json.loads(request["line"])[0]) > LARGE:
+            raise Refused("the folder is large", "large")
+        self.sending = request["id"], Sending(request["line"])
+
+    def send_piece(self, number: int, sending: Sending) -> None:
+        piece = sending.next()
+        if piece:
+            self.tell({"event": "data", "id": number, "data": base64.b64encode(piece).decode()})
+            return
+        sending.close()
+        self.sending = None
+        self.tell({"event": "pulled", "id": number})
+
     def done(self, request: Record) -> Record:
         """Remove the folder of an ended run."""
         if self.run is not None and self.run.attempt == request["attempt"]:
@@ -646,21 +893,24 @@ class Agent:
         run = self.run
         if run is None:
             return
-        if run.armed and run.is_ready():
+        over = run.look(now)
+        if run.armed and the_worker().READY in run.states:
             self.answer_order(run)
-        if run.gated and not run.reported and run.has_begun():
+        if run.gated and not run.reported and the_worker().BEGUN in run.states:
             run.reported = True
             self.tell({"event": "started", "attempt": run.attempt})
-        if run.look(now):
+        if over:
             self.run = None
+            if self.guard is not None:
+                self.guard.tell(None)
             report = run.ended()
             with contextlib.suppress(OSError):  # of a full disk, the driver hears at once
                 write_whole(os.path.join(run.folder, ENDED), report)
             self.tell({"event": "ended", **report})
             if run.armed:
                 self.answer_order(run)
-            if not self.leaving:
-                self.prepare_worker()
+            if not self.leaving and not run.immortal:
+                self.keep_worker(run.worker)
 
     def answer_order(self, run: Run) -> None:
         """Answer that a run is armed. If it has ended already, the driver has heard of this before."""
@@ -688,39 +938,45 @@ class Agent:
                 self.unsent.clear()
 
 
-def start_worker(environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """Start a worker that waits for its folder: see `become_worker`. Raises OSError."""
-    return subprocess.Popen(
-        [sys.executable, "-I", "-S", "-B", os.path.abspath(__file__), WORKER],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=dict(environment),
-        start_new_session=True,
+def condition(declared: Record, environment: Mapping[str, str]) -> Any:
+    """Return the `Condition` of this robot, by what a `hello` declares."""
+    worker = the_worker()
+    return load("robot_condition").Condition(
+        declared,
+        environment,
+        explain=worker.explain,
+        hash_of=lambda path: worker.describe(path, path)["sha256"],
+        shortfall=lambda *rate: load("topic_rates").shortfall(*rate),
     )
 
 
-def end_worker(worker: subprocess.Popen[bytes]) -> None:
-    """End a worker that has got no folder."""
-    worker.kill()
-    worker.wait()
-    with contextlib.suppress(OSError):
-        the_worker().stdin_of(worker).close()
-
-
 def become_worker() -> int:
-    """Wait for a line with the folder of a run on standard input, and execute the jobs in the lines after it."""
+    """Execute runs one after the other, until one of them has to be ended.
+
+    Each is a line with its folder on standard input, and the lines of a worker. Its states are announced on standard output.
+    """
     worker = the_worker()
-    line = b""
-    while not line.endswith(b"\n"):
-        byte = os.read(0, 1)  # no more, because the worker reads the rest
-        if not byte:
-            return 1
-        line += byte
-    folder = json.loads(line)["folder"]
-    with open(os.path.join(folder, WORKER_LOG), "wb") as log:
-        os.dup2(log.fileno(), 2)
-    return int(worker.main([folder, "1"]))
+    told, null = os.dup(1), os.dup(2)
+    os.dup2(null, 1)
+
+    def announce(state: str) -> None:
+        with contextlib.suppress(OSError):  # the agent is gone
+            os.write(told, state.encode())
+
+    for line in iter(sys.stdin.readline, ""):
+        folder = json.loads(line)["folder"]
+        with open(os.path.join(folder, WORKER_LOG), "wb") as log:
+            os.dup2(log.fileno(), 2)
+        done = worker.execute([folder, "1"], announce)
+        done.report_failure()
+        if done.status:
+            return int(done.status)
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        done.close()
+        os.dup2(null, 2)  # nothing of the run stays open
+        announce(worker.OVER)
+    return 0
 
 
 def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, str]:
@@ -739,12 +995,13 @@ def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, st
             start_new_session=True,
         )
     except subprocess.TimeoutExpired:
-        raise Refused("its setup line did not end within %g s" % SETUP_S) from None
+        raise Refused("its setup line did not end within %g s" % SETUP_S, "setup") from None
     if ended.returncode:
         words = " ".join(ended.stderr.decode("utf-8", "replace").split())[-TAIL_BYTES:]
-        raise Refused("its setup line ended with %s: %s" % (ending(ended.returncode), words))
+        raise Refused("its setup line ended with %s: %s" % (ending(ended.returncode), words), "setup")
     if not ended.stdout:
-        raise Refused("its setup line ended the shell (by exit or exec), so that the variables that it sets are unknown")
+        unknown = "its setup line ended the shell (by exit or exec), so that the variables that it sets are unknown"
+        raise Refused(unknown, "setup")
     pairs = (pair.partition("=") for pair in ended.stdout.decode("utf-8", "surrogateescape").split("\0") if "=" in pair)
     return {name: value for name, _, value in pairs if name not in LEFT_OUT and not name.startswith("BASH_FUNC_")}
 
@@ -761,6 +1018,19 @@ def has_begun(events: Sequence[Record]) -> bool:
     return any(event["event"] in ("start", "end") for event in events)
 
 
+def await_guard(record: Record) -> None:
+    """Wait until the guard of a killed agent has ended the run in this record, so that it does not disturb the next one."""
+    give_up = time.monotonic() + GUARD_S
+    while record.get("boot") == boot_id() and is_guard(record.get("guard")) and time.monotonic() < give_up:
+        select.select((), (), (), LOOK_S / 10)
+
+
+def is_guard(pid: int | None) -> bool:
+    """Return whether a process is an agent, as guards are."""
+    name = os.path.basename(__file__).encode()
+    return pid is not None and is_running(pid) and name in the_worker().read_proc("%d/cmdline" % pid)
+
+
 def end_processes_of(record: Record) -> int:
     """Kill the processes of an earlier agent's run that are alive; return how many were. After a reboot there are none."""
     if record.get("boot") != boot_id():
@@ -771,8 +1041,8 @@ def end_processes_of(record: Record) -> int:
     ended: set[int] = set()
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
-        alive = {pid} if record.get("born") is not None and worker.birth(pid) == record["born"] else set()
-        alive = {one for one in (*alive, *worker.marked(marks)) if one and worker.stat_of(one)[:1] != [b"Z"]}
+        alive = {pid} if record.get("born") is not None and is_running(pid, record["born"]) else set()
+        alive |= {one for one in worker.marked(marks) if is_running(one)}
         if not alive:
             break
         ended |= alive
@@ -780,6 +1050,12 @@ def end_processes_of(record: Record) -> int:
             kill_all(one)
         time.sleep(LOOK_S / 10)
     return len(ended)
+
+
+def is_running(pid: int, born: int | None = None) -> bool:
+    """Return whether a process is alive, and no zombie; `born`: it must have been born then."""
+    worker = the_worker()
+    return worker.stat_of(pid)[:1] not in ([], [b"Z"]) and born in (None, worker.birth(pid))
 
 
 def kill_all(pid: int) -> None:
@@ -790,13 +1066,13 @@ def kill_all(pid: int) -> None:
     worker.signal_group(pid, signal.SIGKILL)
 
 
-def end_orphans(spared: int) -> bool:
-    """Kill the processes that have lost their worker; return whether one was alive. `spared` is the stop command's."""
+def end_children(spared: Collection[int]) -> bool:
+    """Kill the processes that have lost their worker; return whether one was alive."""
     worker = the_worker()
     living = 0
     for pid in worker.orphans():
         fields = worker.stat_of(pid)
-        if pid == spared or not fields:
+        if pid in spared or not fields:
             continue
         if fields[0] != b"Z":
             living += 1
@@ -823,6 +1099,18 @@ def read_record(path: str) -> Record | None:
     except (OSError, ValueError):
         return None
     return record if isinstance(record, dict) else None
+
+
+def close_pipes(process: subprocess.Popen[bytes]) -> None:
+    for file in (process.stdin, process.stdout):
+        with contextlib.suppress(OSError):
+            if file is not None:
+                file.close()
+
+
+def output_of(process: subprocess.Popen[bytes]) -> int:
+    """Return the descriptor of the pipe from which the output of a process is read."""
+    return process.stdout.fileno() if process.stdout else -1
 
 
 def last_line(path: str) -> str:

@@ -45,8 +45,8 @@ def main(name: str, step: str, words: list[str]) -> None:
 
         setattr(owner, method, watched)
 
-    for method in ("run", "push", "channel", "pull"):
-        watch(Fabric, method, lambda *_, method=method: method)
+    for owner, method in ((Fabric, "run"), (Fabric, "push"), (Fabric, "channel"), (AgentLink, "pull")):
+        watch(owner, method, lambda *_, method=method: method)
     watch(AgentLink, "ask", lambda _, do, *more: do)
     watch(worker.Journal, "write", lambda *_: "journal")
     watch(Store, "publish", lambda *_: "publish")

@@ -1,7 +1,8 @@
 """Robots for tests: network namespaces of this machine with a real sshd each, and faults to inject. For root on Linux.
 
 A robot has its own network, host name, processes, /etc, /run and /tmp, and a disk in memory as /home, which outlives a power
-cut. It sees the programs of this machine (/usr), and neither its /root nor the folder of SIERRA. Its user is `robot`.
+cut. Lines written to MOTOR set the speed of its motor (`tests.support.motor`), which no power cut stops. It sees the programs
+of this machine (/usr), and neither its /root nor the folder of SIERRA. Its user is `robot`.
 The names of everything that is made carry the id of this process, so that test processes do not disturb each other; what a
 killed process left is removed by the next one. Debian: see `make system`.
 
@@ -25,10 +26,11 @@ import tempfile
 import threading
 import uuid
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
+from tests.support.motor import Motor
 from tests.waiting import until
 
 SBIN = ":/usr/sbin:/sbin"
@@ -40,6 +42,7 @@ OTHER_CLOCK = {
     "FAKETIME_DONT_FAKE_MONOTONIC": "1",
 }
 """The variables of a program whose wall clock is that of `Fleet.set_clock`. `select` waits there; `time.sleep` may fail."""
+MOTOR = "/run/robot/motor"
 USER, UID = "robot", 5002
 GUEST, GUEST_UID = "guest", 5003
 """Another user, whose login `AllowUsers` must permit: see `Fleet.configure`."""
@@ -124,6 +127,7 @@ class Robot:
     address: str
     namespace: str
     card: str
+    motor: Motor = field(init=False)
     process: subprocess.Popen[bytes] | None = None
     machine: str = ""
     changed: bool = False
@@ -200,6 +204,7 @@ class Fleet:
             else:
                 self.enter(robot.name, "sh", "-c", f"pkill -KILL -u {UID},{GUEST_UID}; rm -rf /tmp/* /tmp/.[!.]*; true")
             self._empty(robot)
+            robot.motor.forget()
         self._wait_for_all()
 
     # Power, radio, link
@@ -245,6 +250,10 @@ class Fleet:
             )
         if wait:
             self.wait_for(name)
+
+    @property
+    def motors(self) -> dict[str, Motor]:
+        return {name: robot.motor for name, robot in self.robots.items()}
 
     def reboot(self, name: str) -> None:
         """Take a robot's power and start it again, with a new id of the boot, which namespaces alone do not have."""
@@ -396,12 +405,13 @@ class Fleet:
             self._empty(robot)
             make_key(robot.own / "hostkey")
             shutil.copytree(robot.own, robot.folder / "first")
+            robot.motor = Motor(robot.own / Path(MOTOR).name)
             self._configure(robot)
         self._write_client_files()
 
     def _mount(self, robot: Robot, options: str) -> None:
         target = robot.folder / "home"
-        _run("mount", "-t", "tmpfs", "-o", f"{options}size={self.disk},mode=755", "tmpfs", str(target))
+        _run("mount", "-t", "tmpfs", "-o", f"{options}size={self.disk},nr_inodes=100k,mode=755", "tmpfs", str(target))
 
     def _empty(self, robot: Robot) -> None:
         for path in (robot.folder / "home").iterdir():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,20 +11,38 @@ from functools import partial
 from pathlib import Path
 
 from sierra import Project
-from tests.support.robot_fleet import REPOSITORY, Fleet
+from tests.support.robot_fleet import MOTOR, REPOSITORY, Fleet
 from tests.waiting import PATIENCE_S, until
 
 LEASE_S = 3.0
-SWARM = """
-import os, sys, time
+SWARM = f"""
+import os, signal, sys, time
 place = int(os.environ["SIERRA_ROBOT"])
+
+def drive():
+    with open("{MOTOR}", "w") as motor:
+        motor.write("0.2\\n")
+
+def end(*_):  # as a launcher of ROS, whose nodes send commands until they have ended
+    give_up = time.monotonic() + 0.5
+    while time.monotonic() < give_up:
+        drive()
+        time.sleep(0.05)
+    os._exit(0)
+
+signal.signal(signal.SIGTERM, end)
 with open("swarm.csv", "w") as file:
     file.write("t,x\\n")
     for t in range(TICKS):
-        file.write(f"{t},{t * place}\\n")
+        drive()
+        file.write(f"{{t}},{{t * place}}\\n")
         file.flush()
         time.sleep(0.1)
 """
+"""A program that leaves the motor on."""
+BROKEN = "/run/robot/broken"
+"""A file on a robot with which its stop command fails."""
+STOP = ["sh", "-c", f"test ! -e {BROKEN} && echo 0 > {MOTOR}"]
 TABLES = f"""
 template = "experiment.xml"
 command = ["python3", "{{project}}/swarm.py", "{{seed}}"]
@@ -35,10 +54,10 @@ time = "t"
 [robots]
 count = 3
 [runners.robots]
-stop = ["sh", "-c", "date >> /home/robot/stops"]
+stop = {json.dumps(STOP)}
 disk_min = 1000000
 lease = {LEASE_S}
-grace = 1.0
+grace = 3.0
 [links.fabric]
 """
 RUN = ("run", "speed=1", "--on", "robots", "--no-figures")
@@ -88,6 +107,38 @@ def all_idle(fleet: Fleet, seconds: float = PATIENCE_S) -> None:
     """Wait until no robot that is switched on executes a program of the project."""
     on = [name for name, robot in fleet.robots.items() if robot.process is not None]
     until(lambda: all(is_idle(fleet, name) for name in on), "all robots have stopped", seconds)
+
+
+def all_stand(fleet: Fleet, since: float | None = None) -> None:
+    """Wait until no robot that is switched on executes a program of the project or moves; print how long that took.
+
+    `since` is the time of a fault by the monotonic clock.
+    """
+    on = [name for name, robot in fleet.robots.items() if robot.process is not None]
+    until(lambda: all(is_idle(fleet, name) and not fleet.motors[name].speed for name in on), "all robots stand still")
+    for motor, name in [(fleet.motors[name], name) for name in on if since is not None]:
+        first, last = motor.stopped_after(since), motor.stood_after(since)
+        print(f"{name}: told to stop {first:.2f} s after the fault, stood still after {last:.2f} s")
+
+
+def all_move(fleet: Fleet, process: subprocess.Popen[str]) -> None:
+    """Wait until all robots move."""
+
+    def move() -> bool:
+        assert process.poll() is None, process.communicate()
+        return all(motor.speed for motor in fleet.motors.values())
+
+    until(move, "all robots move")
+
+
+def over_openssh(project: Path, options: str = "") -> None:
+    """Let the runs of a project use the link `openssh`."""
+    config = project / "sierra.toml"
+    config.write_text(
+        config.read_text()
+        .replace("grace =", 'link = "openssh"\ngrace =')
+        .replace("[links.fabric]", f"[links.openssh]\nlost = 4\n{options}")
+    )
 
 
 def all_busy(fleet: Fleet, process: subprocess.Popen[str]) -> None:

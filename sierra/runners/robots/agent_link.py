@@ -10,9 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, InvalidStateError
+from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing, SierraError
+from sierra.links import copy_folder
 from sierra.links.base import Channel, Link, Overdue, Unreachable
 from sierra.links.clock import Clock, measured
 from sierra.runners.robots import agent_messages
@@ -24,12 +26,63 @@ log = Log(__name__)
 LOCK = "sierra-robot"
 """The name of the lock that a robot has once, for all of its users."""
 ANSWER_S = 10.0
+POLL_S = 0.1
 BEATS = 5
 """The number of beats in the time of a lease."""
 
 
 class Refused(Missing):
     """A request that the agent refuses, for a reason that it gives."""
+
+    about = ""
+    """The reason in one word: see `agent_messages`."""
+
+
+def refused(name: str, record: Record) -> Refused:
+    """Return the error for a message in which an agent refuses a request."""
+    error = Refused(f"{name}: {record['reason']}")
+    error.about = record.get("about", "")
+    return error
+
+
+class _Pieces:
+    """A folder in pieces, which an agent sends: a `copy_folder.Conversation`."""
+
+    def __init__(self, agent: AgentLink, number: int) -> None:
+        self.name = agent.name
+        self.number = number
+        self._agent = agent
+        self._queue: queue.Queue[Record] = queue.Queue(16)
+        self._closed = threading.Event()
+
+    def send(self, data: bytes, timeout: float) -> None:
+        self._agent.request("pull", self.number, line=data.decode().rstrip("\n"))
+
+    def read(self, timeout: float) -> tuple[int, bytes] | None:
+        """Return the next piece; None at the end. Raises TimeoutError, Missing, Unreachable."""
+        end = time.monotonic() + timeout
+        while True:
+            try:
+                record = self._queue.get(timeout=POLL_S)
+            except queue.Empty:
+                if self._agent.lost is not None:
+                    raise Unreachable(f"{self.name}: {self._agent.lost}") from None
+                if time.monotonic() > end:
+                    raise TimeoutError from None
+                continue
+            if record["event"] == "refused":
+                raise refused(self.name, record)
+            return (1, record["data"]) if record["event"] == "data" else None
+
+    def put(self, record: Record) -> None:
+        """Take a message of the agent. It waits while there are many, so that the agent sends no more."""
+        while not self._closed.is_set():
+            with contextlib.suppress(queue.Full):
+                self._queue.put(record, timeout=POLL_S)
+                return
+
+    def close(self) -> None:
+        self._closed.set()
 
 
 class AgentLink:
@@ -45,6 +98,8 @@ class AgentLink:
         self._events = events
         self._outgoing: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._pending: dict[int, Future[Record]] = {}
+        self._pieces: dict[int, _Pieces] = {}
+        """The folders that are received, by the numbers of their requests."""
         self._numbers = itertools.count(1)
         self._channel: Channel | None = None
 
@@ -76,12 +131,34 @@ class AgentLink:
         finally:
             self._pending.pop(number, None)
         if record["event"] == "refused":
-            raise Refused(f"{self.name}: {record['reason']}")
+            raise refused(self.name, record)
         return record
 
     def tell(self, do: str, **fields: Any) -> None:
         """Send a request without an answer."""
         self._put({"do": do, **fields})
+
+    def request(self, do: str, number: int, **fields: Any) -> None:
+        """Send a request with this number, which its answers repeat."""
+        self._put({"do": do, "id": number, **fields})
+
+    def pull(self, folder: str, target: Path, timeout: float = 60.0) -> None:
+        """Copy a folder of the robot as `Link.pull` does, by the agent that executes anyway unless it is large."""
+        try:
+            self._pull(folder, target, timeout)
+        except Refused as error:
+            if error.about != "large":
+                raise
+            self.link.pull(folder, target, timeout=timeout)
+
+    def _pull(self, folder: str, target: Path, timeout: float) -> None:
+        pieces = _Pieces(self, next(self._numbers))
+        self._pieces[pieces.number] = pieces
+        try:
+            copy_folder.pull(pieces, folder, target, timeout, started=True)
+        finally:
+            self._pieces.pop(pieces.number, None)
+            pieces.close()
 
     def clock(self, now_ns: Callable[[], int]) -> Clock:
         """Measure the robot's clock, compared with `now_ns`. Raises Unreachable."""
@@ -143,6 +220,11 @@ class AgentLink:
     def _take(self, record: Record) -> None:
         if record["event"] == "beat":
             return
+        if pieces := self._pieces.get(record.get("id") or 0):
+            pieces.put(record)
+            return
+        if record["event"] in ("data", "pulled"):  # nobody wants them any more
+            return
         answer = self._pending.pop(record.get("id") or 0, None)
         if answer is None:
             self._events.put((self.name, record))
@@ -159,4 +241,6 @@ class AgentLink:
         for answer in list(self._pending.values()):
             with contextlib.suppress(InvalidStateError):
                 answer.set_exception(Unreachable(f"{self.name}: {self.lost}"))
+        for pieces in list(self._pieces.values()):
+            pieces.close()
         self._events.put((self.name, {"event": "lost", "reason": self.lost}))

@@ -6,10 +6,11 @@ has its type, times and numbers are finite and fit into the store, and texts can
 
 from __future__ import annotations
 
+import base64
 import json
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, InstanceOf, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, model_validator
 
 Record = dict[str, Any]
 
@@ -17,6 +18,13 @@ Record = dict[str, Any]
 def _writable(text: str) -> str:
     """Return a text in which bytes that are no text (surrogates) are shown by their numbers."""
     return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _decoded(text: object) -> bytes:
+    """Return the bytes of a text in base64. Raises ValueError."""
+    if not isinstance(text, str):
+        raise ValueError("it is no text")
+    return base64.b64decode(text)
 
 
 Text = Annotated[str, AfterValidator(_writable)]
@@ -60,11 +68,19 @@ class Facts(_Part):
 
 
 class _Leftover(_Part):
+    """A run that an earlier agent has left."""
+
     attempt: Raw
     ended: Size
+    """The number of processes that were alive."""
     report: dict[str, Any] | None
-    """The report of an earlier agent, perhaps of another version: see `as_report`."""
-    problems: list[Text]
+    """The report of that agent, perhaps of another version: see `as_report`."""
+    who: dict[str, Any] | None
+    """The driver of that agent, as in its `hello`."""
+    execution: Text | None
+    place: Size | None
+    files: bool
+    """True if the run has begun to leave files."""
 
 
 class _Hello(_Message):
@@ -83,6 +99,9 @@ class _Checked(_Message):
     battery: Annotated[float, Field(ge=0, le=100)] | None
     disk: Size
     failed: list[Text]
+    """A line for each check that has failed."""
+    unread: dict[Text, Text]
+    """Why values are missing, by their names."""
     firmware: Text | None = None
     calibration: Text | None = None
     software: Software | None = None
@@ -141,6 +160,8 @@ class _Report(_Part):
     why: Text | None
     end: End | None
     problems: list[Text]
+    moving: Text | None = None
+    """Why the robot may still be moving: its last stop command has failed."""
 
     @model_validator(mode="after")
     def _has_a_reason(self) -> Self:
@@ -159,10 +180,16 @@ class _Started(_Message):
 
 class _Refused(_Message):
     reason: Text
+    about: Text = ""
+    """The part of a `hello` that has failed: `lock`, `setup`, `stop` or `runs`; of a `pull`, `large`; empty for others."""
 
 
 class _Late(_Message):
     by: float
+
+
+class _Data(_Message):
+    data: Annotated[bytes, BeforeValidator(_decoded)]
 
 
 MODELS: dict[str, type[_Message]] = {
@@ -174,7 +201,8 @@ MODELS: dict[str, type[_Message]] = {
     "ended": _Ended,
     "refused": _Refused,
     "late": _Late,
-    **dict.fromkeys(("armed", "gated", "removed", "beat", "watching"), _Message),
+    "data": _Data,
+    **dict.fromkeys(("armed", "gated", "removed", "beat", "watching", "pulled"), _Message),
 }
 """The messages by their events."""
 

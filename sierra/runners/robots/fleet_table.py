@@ -86,7 +86,8 @@ class FleetTable(Table):
     )
     stop: Argv | None = Field(
         None,
-        description="the command that brings a robot to a standstill, executed there whenever a run ends; []: it needs none",
+        description="the command that brings a robot to a standstill, also if no program of a run executes; []: it needs none. "
+        "It is executed there when a session begins, at the first sign that a run ends, and after the last process of the run",
         examples=[["motor", "0"]],
     )
     stop_limit: Positive = Field(5.0, description="time limit of the stop command, in seconds")

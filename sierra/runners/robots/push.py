@@ -10,13 +10,18 @@ from pathlib import Path
 
 from sierra.containers.engines import on_host
 from sierra.errors import Missing
+from sierra.links import remote_folder
 from sierra.links.base import Link, Unreachable
 from sierra.provenance import machine
-from sierra.worker import clock_watch, robot_agent, robot_software, topic_rates, worker
+from sierra.worker import clock_watch, robot_agent, robot_condition, robot_software, topic_rates, worker
 
 PROGRAMS = (
-    *(Path(str(one.__file__)) for one in (robot_agent, clock_watch, robot_software, topic_rates, worker, machine, on_host)),
+    *(
+        Path(str(one.__file__))
+        for one in (robot_agent, clock_watch, robot_condition, robot_software, topic_rates, worker, machine, on_host)
+    ),
     *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
+    Path(remote_folder.__file__),
 )
 LENGTH = 24
 """The number of characters of a hash in a folder's name."""

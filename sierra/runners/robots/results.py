@@ -101,6 +101,8 @@ def _trouble(part: Part, trial: Trial) -> str | None:
     if not part.started or part.end is None:
         found = part.ended or {}
         return f"has not begun its program: {(*found.get('problems', ()), found.get('why') or part.problem)[0]}"
+    if part.moving:
+        return f"may be moving: {part.moving}"
     if part.ended and part.ended["why"] and part.ended["why"].startswith("lost the driver"):
         return f"{part.ended['why']}"
     if part.problem and part.files is None:
@@ -200,7 +202,12 @@ def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[t
 def _status(part: Part) -> str:
     if part.lost is not None:
         return "lost"
-    if part.failure or not part.started or (part.ended and part.ended["why"] and part.ended["why"].startswith("lost")):
+    if (
+        part.failure
+        or part.moving
+        or not part.started
+        or (part.ended and part.ended["why"] and part.ended["why"].startswith("lost"))
+    ):
         return "failed"
     return "stopped" if part.ended and part.ended["why"] else "ok"
 

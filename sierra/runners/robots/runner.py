@@ -8,14 +8,13 @@ one. A robot that is missing before a run starts ends the session: the runs that
 from __future__ import annotations
 
 import contextlib
-import getpass
-import os
+import itertools
 import queue
 import secrets
 import shutil
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -27,19 +26,20 @@ from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.links.base import Link, NoSession, Unreachable
-from sierra.model import Job, Member, Result
+from sierra.model import Job, LateFiles, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
-from sierra.runners.robots import fitting_programs, fitting_robots, results
-from sierra.runners.robots.agent_link import LOCK, AgentLink
+from sierra.runners.robots import agent_start, fitting_programs, fitting_robots, results
+from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.engine_errors import classify
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
-from sierra.runners.robots.push import content_name, push_content, push_programs
-from sierra.runners.robots.trial import SETTLE_S, STOPPED, Late, Part, Trial, each
+from sierra.runners.robots.push import content_name, push_content
+from sierra.runners.robots.trial import STOPPED, Late, Part, Trial, each
 from sierra.store.layout import SessionPaths
+from sierra.store.ownership_marks import SESSION
 from sierra.store.segments import disk_errors
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_logger import Log
@@ -48,18 +48,23 @@ from sierra.worker import worker
 from sierra.worker.robot_software import Software
 
 log = Log(__name__)
-HELLO_S = 90.0
-"""The seconds in which an agent must have executed its setup line and removed leftovers."""
 SESSION_S = 10.0
 """The seconds in which a host must execute one more command while its agent serves."""
 REJOIN_S = 0.3
+DONE_S = 60.0
+"""The seconds in which a robot must remove what a run has left."""
+LATE = 1 << 62
+"""The least number of the folder of files that were collected late."""
 LEADS_S = (0.25, 1.0, 4.0)
 """The seconds that robots have to confirm the common start. If a run has not started, it is tried again with the next ones."""
 WAKE: tuple[str, Record] = ("", {})
 """An event of no robot: the thread that executes the run looks at once why it must end."""
-OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 NO_FLEET = 'the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml'
 MakeLink = Callable[[str, RobotTable], Link]
+
+
+class StillMoving(SierraError):
+    """Robots that may be moving, because their stop command has failed."""
 
 
 class Robots:
@@ -78,6 +83,8 @@ class Robots:
         self._events: queue.SimpleQueue[tuple[str, Record]] = queue.SimpleQueue()
         self._notes: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._robots: dict[str, Robot] = {}
+        self._moving: dict[str, str] = {}
+        """The robots that may be moving, and why. No further run starts."""
         self._stopped: str | None = None
         self._may_begin = threading.Event()
         self._may_begin.set()
@@ -96,6 +103,8 @@ class Robots:
         self._journal = Journal(session.journal)
         self._journal.skip()
         session.runs.mkdir(parents=True, exist_ok=True)
+        used = [int(path.name) for path in session.runs.iterdir() if path.name.isdigit() and int(path.name) < LATE]
+        self._numbers = itertools.count(max(used, default=0) + 1)
         self._writer = worker.Journal(str(session.journal))
         self._code = content_name(work.code) if work.code else None
         beside = next((job.beside for job in jobs if job.beside), None)
@@ -139,6 +148,7 @@ class Robots:
             tuple(event for event in events if isinstance(event, Result)),
             1 if trial else 0,
             alive=alive or more,
+            late=tuple(event for event in events if isinstance(event, LateFiles)),
             rows=tuple((event.table, event.row) for event in events if isinstance(event, Row)),
             notes=notes,
             wrong=wrong,
@@ -158,17 +168,23 @@ class Robots:
             self._thread.join()
 
     def _execute(self, jobs: Sequence[Job]) -> None:
-        """Execute the jobs, one after the other."""
+        """Execute the jobs, one after the other, until one has left a robot that may be moving."""
         try:
             for job in jobs:
-                if self._stopped is not None:
+                if self._stopped is not None or self._moving:
                     break
                 self._run(job)
         except BaseException as error:
             self._trouble = error
-        finally:
-            for robot in self._robots.values():
+        if self._moving and (self._trouble is None or isinstance(self._trouble, SierraError)):
+            self._trouble = self._still_moving()
+        for robot in self._robots.values():
+            with contextlib.suppress(SierraError, OSError, EOFError):
                 robot.close()
+
+    def _still_moving(self) -> StillMoving:
+        reasons = "; ".join(f"{name} may be moving: {reason}" for name, reason in self._moving.items())
+        return StillMoving(f"{reasons}; stop it by hand, and correct stop in [runners.robots]")
 
     def _run(self, job: Job) -> None:
         """Execute one run, and append its result to the journal. Raises SierraError if it was not started.
@@ -192,8 +208,9 @@ class Robots:
         self._check_room()
         taken = allocate(self._table, [(one.place, one.group) for one in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
-        each(Robot.examine, robots.values())
         each(Robot.connect, robots.values())
+        each(Robot.examine, robots.values())
+        each(Robot.supply, robots.values())
         if self._stopped is not None:
             return
         fitting_robots.check_addresses({one.name: one.address for one in robots.values()})
@@ -217,11 +234,19 @@ class Robots:
             finally:
                 for part in parts:
                     self._robots[part.name].take_changes(part.before.get("software"))
+                self._note_moving(parts)
             if executed:
                 with disk_errors(self._session.root):
                     self._keep(trial, job)
+                self._note_moving(parts)
+                for part in parts:
+                    if part.failure and not part.started:
+                        raise Missing(f"{part.name}: not ready: {part.failure}")
         finally:
             self._trial = None
+
+    def _note_moving(self, parts: Iterable[Part]) -> None:
+        self._moving.update((part.name, part.moving) for part in parts if part.moving)
 
     def _check_room(self) -> None:
         """Check that what a run measures can be kept on this machine. Raises Missing."""
@@ -259,7 +284,7 @@ class Robots:
         give_up = time.monotonic() + self._table.lease
         while True:
             try:
-                return robot.connect(keep=attempt)
+                return robot.connect(attempt)
             except Unreachable:
                 if time.monotonic() > give_up or self._stopped:
                     raise
@@ -274,9 +299,15 @@ class Robots:
             *results.rows(trial, job),
         ]
 
+    def _collect(self, robot: Robot, left: Record) -> None:
+        """Copy what an earlier run has left on a robot, to be recorded with it. Raises Missing, Unreachable."""
+        folder = self._session.runs / str(LATE + secrets.randbits(62))  # not one that the journal names already
+        robot.agent.pull(f"{robot.hello['folder']}/runs/{left['attempt']}/1", folder)
+        late = {"execution": left["execution"], "place": left["place"], "robot": robot.name, "directory": str(folder)}
+        self._writer.write(cast(worker.Event, {"event": "late", **late}))
+
     def _next_folder(self) -> Path:
-        used = [int(path.name) for path in self._session.runs.iterdir() if path.name.isdigit()]
-        return self._session.runs / str(max(used, default=0) + 1)
+        return self._session.runs / str(next(self._numbers))
 
     def _part(self, job: Job, member: Member, robot: Robot, addresses: Mapping[str, str]) -> Part:
         """Return the part of a run that a robot executes. `addresses`: variables with those of all robots of the run."""
@@ -310,7 +341,9 @@ class Robots:
             link = self._make_link(name, options)
             link.python = self._table.python
             agent = AgentLink(name, link, self._table.lease, self._events)
-            self._robots[name] = Robot(name, options, self._table, agent, self._work, self._code, self._session, self._notes)
+            self._robots[name] = Robot(
+                name, options, self._table, agent, self._work, self._code, self._session, self._notes, self._collect
+            )
         return self._robots[name]
 
     def _link(self, name: str, options: RobotTable) -> Link:
@@ -331,7 +364,9 @@ class Robot:
         code: str | None,
         session: SessionPaths,
         notes: queue.SimpleQueue[str],
+        collect: Callable[[Robot, Record], None],
     ) -> None:
+        """`collect` copies what an earlier run has left there."""
         self.name = name
         self.agent = agent
         self.variables = options.variables
@@ -347,24 +382,19 @@ class Robot:
         self._code = code
         self._session = session
         self._notes = notes
+        self._collect = collect
         self._root = table.folder.removeprefix("~/")
-        self._connected = False
-        self._examined = False
+        self._connected = self._examined = self._supplied = False
 
     def examine(self) -> None:
-        """Check that runs can be executed there, before anything is copied. Raises Missing, Unreachable, UntrustedHost."""
-        if self._examined:
+        """Check that containers can be executed there, before anything is copied for runs. Raises Missing, Unreachable."""
+        if self._examined or not self._work.containers:
             return
-        link, python = self.agent.link, self._table.python
-        try:
-            if link.run((python, "-c", OLD_PYTHON)).status != 0:
-                raise Missing(f"needs Python 3.8 or newer as {python!r}; set python in [runners.robots]")
-            if self._work.containers:
-                self.container = self._work.containers.on(OtherHost(self.name, link, self._root, python))
-                for note in self.container.notes:
-                    self._notes.put(note)
-        except SierraError as error:
-            raise type(error)(_named(self.name, error)) from error
+        with self._named():
+            host = OtherHost(self.name, self.agent.link, self._root, self._table.python)
+            self.container = self._work.containers.on(host)
+            for note in self.container.notes:
+                self._notes.put(note)
         self._examined = True
 
     @property
@@ -373,39 +403,81 @@ class Robot:
         return self._options.address or self.hello.get("address")
 
     def connect(self, keep: str | None = None) -> Record:
-        """Start the agent unless it is there, and return what it says about its robot. `keep`: an attempt to leave as it is.
+        """Start the agent unless it is there, and return what it says about its robot, which it has brought to a standstill.
 
-        Raises Missing, Unreachable, UntrustedHost.
+        `keep`: an attempt whose files are still to be collected. Raises Missing, Unreachable, UntrustedHost.
         """
         if self._connected and self.agent.lost is None:
             return self.hello
-        link = self.agent.link
         try:
-            self.examine()
-            programs = push_programs(link, self._root)
-            code = push_content(link, self._work.code, self._root, "sources", self._code) if self._work.code else ""
-            if self.container and keep is None:
-                self._supply(self.container, code)
-            self.agent.start((self._table.python, "-I", "-S", "-B", f"{programs}/robot_agent.py", self._root, LOCK))
-            self.hello = self.agent.ask("hello", HELLO_S, **self._greeting(keep))
-            self._check_sessions()
-        except SierraError as error:
+            with self._named():
+                session = self._session.root.name
+                self.hello = agent_start.start(self.agent, self._options, self._table, session, self._work.store)
+                self._check_sessions()
+        except SierraError:
             self.agent.abandon("the connection was given up")
-            raise type(error)(_named(self.name, error)) from error
-        self._connected = True
-        self.code = f"{self.hello['folder']}/{code.removeprefix(self._root + '/')}"
+            raise
+        self._connected, self._supplied = True, False
         self._describe(self.hello["software"])
+        self._note_isolation()
+        for left in self.hello["leftovers"]:
+            if left["attempt"] != keep:
+                with self._named():
+                    self._settle(left)
+        return self.hello
+
+    def _settle(self, left: Record) -> None:
+        """Collect what an earlier run of this store has left, and remove it. Raises Missing, Unreachable."""
+        ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
+        for problem in (as_report(left["report"]) or {}).get("problems", ()):
+            self._notes.put(f"{self.name}: after an earlier run, {problem}")
+        who = left["who"] or {}
+        if who.get("store") not in (None, self._work.store) or self._is_recorded_by_others(str(who.get("session"))):
+            self._notes.put(f"{self.name}: keeps what a run of {who.get('text', 'another user')} has left{ended}")
+            return
+        try:
+            if left["files"] and left["execution"] and left["place"] is not None:
+                self._collect(self, left)
+        except Unreachable:
+            raise
+        except Missing as error:
+            self._notes.put(f"{self.name}: keeps what an earlier run has left{ended}: {error}")
+            return
+        self.agent.ask("done", DONE_S, attempt=left["attempt"])
+        self._notes.put(f"{self.name}: removed what an earlier run had left{ended}")
+
+    def _is_recorded_by_others(self, session: str) -> bool:
+        """Return whether another session of this store has not ended, which may not have recorded its runs yet."""
+        own = self._session.root
+        return bool(SESSION.fullmatch(session)) and session != own.name and (own.parent / session).is_dir()
+
+    def supply(self) -> None:
+        """Copy what runs need there, unless this was done. Raises Missing, Unreachable."""
+        if self._supplied:
+            return
+        with self._named():
+            link, work = self.agent.link, self._work
+            code = push_content(link, work.code, self._root, "sources", self._code) if work.code else ""
+            if self.container:
+                self._give_image(self.container, code)
+                self._note_isolation()
+        self.code = f"{self.hello['folder']}/{code.removeprefix(self._root + '/')}"
+        self._supplied = True
+
+    def _note_isolation(self) -> None:
+        """Add the isolation of its containers to its description, once it is known."""
         if self.container and (row := self.container.isolation.row):
             self.hello["isolation"] = row.isolation
-        for left in self.hello["leftovers"]:
-            problems = list(left["problems"])
-            if left["attempt"] != keep:
-                ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
-                self._notes.put(f"{self.name}: removed what an earlier run had left{ended}")
-                problems += (as_report(left["report"]) or {}).get("problems", ())
-            for problem in problems:
-                self._notes.put(f"{self.name}: after an earlier run, {problem}")
-        return self.hello
+
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[None]:
+        """Let errors of the block begin with the robot's name."""
+        try:
+            yield
+        except SierraError as error:
+            if str(error).startswith(f"{self.name}:"):
+                raise
+            raise type(error)(f"{self.name}: {error}") from error
 
     def _check_sessions(self) -> None:
         """Check that files can be copied while the agent occupies a session of the link. Raises Missing, Unreachable."""
@@ -419,7 +491,7 @@ class Robot:
         """Return the name of its processor."""
         return name_of(str(self.hello["facts"]["machine"]))
 
-    def _supply(self, container: HostContainer, code: str) -> None:
+    def _give_image(self, container: HostContainer, code: str) -> None:
         """Give the robot the image, and copies of what is mounted."""
         copies = {one: self._copied(container, Path(one)) for one in container.sources}
         container.supply(container.placed(code) if code else "", copies, self._notes.put)
@@ -428,27 +500,6 @@ class Robot:
         """Return the path on the robot of a copy of a file or folder."""
         folder = container.placed(push_content(self.agent.link, source, self._root, "mounts"))
         return f"{folder}/{source.name}" if source.is_file() else folder
-
-    def _greeting(self, keep: str | None) -> Record:
-        table, own = self._table, self._options
-        session = self._session.root.name
-        who = f"{getpass.getuser()} on {os.uname().nodename} (session {session})"
-        return {
-            "who": {"session": session, "robot": self.name, "text": who},
-            "lease": table.lease,
-            "grace": table.grace,
-            "setup": own.setup or None,
-            "stop": own.stop,
-            "stop_limit": table.stop_limit,
-            "battery": own.battery or None,
-            "firmware": own.firmware or None,
-            "calibration": own.calibration or None,
-            "checks": own.checks or (),
-            "topic_rates": dict(own.topic_rates or {}),
-            "variables": dict(own.variables),
-            "keep": [keep] if keep else [],
-            "patience": table.lease + table.grace + 2 * table.stop_limit + SETTLE_S,
-        }
 
     def folders(self) -> dict[str, str]:
         """Return the folders there that names of observed files refer to."""
@@ -491,11 +542,6 @@ class Robot:
                     self.container.engine.sweep([self._session.root.name])
             self.agent.close()
         self.agent.link.close()
-
-
-def _named(name: str, error: SierraError) -> str:
-    text = str(error)
-    return text if text.startswith(f"{name}:") else f"{name}: {text}"
 
 
 def as_json(row: Mapping[str, RecordValue]) -> dict[str, object]:

@@ -80,6 +80,8 @@ class Part:
     """The folder of the run that was pulled from it."""
     problem: str | None = None
     """The reason why nothing was pulled."""
+    refused_stop: str | None = None
+    """The reason why a lost robot, which has come back, may still be moving."""
 
     @property
     def name(self) -> str:
@@ -94,6 +96,11 @@ class Part:
     def end(self) -> worker.End | None:
         """Return the worker's report; None if there is none."""
         return (self.ended or {}).get("end")
+
+    @property
+    def moving(self) -> str | None:
+        """Return why the robot may still be moving; None if it stands still, as far as its agent knows."""
+        return self.refused_stop or (self.ended or {}).get("moving")
 
     @property
     def failure(self) -> str | None:
@@ -165,8 +172,16 @@ class Trial:
             if not self._cancel(f"not all robots were ready: {error}"):
                 raise
         self._supervise()
+        if dead := [part for part in self.parts if part.failure and not part.started]:
+            self._give_up(dead[0])
         self.over = True
         return True
+
+    def _give_up(self, dead: Part) -> None:
+        """Raise Missing for a robot that cannot execute runs, unless the program has begun on another robot."""
+        if not any(part.started for part in self.parts):
+            each(self._disarm, [part for part in self.parts if part.ended])
+            raise Missing(f"{dead.name}: not ready: {dead.failure}")
 
     def _check(self) -> None:
         """Check battery, disk and the declared conditions. Raises Missing."""
@@ -181,6 +196,8 @@ class Trial:
 
     def _unfit(self, found: Record) -> str | None:
         table = self.table
+        for value, reason in found["unread"].items():
+            return f"its {value} cannot be read: {reason}"
         if found["battery"] is not None and found["battery"] < table.battery_min:
             return f"its battery has {found['battery']:g} %, less than battery_min = {table.battery_min:g}"
         if found["disk"] < table.disk_min:
@@ -191,7 +208,7 @@ class Trial:
         def arm(part: Part) -> None:
             part.armed = True
             try:
-                part.agent.ask("arm", ARM_S, attempt=self.attempt, job=part.job)
+                part.agent.ask("arm", ARM_S, attempt=self.attempt, place=part.place, job=part.job)
             except Refused:
                 part.armed = False
                 raise
@@ -330,7 +347,10 @@ class Trial:
 
     def _react(self, part: Part) -> None:
         """Stop the others if a program has failed, or if that of the base station has ended."""
-        if part.failure:
+        if part.moving:
+            self._notice(f"{part.name} may be moving: {part.moving}")
+            self.stop(f"{part.name} may be moving")
+        elif part.failure:
             self.stop(f"{part.name}: {part.failure}")
         elif part.ended and part.ended["why"] and self.stopped is None:
             self.stop(f"{part.name}: {part.ended['why']}")
@@ -351,13 +371,15 @@ class Trial:
                     self._find(part, rejoin(part))
                 if part.started:
                     target = folder / str(part.place)
-                    part.agent.link.pull(f"{part.hello['folder']}/runs/{self.attempt}/1", target)
+                    part.agent.pull(f"{part.hello['folder']}/runs/{self.attempt}/1", target)
                     part.files = target
                 with contextlib.suppress(Refused):
                     part.after = part.agent.ask("check", CHECK_S, checks=False)
                 part.agent.ask("done", attempt=self.attempt)
             except SierraError as error:
                 part.problem = str(error).removeprefix(f"{part.name}: ")
+                if isinstance(error, Refused) and error.about == "stop":
+                    part.refused_stop = part.problem.removeprefix("may be moving: ")
 
         each(self._measure_again, self.parts)
         self.course = self._watch.course()
@@ -378,7 +400,8 @@ class Trial:
         part.hello = hello
         for left in hello["leftovers"]:
             if left["attempt"] == self.attempt:
-                part.ended = as_report(left["report"])
+                report = as_report(left["report"])
+                part.ended = report and {**report, "moving": None}  # it stands still since it was joined again
                 part.started = True
 
     def _each(self, work: Callable[[Part], Made]) -> list[Made]:

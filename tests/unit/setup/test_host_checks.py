@@ -2,41 +2,73 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sierra.links.base import Ended
+from sierra.runners.robots.fleet_table import FleetTable
 from sierra.setup import host_checks
+from sierra.setup.doctor import Check
 from sierra.setup.host_checks import HostToCheck
 from tests.support.local_link import LocalLink
 
 
-@pytest.mark.parametrize(
-    ("host", "said"),
-    [
-        (HostToCheck("tb1", "tb1", setup="export SPEED=1; exit 0"), ("setup", "it ends the shell, by exit or exec")),
-        (
-            HostToCheck("tb1", "tb1", battery=("echo", "12000 mV")),
-            ("battery", "not readable: '12000 mV' is not a charge from 0 to 100 %"),
-        ),
-        (
-            HostToCheck("tb1", "tb1", battery=("echo", "nan")),
-            ("battery", "not readable: 'nan' is not a charge from 0 to 100 %"),
-        ),
-    ],
-)
-def test_values_that_mean_nothing_are_missing(
-    host: HostToCheck, said: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def robot(**declared: Any) -> HostToCheck:
+    fleet = FleetTable(stop=(), fleet={"tb1": {"host": "tb1", **declared}})
+    return HostToCheck("tb1", "tb1", robot=fleet.robot("tb1"), fleet=fleet)
+
+
+def checked(host: HostToCheck, home: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Check]:
+    """Return the checks of a host by name, without the name of the host."""
     monkeypatch.setattr(host_checks, "_hosts", lambda *_: [host])
-    link = LocalLink("tb1", tmp_path / "home")
+    link = LocalLink("tb1", home)
     monkeypatch.setattr(type(host_checks.LINKS), "make", lambda *_: link)
-    missing = [(one.name, one.found) for one in host_checks.all_checks(["tb1"]) if one.state == "missing"]
+    found = {one.name.removeprefix("tb1: "): one for one in host_checks.all_checks(["tb1"])}
     for channel in link.channels:
         with channel.process as process:  # it is awaited, and its pipes are closed
             process.kill()
-    assert missing == [(f"tb1: {said[0]}", said[1])]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("declared", "name", "said"),
+    [
+        ({"setup": "export SPEED=1; exit 0"}, "setup", "its setup line ended the shell (by exit or exec)"),
+        ({"battery": ("echo", "12000 mV")}, "battery", "not readable: '12000 mV' is not a charge from 0 to 100 %"),
+        ({"battery": ("echo", "nan")}, "battery", "not readable: 'nan' is not a charge from 0 to 100 %"),
+        ({"stop": ("motr", "0")}, "stop", "may be moving: the stop command cannot be started: motr: No such file or directory"),
+        (
+            {"stop": ("sh", "-c", "echo no power; exit 3")},
+            "stop",
+            "may be moving: the stop command ended with status 3: no power",
+        ),
+    ],
+)
+def test_what_no_run_could_use_is_missing(
+    declared: dict[str, Any], name: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = checked(robot(**declared), tmp_path / "home", monkeypatch)
+    [missing] = [(key, one.found) for key, one in found.items() if one.state == "missing"]
+    assert missing[0] == name
+    assert missing[1].startswith(said)
+
+
+def test_the_stop_command_is_executed_and_firmware_and_calibration_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibration, stopped = tmp_path / "calibration", tmp_path / "stopped"
+    calibration.write_text("radius: 1\n")
+    declared = {"stop": ("touch", str(stopped)), "firmware": ("echo", "1.4"), "calibration": str(calibration)}
+    found = checked(robot(**declared), tmp_path / "home", monkeypatch)
+    assert {one.state for one in found.values()} == {"ok"}
+    assert stopped.exists()
+    assert found["stop"].found == f"touch {stopped}: succeeds"
+    assert found["firmware"].found == "1.4"
+    assert found["calibration"].found == f"{calibration} {hashlib.sha256(calibration.read_bytes()).hexdigest()[:10]}"
+    assert found["runs"].found == f"a program was executed in {tmp_path}/home/.cache/sierra-robot"
 
 
 @pytest.mark.parametrize("answer", [b"", b"hello\n", b"[]\n", b'{"python": "3"}\n'])

@@ -46,6 +46,7 @@ class Driver:
         argv = [sys.executable, "-I", "-S", str(program), str(folder), lock]
         self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
         self.folder = folder
+        folder.mkdir(exist_ok=True)
         self.attempt = secrets.token_hex(6)
         self.lines = bytearray()
         self.ended = False
@@ -62,8 +63,10 @@ class Driver:
             line, found, rest = self.lines.partition(b"\n")
             if found:
                 self.lines = rest
-                if (record := json.loads(line))["event"] in events:
+                record = json.loads(line)
+                if record["event"] in events:
                     return dict(record)
+                assert record["event"] != "refused", record
                 continue
             if select.select([self.process.stdout], [], [], 0.05)[0]:
                 data = os.read(self.process.stdout.fileno(), 65536)
@@ -245,36 +248,174 @@ def test_everything_ends_within_the_grace_time(agent: Start, code: str):
     driver = agent()
     times = driver.folder / "stops"
     driver.hello(grace=0.3, stop=["sh", "-c", f"echo stop >> {times}"])
+    assert times.read_text() == "stop\n"
 
     def seconds_to_end() -> float:
-        times.unlink(missing_ok=True)
         driver.start(code)
         until(lambda: any(driver.output.iterdir()) or (driver.output.parent / "stdout").read_text(), "the program is on")
+        times.unlink()
         driver.send("stop", attempt=driver.attempt, why="the operator stopped it")
         began = time.monotonic()
         ended = driver.receive("ended")
         took = time.monotonic() - began
         assert ended["why"] == "the operator stopped it"
         assert driver.is_alone()
-        if code is IGNORES:  # it may have moved the robot until it was killed
-            assert times.read_text() == "stop\nstop\n"
+        assert times.read_text() == "stop\nstop\n", "at the first sign, and when the last process is gone"
         driver.discard()
         return took
 
     assert soon(seconds_to_end, 2.5)
 
 
-@pytest.mark.parametrize(
-    ("argv", "limit", "said"),
-    [(["false"], PATIENCE_S, "ended with status 1"), (["sleep", "1000"], 0.2, "did not end within 0.2 s")],
-)
-def test_a_stop_command_that_fails_or_hangs_is_reported(agent: Start, argv: list[str], limit: float, said: str):
+MOVES = """
+import os, signal, sys, time
+def drive():
+    with open("SPEEDS", "a") as file:
+        file.write("0.5\\n")
+for number in (signal.SIGTERM, signal.SIGXCPU):
+    signal.signal(number, lambda *_: end())
+def end():
+    give_up = time.monotonic() + SECONDS
+    while time.monotonic() < give_up:
+        drive()
+        time.sleep(0.02)
+    os._exit(0)
+drive()
+open("on", "w").close()
+HOW
+"""
+"""A controller that sends its speed until it has ended, which takes so long after a signal, as launchers of ROS do."""
+LEAVES = """
+if os.fork() == 0:
+    os.setsid()
+    os.fork()
+    end()
+os._exit(0)
+"""
+
+
+def controller(driver: Driver, how: str = "time.sleep(600)", seconds: float = 0.5) -> str:
+    speeds = str(driver.folder / "speeds")
+    return MOVES.replace("SPEEDS", speeds).replace("SECONDS", str(seconds)).replace("HOW", how)
+
+
+def stands(driver: Driver) -> bool:
+    return (driver.folder / "speeds").read_text().splitlines()[-1] == "0"
+
+
+def stop_of(driver: Driver) -> list[str]:
+    """Return a command that stops the motor, unless there is a file `broken`."""
+    return ["sh", "-c", 'test ! -e "$0/broken" && echo 0 >> "$0/speeds"', str(driver.folder)]
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("how", ["stop", "lease", "agent", "wall", "end", "child", "worker", "exit"])
+def test_a_robot_stands_however_its_run_ends(agent: Start, how: str) -> None:
     driver = agent()
-    driver.hello(grace=0.2, stop=argv, stop_limit=limit)
-    driver.start("import time; time.sleep(60)")
-    driver.send("stop", attempt=driver.attempt, why="a test")
-    assert driver.receive("ended")["problems"] == [f"the stop command {said}"]
+    driver.hello(grace=5.0, stop=stop_of(driver), lease=1.0 if how == "lease" else PATIENCE_S)
+    assert stands(driver)
+    code = {"end": "", "child": LEAVES, "exit": "sys.exit(3)"}.get(how, "time.sleep(600)")
+    limits = {"wall_s": 0.3} if how == "wall" else {}
+    driver.start(controller(driver, code), grace=5.0, **limits)
+    until((driver.output / "on").exists)
+    known = json.loads((driver.output.parents[1] / "process.json").read_text())
+    match how:
+        case "stop":
+            driver.send("stop", attempt=driver.attempt, why="the base station's program has ended")
+        case "agent" | "worker":
+            os.kill(driver.process.pid if how == "agent" else known["pid"], signal.SIGKILL)
+    if how in ("lease", "agent"):
+        driver.process.wait(PATIENCE_S)
+        until(lambda: driver.is_alone() and stands(driver))
+    else:
+        ended = driver.receive("ended")
+        assert ended["moving"] is None
     assert driver.is_alone()
+    assert stands(driver)
+
+
+@pytest.mark.integration
+def test_a_limit_stops_the_robot_before_its_program_has_ended(agent: Start) -> None:
+    driver = agent()
+    stopped = driver.folder / "stopped"
+    driver.hello(stop=["touch", str(stopped)])
+    stopped.unlink()
+    driver.start(IGNORES, grace=60.0, wall_s=0.3)
+    until(stopped.exists)
+    assert not driver.is_alone()
+    driver.send("stop", attempt=driver.attempt, why="the test is over")
+    driver.receive("ended")
+
+
+def test_a_disk_without_room_for_a_file_does_not_hinder_the_stop(agent: Start, tmp_path: Path) -> None:
+    driver = agent()
+    speeds = tmp_path / "speeds"
+    driver.hello(stop=["sh", "-c", f"echo 0 >> {speeds}"])
+    driver.start("import time; time.sleep(600)")
+    speeds.unlink()
+    shutil.rmtree(driver.folder / "runs")
+    (driver.folder / "runs").write_text("no folder any more")
+    driver.send("stop", attempt=driver.attempt, why="the test is over")
+    assert driver.receive("ended")["moving"] is None
+    assert speeds.read_text() == "0\n0\n"
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("exit 1", "ended with status 1"),
+        ("echo no motor; exit 3", "ended with status 3: no motor"),
+        ("sleep 1000", "did not end within 0.2 s"),
+    ],
+)
+def test_a_stop_command_that_fails_or_hangs_is_reported(agent: Start, wrong: str, said: str):
+    driver = agent()
+    broken = driver.folder / "broken"
+    driver.hello(grace=0.2, stop=["sh", "-c", f"test ! -e {broken} || {{ {wrong}; }}"], stop_limit=0.2)
+    driver.start("import time; time.sleep(60)")
+    broken.touch()
+    driver.send("stop", attempt=driver.attempt, why="a test")
+    ended = driver.receive("ended")
+    assert ended["problems"] == [f"the stop command {said}"]
+    assert ended["moving"] == f"the stop command {said}"
+    assert driver.is_alone()
+    driver.send("bye")
+    driver.process.wait(PATIENCE_S)
+    after = agent()
+    after.send("hello", who={}, stop=["sh", "-c", wrong], stop_limit=0.2)
+    assert after.receive("refused")["reason"] == f"may be moving: the stop command {said}"
+
+
+def test_a_stop_command_is_executed_though_the_setup_line_fails(agent: Start) -> None:
+    driver = agent()
+    driver.send("hello", who={}, setup="false", stop=stop_of(driver))
+    assert driver.receive("refused")["reason"] == "its setup line ended with status 1: "
+    assert stands(driver)
+
+
+def test_a_robot_that_cannot_execute_programs_is_refused(agent: Start) -> None:
+    driver = agent()
+    (driver.folder / "probe.sh").mkdir()
+    driver.send("hello", who={})
+    assert "probe.sh: Is a directory" in driver.receive("refused")["reason"]
+
+
+@pytest.mark.integration
+def test_a_worker_executes_several_runs(agent: Start) -> None:
+    driver = agent()
+    driver.hello()
+    pids = set()
+    for number in range(3):
+        driver.start(f"open('x', 'w').write('{number}')")
+        ended = driver.receive("ended")
+        assert [file["path"] for file in ended["end"]["outputs"]] == ["x"]
+        assert (driver.output / "x").read_text() == str(number)
+        pids.add(json.loads((driver.output.parents[1] / "process.json").read_text())["pid"])
+        driver.discard()
+    assert len(pids) == 1
 
 
 def test_a_robot_has_one_driver(agent: Start):
@@ -288,11 +429,12 @@ def test_a_robot_has_one_driver(agent: Start):
     assert second.hello()["leftovers"] == []
 
 
+@pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize("step", ["armed", "gated", "started", "gone"])
-def test_what_a_killed_agent_leaves_is_ended_and_removed(agent: Start, step: str):
+def test_what_a_killed_agent_leaves_is_ended_and_reported(agent: Start, step: str):
     driver = agent()
-    stopped = driver.folder / "stopped"
-    driver.hello(grace=0.2)
+    driver.hello(grace=0.2, stop=stop_of(driver))
     driver.arm(DAEMON, grace=0.2)
     if step != "armed":
         driver.go(30 if step == "gated" else 0.1)
@@ -302,30 +444,50 @@ def test_what_a_killed_agent_leaves_is_ended_and_removed(agent: Start, step: str
     driver.process.send_signal(signal.SIGKILL)
     driver.process.wait()
     pid = json.loads((driver.output.parents[1] / "process.json").read_text())["pid"]
-    if step == "gone":  # the worker ends its run without its agent, but the robot may still move
+    if step == "gone":
         until(lambda: driver.is_alone() and has_ended(pid))
     after = agent()
-    hello = after.hello(stop=["touch", str(stopped)])
-    assert [one["attempt"] for one in hello["leftovers"]] == [driver.attempt]
-    assert stopped.exists() or not (step == "gone" or hello["leftovers"][0]["ended"])
+    hello = after.hello(stop=stop_of(driver))
+    assert [(one["attempt"], one["report"]) for one in hello["leftovers"]] == [(driver.attempt, None)]
+    assert hello["leftovers"][0]["who"]["session"] == driver.attempt
     assert driver.is_alone()
-    assert list((driver.folder / "runs").iterdir()) == []
+    assert stands(driver)
     until(lambda: has_ended(pid), "the worker is gone, which would start the run")
-    assert not driver.output.exists()
+    assert (driver.output / "daemon").exists() == (step in ("started", "gone")), "nothing starts later, and nothing is lost"
+    after.send("done", attempt=driver.attempt)
+    after.receive("removed")
+    assert list((driver.folder / "runs").iterdir()) == []
 
 
-def test_a_run_of_another_boot_is_removed_with_a_stop_and_its_process_id_belongs_to_another(agent: Start) -> None:
+@pytest.mark.integration
+def test_the_stop_of_a_killed_agent_does_not_disturb_the_next_run(agent: Start) -> None:
     driver = agent()
-    stopped, folder = driver.folder / "stopped", driver.folder / "runs" / "0"
+    log = driver.folder / "log"
+    slow = ["sh", "-c", f"echo begin >> {log}; sleep 0.5; echo end >> {log}"]
+    driver.hello(stop=slow)
+    driver.start("import time; time.sleep(600)")
+    driver.process.kill()
+    driver.process.wait()
+    after = agent()
+    after.hello(stop=slow)
+    lines = log.read_text()
+    assert lines.splitlines() == ["begin", "end"] * (lines.count("begin"))
+    time.sleep(1.5)
+    assert log.read_text() == lines
+
+
+def test_the_process_id_of_a_run_of_another_boot_belongs_to_another(agent: Start) -> None:
+    driver = agent()
+    folder = driver.folder / "runs" / "0"
     folder.mkdir(parents=True)
     with subprocess.Popen(["sleep", "60"], env={**os.environ, "SIERRA_EXECUTION": driver.attempt}) as other:
         try:
             known = {"pid": other.pid, "born": worker.birth(other.pid), "executions": [driver.attempt], "client": None}
             (folder / "process.json").write_text(json.dumps({**known, "boot": "another"}))
-            [left] = driver.hello(stop=["sh", "-c", f"echo stop >> {stopped}; exit 3"])["leftovers"]
-            assert left == {"attempt": "0", "ended": 0, "report": None, "problems": ["the stop command ended with status 3"]}
-            assert stopped.read_text() == "stop\n"
-            assert not folder.exists()
+            [left] = driver.hello(stop=stop_of(driver))["leftovers"]
+            unknown = dict.fromkeys(("report", "who", "execution", "place"))
+            assert left == {"attempt": "0", "ended": 0, "files": False, **unknown}
+            assert stands(driver)
             assert other.poll() is None
         finally:
             other.kill()
@@ -339,11 +501,11 @@ def test_refusals_are_one_line(agent: Start, tmp_path: Path):
     assert driver.receive("refused")["reason"].startswith("its setup line ended the shell (by exit or exec), so that the var")
     driver.hello(battery=str(tmp_path / "battery"), checks=[["sh", "-c", "echo no topic; exit 3"]])
     driver.send("check")
-    assert driver.receive("refused")["reason"] == f"{tmp_path}/battery: No such file or directory"
+    assert driver.receive("checked")["unread"] == {"battery": f"{tmp_path}/battery: No such file or directory"}
     for words in ("nan", "-1", "12000 mV"):  # the lowest charge that is allowed would let nan and millivolts pass
         (tmp_path / "battery").write_text(words)
         driver.send("check")
-        assert driver.receive("refused")["reason"] == f"its battery cannot be read: {words!r} is not a charge from 0 to 100 %"
+        assert driver.receive("checked")["unread"] == {"battery": f"{words!r} is not a charge from 0 to 100 %"}
     (tmp_path / "battery").write_text("81%\n")
     driver.send("check")
     checked = driver.receive("checked")
@@ -353,14 +515,14 @@ def test_refusals_are_one_line(agent: Start, tmp_path: Path):
     calibration = tmp_path / "calibration.yaml"
     driver.hello(firmware=["echo", "1.4", "2"], calibration=str(calibration))
     driver.send("check")
-    assert driver.receive("refused")["reason"] == f"its calibration cannot be read: {calibration}: No such file or directory"
+    assert driver.receive("checked")["unread"] == {"calibration": f"{calibration}: No such file or directory"}
     calibration.write_text("radius: 1\n")
     driver.send("check")
     checked = driver.receive("checked")
     assert (checked["firmware"], checked["calibration"]) == ("1.4 2", hashlib.sha256(b"radius: 1\n").hexdigest())
     driver.hello(firmware=["true"])
     driver.send("check")
-    assert driver.receive("refused")["reason"] == "its firmware cannot be read: true: status 0"
+    assert driver.receive("checked")["unread"] == {"firmware": "true: status 0"}
     driver.send("at", attempt="x", at=0)
     assert driver.receive("refused")["reason"] == "attempt x is not armed"
     assert driver.process.stdin

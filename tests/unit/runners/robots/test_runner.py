@@ -56,12 +56,15 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
 
 
 def soon_over(fleet: Fleet) -> None:
-    """Let a robot that hears nothing end its run soon, in a test that waits for this."""
-    fleet.table = fleet.table.model_copy(update={"lease": 3.0})
+    """Let a robot that hears nothing end its run soon, in a test that waits for this; no program is killed."""
+    fleet.table = fleet.table.model_copy(update={"lease": 3.0, "grace": PATIENCE_S})
 
 
-def is_alone(number: int) -> bool:
-    return not worker.marked([b"SIERRA_EXECUTION=" + f"{number:064d}".encode()])
+def is_alone(fleet: Fleet, number: int) -> bool:
+    """Return whether no process of a run is alive. Other tests may have runs with this number at the same time."""
+    folder = str(fleet.code.parent).encode()
+    processes = worker.marked([b"SIERRA_EXECUTION=" + f"{number:064d}".encode()])
+    return not [pid for pid in processes if folder in b"".join(worker.environment_of(pid))]
 
 
 @pytest.mark.integration
@@ -156,13 +159,13 @@ def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
 def test_a_look_tells_that_a_run_is_being_stopped_and_then_that_its_files_are_collected(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ):
-    plain = LocalLink.pull
+    plain = AgentLink.pull
 
-    def pull(link: LocalLink, folder: str, target: Path) -> None:
+    def pull(agent: AgentLink, folder: str, target: Path) -> None:
         time.sleep(0.3)
-        plain(link, folder, target)
+        plain(agent, folder, target)
 
-    monkeypatch.setattr(LocalLink, "pull", pull)
+    monkeypatch.setattr(AgentLink, "pull", pull)
     states: list[tuple[bool, bool]] = []
     take = fleet.take
 
@@ -280,7 +283,7 @@ def test_a_failed_program_stops_the_others(fleet: Fleet):
     assert result.error.endswith("; the others were stopped")
     assert "2/here.csv" in [file.path for file in result.outputs]
     assert fleet.rows_by_place[2]["status"] == "failed"
-    assert is_alone(1)
+    assert is_alone(fleet, 1)
 
 
 @pytest.mark.integration
@@ -416,7 +419,7 @@ def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fl
     assert result.error == "bob was lost: its agent has ended; its outputs are missing; the others were stopped"
     assert [file.path for file in result.outputs] == ["1/here.csv", "3/here.csv"]
     assert fleet.rows_by_place[2]["status"] == "lost"
-    until(lambda: is_alone(1), "all processes are gone")
+    until(lambda: is_alone(fleet, 1), "all processes are gone")
 
     fleet.links["bob"].off = False
     [again] = fleet.run(job(2))
@@ -428,6 +431,8 @@ def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
     soon_over(fleet)
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
     fleet.all_begun()
+    for link in fleet.links.values():
+        (link.home / "stopped").unlink()
     fleet.links["cy"].stall()
     until(lambda: list(fleet.links["cy"].home.rglob("ended.json")), "it has stopped by itself")
     assert list(fleet.links["cy"].home.rglob("stopped"))
@@ -438,7 +443,7 @@ def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
     assert "cy was lost: no answer for " in result.error
     assert "3/here.csv" in [file.path for file in result.outputs]
     assert "cy does not answer; its run goes on for 3 s at most, its lease" in fleet.notes
-    assert is_alone(1)
+    assert is_alone(fleet, 1)
 
 
 @pytest.mark.integration
@@ -448,7 +453,7 @@ def test_stopping_ends_all_robots(fleet: Fleet):
     runner.stop()
     [result] = fleet.follow(runner)
     assert result.stopped == "interrupted"
-    assert is_alone(1)
+    assert is_alone(fleet, 1)
 
 
 @pytest.mark.integration
@@ -521,7 +526,7 @@ def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
     assert fleet.follow(runner) == []
     assert fleet.rows == []
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
-    until(lambda: is_alone(1), "all are disarmed")
+    until(lambda: is_alone(fleet, 1), "all are disarmed")
 
 
 @pytest.mark.parametrize("fault", [LocalLink.kill, pytest.param(LocalLink.stall, marks=pytest.mark.integration)])
@@ -532,7 +537,7 @@ def test_a_robot_that_is_lost_while_a_run_is_held_back_is_told_at_once(fleet: Fl
     with pytest.raises(Missing, match=r"^bob: was ready, but cannot start any more: (its agent has ended|no answer for )"):
         fleet.follow(runner)
     assert not fleet.begun()
-    until(lambda: is_alone(1), "all are disarmed")
+    until(lambda: is_alone(fleet, 1), "all are disarmed")
 
 
 @pytest.mark.parametrize(
