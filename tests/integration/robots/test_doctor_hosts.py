@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests import projects
 from tests.support.robot_fleet import Fleet
+from tests.support.robot_project import STOP
 
 
 @pytest.fixture
@@ -71,15 +73,39 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
     assert (found["first: battery"]["state"], found["first: battery"]["found"]) == ("missing", "12 %")
     assert found["first: battery"]["remedy"] == "charge it: 20 % are needed"
     assert (found["second: battery"]["state"], found["second: battery"]["found"]) == ("ok", "85 %")
-    assert found["first: firmware"]["found"] == "not readable: no board"
-    assert "first: calibration" not in found
+    assert found["first: firmware"]["found"] == "not readable: sh -c echo no board >&2; false: no board"
+    assert found["first: calibration"]["found"].startswith("~/charge ")
     assert found["second: calibration"]["found"] == "not readable: /home/robot/charge: No such file or directory"
-    assert "second: firmware" not in found
+    assert found["second: firmware"] == {**found["second: firmware"], "state": "ok", "found": "1.4"}
+    assert found["second: stop"]["found"] == "needs no command"
     assert found["second: time zone"]["found"] == "UTC+5.75 h now"
     assert "/opt/ros/none.bash: No such file" in found["third: setup"]["found"]
     assert found["second: disk"]["remedy"] == "free some space: 1000 MB are needed"
     assert not {"base: battery", "base: firmware", "base: calibration", "base: setup"} & found.keys()
     assert {name.partition(":")[0] for name in checks(project, "second", code=3)} == {"second"}
+
+
+def test_a_robot_is_checked_as_runs_use_it(project: Path, fleet: Fleet) -> None:
+    one, other, third = fleet.names
+    for name, robot in fleet.robots.items():
+        subprocess.run(["sh", "-c", f"echo 0.5 > {robot.own}/motor"], check=True)
+        fleet.motors[name].moves()
+    with (project / "sierra.toml").open("a") as file:
+        file.write(
+            f"[runners.robots]\nstop = {json.dumps(STOP)}\n[runners.robots.fleet]\n"
+            f'first = {{ host = "{one}" }}\nsecond = {{ host = "{other}", stop = ["motr", "0"] }}\n'
+            f'third = {{ host = "{third}" }}\n'
+        )
+    fleet.robots[third].changed = True
+    fleet.enter(third, "mount", "-o", "remount,bind,noexec", "/home")
+    found = checks(project, code=3)
+    assert found["first: stop"]["state"] == found["first: runs"]["state"] == "ok"
+    assert (
+        found["second: stop"]["found"] == "may be moving: the stop command cannot be started: motr: No such file or directory"
+    )
+    assert found["second: stop"]["remedy"] == "stop the robot by hand, and correct stop in sierra.toml"
+    assert found["third: runs"]["found"].startswith("cannot execute programs in /home/robot/.cache/sierra-robot: ")
+    assert {name: motor.speed for name, motor in fleet.motors.items()} == {one: 0.0, other: 0.5, third: 0.0}
 
 
 @pytest.mark.nightly

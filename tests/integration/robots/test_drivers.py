@@ -19,7 +19,7 @@ from tests import projects
 from tests.support import robot_project
 from tests.support.killed_driver import NAMES
 from tests.support.robot_fleet import GUEST, Fleet
-from tests.support.robot_project import all_busy, all_idle, answered, drive
+from tests.support.robot_project import all_busy, all_idle, all_stand, answered, drive, over_openssh
 from tests.terminals import Terminal
 from tests.tiers import at_night
 from tests.waiting import PATIENCE_S, until
@@ -34,15 +34,14 @@ STEPS |= {f"SIGINT {name} 3" for name in NAMES} | {
 @pytest.fixture
 def project(fleet: Fleet, tmp_path: Path) -> Iterator[Path]:
     yield robot_project.make(fleet, tmp_path)
-    all_idle(fleet)
+    all_stand(fleet)
 
 
 def test_robots_stop_when_their_driver_is_killed(project: Path, fleet: Fleet):
     with drive(project) as process:
         all_busy(fleet, process)
         process.kill()
-    all_idle(fleet)
-    assert all((robot.home / "stops").exists() for robot in fleet.robots.values())
+    all_stand(fleet)
     answered(project)
 
 
@@ -54,9 +53,7 @@ def test_a_driver_that_ends_at_a_step_leaves_nothing_that_moves(project: Path, f
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode in ({-signal.SIGKILL} if number == "SIGKILL" else {130, 0}), errors
     assert "fault" not in errors
-    all_idle(fleet)
-    moved = [robot for robot in fleet.robots.values() if list(robot.home.rglob("swarm.csv"))]
-    assert all((robot.home / "stops").exists() for robot in moved)
+    all_stand(fleet)
     answered(project, ticks=5)
     assert projects.quick(project, "fsck").returncode == 0
 
@@ -134,25 +131,14 @@ def test_fleets_that_share_a_robot_and_users_of_it_take_turns(
         assert projects.quick(other, "fsck").returncode == 0
 
 
-def over_openssh(project: Path, fleet: Fleet, options: str = "") -> None:
-    """Let the runs of a project use the link `openssh`."""
-    config = project / "sierra.toml"
-    config.write_text(
-        config.read_text()
-        .replace("grace =", 'link = "openssh"\ngrace =')
-        .replace("[links.fabric]", f"[links.openssh]\nlost = 4\n{options}")
-    )
-
-
 @pytest.mark.nightly
 def test_drivers_over_openssh_are_killed_and_lose_a_radio(project: Path, fleet: Fleet) -> None:
-    over_openssh(project, fleet)
+    over_openssh(project)
     robot_project.move(project, 50)
     with drive(project) as process:
         all_busy(fleet, process)
         process.kill()
-    all_idle(fleet)
-    assert all((robot.home / "stops").exists() for robot in fleet.robots.values())
+    all_stand(fleet)
     for folder in [one for robot in fleet.robots.values() for one in robot.home.rglob("runs/*")]:
         shutil.rmtree(folder)
     with drive(project) as process:
@@ -172,7 +158,7 @@ PASSPHRASE = "open sesame"
 
 def with_passphrase(project: Path, fleet: Fleet) -> tuple[Terminal, str]:
     """Start a driver in a terminal, over OpenSSH with a locked key; return the terminal and the question of the client."""
-    over_openssh(project, fleet)
+    over_openssh(project)
     robot_project.move(project, 5)
     locked = fleet.folder / "locked"
     shutil.copy(fleet.key, locked)
@@ -215,7 +201,7 @@ def test_ssh_asks_nothing_after_ctrl_c(project: Path, fleet: Fleet, answered: in
 def test_connections_that_the_user_has_opened_are_used(
     project: Path, fleet: Fleet, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    over_openssh(project, fleet)
+    over_openssh(project)
     robot_project.move(project, 5)
     sockets = tmp_path_factory.mktemp("s")
     config = project / "sierra.toml"

@@ -1,6 +1,6 @@
 """Faults around whole runs on robots, by `sierra run --on robots` as a process.
 
-After each fault, every robot has stopped, everything is recorded once, and the same query executes what is missing.
+After each fault, every robot stands still, everything is recorded once, and the same query executes what is missing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import pytest
 from tests import projects
 from tests.support import robot_project
 from tests.support.robot_fleet import Fleet, Proxy
-from tests.support.robot_project import LEASE_S, RUN, all_busy, all_idle, answered, drive, rows_of
+from tests.support.robot_project import LEASE_S, RUN, all_busy, all_stand, answered, drive, rows_of
 from tests.tiers import at_night
 from tests.waiting import PATIENCE_S, until
 
@@ -130,7 +130,7 @@ FAST = ("refused login",)
 @pytest.fixture
 def project(fleet: Fleet, tmp_path: Path) -> Iterator[Path]:
     yield robot_project.make(fleet, tmp_path / "project", 5)
-    all_idle(fleet)
+    all_stand(fleet)
 
 
 def stopped_at(project: Path, step: str) -> subprocess.Popen[str]:
@@ -162,16 +162,16 @@ def test_after_a_fault_all_stop_and_the_same_query_does_what_is_missing(fleet: F
         process = stopped_at(project, fault.step)
     else:
         all_busy(fleet, process := drive(project))
+    since = time.monotonic()
     fault.happen(fleet)
     code, errors = ended(process)
     assert (code, bool(re.search(fault.said, errors))) == (fault.code, True), errors
-    all_idle(fleet)
+    all_stand(fleet, since)
     assert rows_of(project, fault.statement) == fault.rows
     fault.mend(fleet)
     answered(project, ticks)
+    all_stand(fleet, since)
     assert projects.quick(project, "fsck").returncode == 0
-    if name == "restart":  # its stop command is executed for the run that was cut off, and after both good ones
-        assert (fleet.robots["rb2"].home / "stops").read_text().count("\n") == 3
 
 
 @pytest.mark.nightly
@@ -183,7 +183,7 @@ def test_programs_that_ignore_sigterm_are_ended_with_their_driver(project: Path,
     process.send_signal(signal.SIGINT)
     code, errors = ended(process)
     assert code == 130, errors
-    all_idle(fleet)
+    all_stand(fleet)
     assert rows_of(project, "SELECT count(*) FROM executions") == [(0,)], "of a run that the user ends, nothing is recorded"
     answered(project, ticks=50)
     assert projects.quick(project, "fsck").returncode == 0
@@ -216,7 +216,7 @@ def test_a_full_disk_of_this_machine_loses_no_record(
     [line] = [line for line in errors.splitlines() if line.startswith("sierra: ")]
     assert line.startswith(f"sierra: cannot write to {store}/work/")
     assert line.endswith(": No space left on device")
-    all_idle(fleet)
+    all_stand(fleet)
     os.truncate(store / "full", (store / "full").stat().st_size - 500_000)
     refused = projects.quick(project, *RUN)
     assert refused.returncode == 3
@@ -278,7 +278,7 @@ def test_a_slow_link_that_stalls_is_used_and_one_that_is_cut_stops_all(fleet: Fl
         until(lambda: rows_of(project, "SELECT status FROM executions"), "the first run is recorded", 60)
         all_busy(fleet, process)
         proxy.cut()
-        all_idle(fleet)
+        all_stand(fleet)
         code, _ = ended(process)
         assert code == 1
         found = rows_of(project, "SELECT status, reason LIKE 'rb2 was lost: %' FROM executions ORDER BY started")
@@ -303,38 +303,42 @@ def test_a_power_cut_while_outputs_are_pulled_fails_the_run(project: Path, fleet
     assert (status, str(reason).partition(": ")[0]) == ("failed", "rb2 has kept its outputs")
     problems = "SELECT place, reason IS NULL, clock_remark FROM robots ORDER BY place"
     assert rows_of(project, problems) == [(1, True, None), (2, False, None), (3, True, None)]
-    all_idle(fleet)
+    all_stand(fleet)
     fleet.boot("rb2")
     answered(project, ticks=5)
     assert projects.quick(project, "fsck").returncode == 0
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("stop", "said"), [('["false"]', "ended with status 1"), ('["sleep", "60"]', "did not end within 0.5 s")]
-)
-def test_a_stop_command_that_fails_or_hangs_is_told(project: Path, fleet: Fleet, stop: str, said: str) -> None:
-    config = project / "sierra.toml"
-    good = config.read_text()
-    line = next(line for line in good.splitlines() if line.startswith("stop = "))
-    config.write_text(good.replace(line, f"stop = {stop}\nstop_limit = 0.5"))
+def test_what_a_lost_robot_has_measured_is_collected_when_it_is_used_again(fleet: Fleet, tmp_path: Path) -> None:
+    project = robot_project.make(fleet, tmp_path / "project", ticks=600)
+    process = drive(project, (*RUN, "--runs", "1"))
+    all_busy(fleet, process)
+    measured = fleet.robots["rb2"].home
+    until(lambda: [path for path in measured.rglob("swarm.csv") if path.read_text().count("\n") > 3], "it has measured", 60)
+    fleet.power_cut("rb2")
+    code, errors = ended(process)
+    assert code == 1, errors
+    [(execution, reason)] = rows_of(project, "SELECT execution, reason FROM executions")
+    assert str(reason).startswith("rb2 was lost: ")
+    [kept] = measured.rglob("swarm.csv")
+    text = kept.read_text()
+    robot_project.move(project, 3)
+    missing = projects.quick(project, *RUN, "--runs", "1")
+    assert missing.returncode == 3
+    fleet.boot("rb2")
     done = projects.quick(project, *RUN, "--runs", "1")
     assert done.returncode == 0, done.stderr
-    assert {f"note: {name}: the stop command {said}" for name in fleet.names} <= set(done.stderr.splitlines())
-    assert rows_of(project, "SELECT place, status, reason FROM robots ORDER BY place") == [
-        (place, "ok", f"the stop command {said}") for place in (1, 2, 3)
-    ]
-    all_idle(fleet)
-    robot_project.move(project, 600)
-    with drive(project) as process:
-        all_busy(fleet, process)
-        process.kill()
-    all_idle(fleet)
-    robot_project.move(project, 5)
-    done = projects.quick(project, *robot_project.QUERY)
-    assert done.returncode == 0, done.stderr
-    for name in fleet.names:
-        assert f"note: {name}: after an earlier run, the stop command {said}" in done.stderr.splitlines()
-    config.write_text(good)
-    answered(project, ticks=5)
+    assert (
+        f"note: rb2: collected what it had measured in a run of which it was lost; sierra files {execution[:10]}" in done.stderr
+    )
+    late = f"SELECT path, kind FROM artifacts WHERE execution = '{execution}' AND path LIKE 'late/2/output/%'"
+    assert rows_of(project, late) == [("late/2/output/swarm.csv", "log")]
+    assert projects.quick(project, "files", str(execution), "late/2/output/swarm.csv").stdout == text
+    assert rows_of(project, "SELECT status, count(*) FROM executions GROUP BY ALL ORDER BY ALL") == [("failed", 1), ("ok", 1)]
     assert projects.quick(project, "fsck").returncode == 0
+    assert not list(measured.rglob("swarm.csv"))
+    all_stand(fleet)
+    [(batch,)] = rows_of(project, f"SELECT batch FROM executions WHERE execution = '{execution}'")
+    assert projects.quick(project, "rm", str(batch), "--yes").returncode == 0
+    assert projects.quick(project, "fsck").returncode == 0
+    assert rows_of(project, "SELECT count(*) FROM artifacts WHERE path LIKE 'late/%'") == [(0,)]

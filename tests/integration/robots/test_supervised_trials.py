@@ -34,13 +34,13 @@ countdown = 0
 fleet = {{ {fleet} }}
 link_options = {{ ssh_config = "{config}" }}
 disk_min = 1000000
-stop = ["sh", "-c", "echo stopped >> ~/stops; echo 64 > ~/battery"]
+stop = ["sh", "-c", "! ls ~/.cache/sierra-robot/runs/*/1/output/* || echo 64 > ~/battery"]
 battery = "/home/robot/battery"
 firmware = ["cat", "/home/robot/firmware"]
 calibration = "~/calibration.yaml"
 """
 BATTERIES = {"rb1": 81, "rb2": 79}
-"""The charges of the robots in percent; each stop command makes them 64."""
+"""The charges of the robots in percent; the stop command after a run makes them 64."""
 RUN = ("run", "population_size=1", "--on", "robots", "--operator", "Ann", "--no-figures")
 ROBOT = """\
 import pathlib, sys, time
