@@ -55,6 +55,7 @@ CONTENTS = {
         "explanation/identity",
         "explanation/store-format",
         "explanation/execution",
+        "explanation/standstill",
         "explanation/observation",
         "explanation/cluster-protocol",
         "explanation/argos",

@@ -13,6 +13,7 @@ import os
 import random
 import shutil
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -33,6 +34,8 @@ from tests.terminals import Terminal  # noqa: E402
 from tests.waiting import until  # noqa: E402
 
 TRIALS, BEGINS, KEYS, SILENCES = 100, 20, 20, 3
+MANY, MANY_RUNS = 12, 20
+DRIVE = 'import time; time.sleep(1.1); open("way.csv", "w").write("t,x\\n0,1\\n")'
 PROJECT = """
 template = "arena.xml"
 command = {command}
@@ -85,6 +88,7 @@ def main() -> None:
     if os.geteuid() != 0 or not all(shutil.which(one, path=os.environ["PATH"] + ":/usr/sbin:/sbin") for one in PROGRAMS):
         print(f"robots: not measured, because this needs root and {', '.join(PROGRAMS)}")
         return
+    many()
     with Fleet() as fleet, tempfile.TemporaryDirectory() as folder:
         options = LinkOptions(ssh_config=str(fleet.ssh_config))
         homes = {name: robot.home for name, robot in fleet.robots.items()}
@@ -100,6 +104,40 @@ def main() -> None:
                 begins(fleet, Path(folder) / engine, engine)
             else:
                 print(f"start in containers of {engine}: not measured, because it is not installed")
+
+
+def many() -> None:
+    """Measure what is added to runs of 1.1 s on twelve robots, and what plain SSH over open connections adds."""
+    with Fleet(MANY) as fleet, tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "many"
+        projects.make(root, configured(fleet, ["python3", "{project}/drive.py"], STOP).replace("lease", "#"))
+        (root / "drive.py").write_text(DRIVE)
+        query = ("run", f"population_size={MANY}", "--runs", str(MANY_RUNS), "--on", "robots", "--no-figures")
+        done = projects.quick(root, *query)
+        assert done.returncode == 0, done.stderr
+        starts = [row["started"] for row in projects.sql(root, "SELECT epoch(started) AS started FROM executions ORDER BY 1")]
+        own = statistics.mean(after - before for before, after in pairwise(starts))
+        plain = statistics.mean(over_ssh(fleet, Path(folder), number) for number in range(MANY_RUNS))
+        show(f"{MANY} robots, {MANY_RUNS} runs of 1.1 s: time of a run", own, "s", "2 x plain SSH")
+        show("  plain SSH over open connections", plain, "s", "-")
+        show("  ratio", own / plain, "", "2")
+
+
+def over_ssh(fleet: Fleet, folder: Path, number: int) -> float:
+    """Execute the program on all robots over open connections, and copy what it has left; return the seconds that it takes."""
+    client = ["ssh", "-F", str(fleet.ssh_config), "-o", "ControlMaster=auto", "-o", f"ControlPath={folder}/%h"]
+    client += ["-o", "ControlPersist=60"]
+    argv = {name: [*client, name, f"mkdir -p plain && cd plain && python3 -c '{DRIVE}'"] for name in fleet.names}
+    began = time.monotonic()
+    for one in [subprocess.Popen(argv[name], stdout=subprocess.DEVNULL) for name in fleet.names]:
+        assert one.wait() == 0
+    copies = [folder / f"{name}.{number}" for name in fleet.names]
+    for name, copy in zip(fleet.names, copies, strict=True):
+        with copy.open("wb") as file:
+            subprocess.Popen([*client, name, "cat plain/way.csv"], stdout=file)
+    while not all(copy.stat().st_size for copy in copies):
+        time.sleep(0.005)
+    return time.monotonic() - began
 
 
 def trials(runs: Runs) -> None:
