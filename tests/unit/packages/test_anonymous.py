@@ -132,7 +132,8 @@ def test_an_anonymous_package_shows_nobody_and_works_as_others_do(root: Path, tm
     assert packed is not None
     assert any("Jane Doe" in word for word in packed.preview.searched)
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, check=True, capture_output=True, text=True).stdout.strip()
-    words = (*WORDS, "New_York", str(root.parent), commit[:12], str(Path(sys.executable).parent), "20" + "26-")
+    [month] = project.sql("SELECT strftime(min(started), '%Y-%m-') AS month FROM executions").to_pylist()
+    words = (*WORDS, "New_York", str(root.parent), commit[:12], str(Path(sys.executable).parent), month["month"])
     host = socket.gethostname()
     words += (host,) if len(host) > 4 else ()
     seen = [
