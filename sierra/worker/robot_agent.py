@@ -363,7 +363,7 @@ class Run:
         self.owed = True
         """True if the stop command must be executed once more when no process is left."""
         self.stops = 0
-        """How often it was executed because no process was left."""
+        """The number of executions after the last process was gone."""
         self.give_up: float | None = None
         """When processes that were killed are not waited for any more."""
         self.immortal = False
@@ -391,7 +391,7 @@ class Run:
             "grace": grace,
             "guard": guard,
         }
-        """What another process needs to know to end the run."""
+        """The data with which another process can end the run."""
         write_whole(os.path.join(folder, PROCESS), self.known)
         self.tell_worker({"folder": folder}, {**self.job, "waits": True})
 

@@ -17,7 +17,7 @@ TAIL_BYTES = 400
 
 
 class Condition:
-    """What a fleet declares about the condition of one robot, and measurements of it."""
+    """The declared condition of one robot, and measurements of it."""
 
     def __init__(
         self,
