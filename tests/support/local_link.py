@@ -7,6 +7,7 @@ import os
 import secrets
 import select
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +20,7 @@ from sierra.links.commands import Commands, Lines
 from sierra.links.process_stream import ProcessStream
 from sierra.runners.robots.agent_link import LOCK
 from sierra.runners.robots.push import content_name
+from sierra.worker import worker
 
 
 class LocalChannel:
@@ -176,10 +178,12 @@ class LocalLink:
             channel.close()
 
     def kill(self) -> None:
-        """Kill all agents, as a robot without power."""
+        """Kill all processes of the robot, as a robot without power."""
         self.off = True
         for channel in self.channels:
-            channel.process.kill()
+            running = worker.descendants(channel.process.pid) if channel.process.poll() is None else []
+            for pid in reversed(running):  # the guard before its agent
+                worker.signal_process(pid, signal.SIGKILL)
             channel.process.wait()
             channel.close()
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -112,9 +114,15 @@ class Runs:
         return {row["place"]: row for table, row in self.rows if table == "robots"}
 
 
+def execution_of(number: int) -> str:
+    """Return the id of the execution of a run of this test. Agents end all processes that have the id of a leftover run."""
+    test = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" (")[0]
+    return hashlib.sha256(f"{os.getpid()} {test} {number}".encode()).hexdigest()
+
+
 def job(number: int, *words: str, robots: int = 3, base: bool = False, python: str = "python3") -> Job:
     """Return a run of GO. `words` are pairs of a place and its action: an exit status, a word that GO knows."""
-    execution = f"{number:064d}"
+    execution = execution_of(number)
     places = range(0 if base else 1, robots + 1)
     own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}
     members = tuple(

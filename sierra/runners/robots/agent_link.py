@@ -56,7 +56,7 @@ class _Pieces:
         self._closed = threading.Event()
 
     def send(self, data: bytes, timeout: float) -> None:
-        self._agent.request("pull", self.number, line=data.decode().rstrip("\n"))
+        self._agent.tell("pull", id=self.number, line=data.decode().rstrip("\n"))
 
     def read(self, timeout: float) -> tuple[int, bytes] | None:
         """Return the next piece; None at the end. Raises TimeoutError, Missing, Unreachable."""
@@ -135,12 +135,8 @@ class AgentLink:
         return record
 
     def tell(self, do: str, **fields: Any) -> None:
-        """Send a request without an answer."""
+        """Send a request, and wait for no answer."""
         self._put({"do": do, **fields})
-
-    def request(self, do: str, number: int, **fields: Any) -> None:
-        """Send a request with this number, which its answers repeat."""
-        self._put({"do": do, "id": number, **fields})
 
     def pull(self, folder: str, target: Path, timeout: float = 60.0) -> None:
         """Copy a folder of the robot as `Link.pull` does, by the agent that executes anyway unless it is large."""

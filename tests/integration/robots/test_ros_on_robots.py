@@ -25,7 +25,7 @@ from tests.waiting import until
 
 TABLES = re.compile(r"(?ms)^```toml\n(\[runners\.robots\]\n.*?)^```$")
 VELOCITIES = "/home/robot/velocities"
-"""What the drivers of a robot were told: a time of CLOCK_MONOTONIC, a speed and a turn in each line."""
+"""The commands that the drivers of a robot got: a time of CLOCK_MONOTONIC, a speed and a turn in each line."""
 TOLD = "    command, commanded = message, time.monotonic()\n"
 """The line of the stand-in for the drivers that takes a velocity."""
 RUN = ("run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")

@@ -29,7 +29,7 @@ from sierra.util.kept_log import kept_of
 from sierra.worker import worker
 from tests.pythons import python_of
 from tests.support.local_link import LocalChannel, LocalLink, ProcessLink
-from tests.support.robot_runs import GO, Runs, job
+from tests.support.robot_runs import GO, Runs, execution_of, job
 from tests.waiting import PATIENCE_S, until
 
 NAMES = ("ada", "bob", "cy")
@@ -60,11 +60,9 @@ def soon_over(fleet: Fleet) -> None:
     fleet.table = fleet.table.model_copy(update={"lease": 3.0, "grace": PATIENCE_S})
 
 
-def is_alone(fleet: Fleet, number: int) -> bool:
-    """Return whether no process of a run is alive. Other tests may have runs with this number at the same time."""
-    folder = str(fleet.code.parent).encode()
-    processes = worker.marked([b"SIERRA_EXECUTION=" + f"{number:064d}".encode()])
-    return not [pid for pid in processes if folder in b"".join(worker.environment_of(pid))]
+def is_alone(number: int) -> bool:
+    """Return whether no process of a run is alive."""
+    return not worker.marked([b"SIERRA_EXECUTION=" + execution_of(number).encode()])
 
 
 @pytest.mark.integration
@@ -283,7 +281,7 @@ def test_a_failed_program_stops_the_others(fleet: Fleet):
     assert result.error.endswith("; the others were stopped")
     assert "2/here.csv" in [file.path for file in result.outputs]
     assert fleet.rows_by_place[2]["status"] == "failed"
-    assert is_alone(fleet, 1)
+    assert is_alone(1)
 
 
 @pytest.mark.integration
@@ -419,7 +417,7 @@ def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fl
     assert result.error == "bob was lost: its agent has ended; its outputs are missing; the others were stopped"
     assert [file.path for file in result.outputs] == ["1/here.csv", "3/here.csv"]
     assert fleet.rows_by_place[2]["status"] == "lost"
-    until(lambda: is_alone(fleet, 1), "all processes are gone")
+    until(lambda: is_alone(1), "all processes are gone")
 
     fleet.links["bob"].off = False
     [again] = fleet.run(job(2))
@@ -443,7 +441,7 @@ def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
     assert "cy was lost: no answer for " in result.error
     assert "3/here.csv" in [file.path for file in result.outputs]
     assert "cy does not answer; its run goes on for 3 s at most, its lease" in fleet.notes
-    assert is_alone(fleet, 1)
+    assert is_alone(1)
 
 
 @pytest.mark.integration
@@ -453,7 +451,7 @@ def test_stopping_ends_all_robots(fleet: Fleet):
     runner.stop()
     [result] = fleet.follow(runner)
     assert result.stopped == "interrupted"
-    assert is_alone(fleet, 1)
+    assert is_alone(1)
 
 
 @pytest.mark.integration
@@ -526,7 +524,7 @@ def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
     assert fleet.follow(runner) == []
     assert fleet.rows == []
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
-    until(lambda: is_alone(fleet, 1), "all are disarmed")
+    until(lambda: is_alone(1), "all are disarmed")
 
 
 @pytest.mark.parametrize("fault", [LocalLink.kill, pytest.param(LocalLink.stall, marks=pytest.mark.integration)])
@@ -537,7 +535,7 @@ def test_a_robot_that_is_lost_while_a_run_is_held_back_is_told_at_once(fleet: Fl
     with pytest.raises(Missing, match=r"^bob: was ready, but cannot start any more: (its agent has ended|no answer for )"):
         fleet.follow(runner)
     assert not fleet.begun()
-    until(lambda: is_alone(fleet, 1), "all are disarmed")
+    until(lambda: is_alone(1), "all are disarmed")
 
 
 @pytest.mark.parametrize(
