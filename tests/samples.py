@@ -31,6 +31,8 @@ class Memory:
                 "number": pa.array(columns[1], pa.int32()),
                 "t": pa.array(columns[2], pa.float64()),
                 "value": pa.array(columns[3], pa.float64(), from_pandas=False),
+                "file": pa.nulls(len(rows), pa.string()),
+                "place": pa.nulls(len(rows), pa.int64()),
             }
         )
         self.connection = database(threads).cursor()

@@ -9,6 +9,7 @@ import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config import figure_options
@@ -30,7 +31,7 @@ from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
-from sierra.util.text import like
+from sierra.util.text import counted, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -143,8 +144,8 @@ class Gallery:
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
-        self.robot_notes: dict[str, str] = {}
-        """Notes by output that the robots of a run wrote together: how they become one value."""
+        self.row_notes: dict[str, list[str]] = {}
+        """Notes by output on how the rows of a run become its values; captions have them too."""
         self.time_notes: dict[str, str] = {}
         """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
 
@@ -202,7 +203,8 @@ class Gallery:
             except SierraError as error:
                 if output.name in filmed:
                     continue
-                doubled = type(error) is UsageError and output.files < 2 and self._topics(output) < 2
+                doubled = output.name in self._seen and self._seen[output.name].doubled
+                doubled = doubled and output.files < 2 and self._topics(output) < 2
                 hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue
@@ -224,7 +226,12 @@ class Gallery:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the reader on the target, the declarations and the times that are used."""
-        return (*self.target_notes, *self.declared_notes, *self.robot_notes.values(), *self.time_notes.values())
+        return (
+            *self.target_notes,
+            *self.declared_notes,
+            *chain.from_iterable(self.row_notes.values()),
+            *self.time_notes.values(),
+        )
 
     def only_column(self, output: OutputTable) -> str:
         """Return the only numeric column of an output that is not its time. Raises UsageError if there are several."""
@@ -265,7 +272,7 @@ class Gallery:
         source.check(figure.columns, numeric=True)
         seen = self._coverage(output, several=bool(figure.where))
         if figure.where:
-            seen = source.coverage(column)
+            seen = self._in_order(output, source.coverage(column))
             stats.check_times(seen)
         return stats.Samples(source.samples(column), seen, column in self.rates(output))
 
@@ -297,7 +304,8 @@ class Gallery:
         if source.condition:
             asked = self.frame.experiments_with(output.name, source.condition)
             failed = asked.difference(seen.runs)
-            seen = replace(source.coverage(columns[0]), selected=seen.selected or bool(figure.where))
+            chosen = self._in_order(output, source.coverage(columns[0]))
+            seen = replace(chosen, selected=seen.selected or bool(figure.where))
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
@@ -314,7 +322,7 @@ class Gallery:
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
-        note = "; ".join(filter(None, (*self.target_notes, self.robot_notes.get(output.name), note)))
+        note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
@@ -384,10 +392,11 @@ class Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            if note := self.frame.robots_note(output.name, time):
-                self.robot_notes[output.name] = note
+            robots = self.frame.robots_note(output.name, time)
             read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
             seen = self.frame.once(("coverage", output.name, column, time), read)
+            self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen)) if note]
+            seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled
             self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)
         if not several and (topics := self._topics(output)) > 1:
@@ -405,6 +414,24 @@ class Gallery:
                     f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
                 ) from error
         return self._seen[output.name]
+
+    def _any_order(self, output: OutputTable) -> bool:
+        """Return whether the time of an output may go back within a run."""
+        declared = self._config.declared(output.name)
+        return isinstance(declared, Output) and declared.time_order == "any"
+
+    def _in_order(self, output: OutputTable, seen: stats.Coverage) -> stats.Coverage:
+        """Return the coverage of an output without the runs whose time may go back."""
+        return replace(seen, backward=0) if self._any_order(output) else seen
+
+    def _order_note(self, output: OutputTable, seen: stats.Coverage) -> str:
+        """Return a note on the runs whose time goes back, if it may; else ""."""
+        if not (seen.backward and self._any_order(output)):
+            return ""
+        return (
+            f"the time of output {output.name!r} goes back in {counted(seen.backward, 'run')}: rows are taken in the order of "
+            "their times, and final is the row of the greatest time"
+        )
 
     def _topics(self, output: OutputTable) -> int:
         """Return the largest number of topics of a run in a table that is made from bags; 1 for other tables."""

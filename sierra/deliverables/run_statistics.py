@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
     from sierra.stats.comparison.rank_distributions import Floats
 
-MEASURES = ("final", "mean", "time_to")
+MEASURES = ("final", "mean", "time_mean", "time_to")
+WITH_TIMES = (("time_to", "own"), ("time_mean", "carry"), ("time_mean", "linear"))
+"""The measures that can be used with times: a survival curve, and a mean by steps or by trapezoids."""
 AUTO = "auto"
 """Stands for `final`, and for `mean` in tables of events, whose last rows say nothing about the others."""
 
@@ -78,7 +80,8 @@ def statistics(
         elif measure is None:
             table, text, notes = samples.at_times(times or "own", wanted)
         else:
-            table, text = samples.by_experiment(measure, wanted, threshold)
+            table, text = samples.by_experiment(measure, wanted, threshold, steps=times == "carry")
+            notes += samples.about(measure)
         if curves and times is None:
             table = survival.with_statistics(table, curves, of_times)
             notes += _about_times(curves, of_times, others=bool(others) or not chosen)
@@ -196,7 +199,7 @@ def values_of_runs(
             if value is not None and isfinite(value):
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
-        untimed = stats.left_out((), samples.coverage)
+        notes = [*stats.left_out((), samples.coverage), *samples.about(measure)]
         return RunTable(
             output=found.name,
             column=chosen,
@@ -208,7 +211,7 @@ def values_of_runs(
             labelled=gallery.cells,
             values={ordinal: tuple(runs) for ordinal, runs in values.items()},
             planned=gallery.planned,
-            notes=(*gallery.notes, *untimed),
+            notes=(*gallery.notes, *notes),
             rate=samples.rate and measure != "time_to",
         )
 
@@ -285,7 +288,7 @@ def _check_reduction(measure: str | None, threshold: float | None, times: str | 
         raise UsageError("measure 'time_to' needs a threshold, for example threshold = 0.9; no other measure has one")
     if threshold is not None and not isfinite(threshold):
         raise UsageError(f"a threshold must be a finite number, not {threshold}")
-    if measure is not None and times is not None and (measure, times) != ("time_to", "own"):
+    if measure is not None and times is not None and (measure, times) not in WITH_TIMES:
         raise UsageError(
             f"times {times!r} needs statistics at each time, but a measure ({measure!r}) gives one value for all times"
         )

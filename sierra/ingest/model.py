@@ -88,6 +88,14 @@ class Shape:
     """The names of the columns for the numbers in the files' names."""
     lengths: tuple[str, ...] = ()
     """The columns that have only the number of the items of a list, as found in earlier files."""
+    name: str = ""
+    """The name of the table."""
+    declared: bool = False
+    """True if the project declares the output."""
+    time: str = ""
+    """The declared time column; "" if none is declared."""
+    any_order: bool = False
+    """True if the time may go back within a file."""
 
 
 Group = Hashable

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
-from sierra.store import captures, robot_means
+from sierra.store import captures, robot_means, rounded_times
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
@@ -31,6 +31,7 @@ from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.views import files_with, recording
+from sierra.util.arrow_columns import numpy_of
 from sierra.util.scratch import scratch
 from sierra.util.text import like
 
@@ -105,6 +106,8 @@ class Frame:
         self._relations: dict[str, Relation] = {}
         self._robots: dict[str, str] = {}
         """The columns with the places of robots, by table; "" if there is none."""
+        self._times: dict[tuple[str, str], str] = {}
+        """The SQL expressions for times, by table and name of the time."""
         self._aligned: dict[tuple[str, str, str], bool | None] = {}
         """By table, time and condition: true if robots of each run have the same times; None if some have two rows at one."""
         self._computed: dict[Hashable, object] = {}
@@ -456,7 +459,7 @@ class Frame:
             raise NotFound(
                 f"output {table!r} has no column {time!r} for its time ([outputs.{table}] time); {like(time, known)}"
             )
-        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
+        t = self._time(table, time)
         self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
             self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, t, where)}")
@@ -473,9 +476,44 @@ class Frame:
         aligned = self._same_times(table, robot, time, t, where) if robot else None
         if aligned is None:
             own = '"# experiment" AS experiment, run, "# number" AS number'
-            return f"SELECT {own}, {t} AS t, {value}::DOUBLE AS value FROM {data}"
+            order = self._order(table)
+            return f"SELECT {own}, {t} AS t, {value}::DOUBLE AS value, {order} FROM {data}"
         template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
         return template.format(rows=robot_means.rows(data, robot, value, t))
+
+    def _time(self, table: str, time: str) -> str:
+        """Return the SQL expression for the time of a row, in which times that differ by rounding only are one."""
+        if not time:
+            return '"# place"::DOUBLE'
+        if (table, time) not in self._times:
+            self._times[table, time] = self._one_time(table, f"{identifier(time)}::DOUBLE")
+        return self._times[table, time]
+
+    def _one_time(self, table: str, time: str) -> str:
+        """Return `time`, or an expression that looks it up in a table of the times that differ by rounding only."""
+        data, robot = self._data(table), self.column_of_robots(table)
+        rows = rounded_times.rows(data, time, robot)
+        try:
+            if self._snapshot.run(rounded_times.SHARED.format(rows=rows))[0][0] in (True, None):
+                return time
+            found = self._snapshot.connection.sql(rounded_times.STEPS.format(rows=rows)).to_arrow_table()
+        except Damaged:
+            raise
+        except Exception as error:
+            raise NotFound(f"output {table!r}, time {time}: {explain(error)}") from error
+        same = dict(rounded_times.same(numpy_of(found.column("t")), numpy_of(found.column("step"))))
+        if not same:
+            return time
+        name = f"times {len(self._times)}"
+        self._snapshot.add_table(name, own=same, shown=same.values())
+        return f"coalesce((SELECT shown FROM {identifier(name)} WHERE own = {time}), {time})"
+
+    def _order(self, table: str) -> str:
+        """Return the columns that say where a row is: its file, and its place there; NULL in derived tables."""
+        if not self._files[table]:
+            return "NULL::VARCHAR AS file, NULL::BIGINT AS place"
+        file = "file" if "file" in self._relation(table, self._files[table]).types else "NULL::VARCHAR"
+        return f'{file} AS file, "# place" AS place'
 
     def column_of_robots(self, table: str) -> str:
         """Return the column with the robot's place, if the robots of each run write a table together; "" if not."""
@@ -494,7 +532,7 @@ class Frame:
         """Return a note about the statistics of a table; "" if robots did not write it together."""
         if not (robot := self.column_of_robots(table)):
             return ""
-        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
+        t = self._time(table, time)
         aligned = self._same_times(table, robot, time, t, "")
         if aligned is None:
             return ""
@@ -518,9 +556,8 @@ class Frame:
         and the time `"# t"`.
         """
         rows = self._rows(table, where)
-        t = identifier(time) if time else '"# place"'
         self._snapshot.run("DROP VIEW IF EXISTS data")
-        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {rows}')
+        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {self._time(table, time)} AS "# t" FROM {rows}')
 
     def experiments_with(self, table: str, where: str) -> set[int]:
         """Return the positions of the experiments that a condition does not exclude by the values of their variables.

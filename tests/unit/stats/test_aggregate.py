@@ -304,6 +304,57 @@ def test_results_are_bit_identical_for_any_row_order_and_number_of_threads() -> 
     assert samples(one).by_time(stats.STATISTICS)[0].equals(samples(many).by_time(stats.STATISTICS)[0])
 
 
+STEPS = [(0.0, 0.0), (1.0, 0.0), (2.0, 10.0), (100.0, 10.0)]
+
+
+def of_rows(measure: str, rows: list[tuple[float, float | None]], *, steps: bool = False) -> dict[str, Any]:
+    """Return the statistics of one run with these times and values."""
+    frame = Memory((0, 0, t, value) for t, value in rows)
+    table, _ = samples(frame).by_experiment(measure, ["mean"], steps=steps)
+    found: dict[str, Any] = table.to_pylist()[0]
+    return found
+
+
+def test_the_mean_over_time_weights_each_value_by_its_time() -> None:
+    assert of_rows("mean", STEPS)["mean"] == 5
+    assert of_rows("time_mean", STEPS)["mean"] == pytest.approx(9.85, rel=1e-15)
+    assert of_rows("time_mean", STEPS, steps=True)["mean"] == pytest.approx(9.8, rel=1e-15)
+    assert of_rows("time_mean", STEPS[:1])["mean"] == 0
+    assert of_rows("time_mean", list(reversed(STEPS)))["mean"] == pytest.approx(9.85, rel=1e-15)
+    gap = of_rows("time_mean", [(0, 1.0), (1, None), (2, 3.0), (3, math.inf)])
+    assert (gap["mean"], gap["missing"], gap["infinite"]) == (2, 1, 1)
+    assert of_rows("time_mean", [(0, math.nan)])["mean"] is None
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=2, max_size=30), st.integers(0, 2**32))
+def test_the_mean_over_time_is_that_of_numpy(values: list[float], seed: int) -> None:
+    times = np.cumsum(np.random.default_rng(seed).uniform(0.01, 10, len(values)))
+    expected = np.trapezoid(np.array(values) / (times[-1] - times[0]), times)
+    found = of_rows("time_mean", list(zip(times.tolist(), values, strict=True)))["mean"]
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * max(map(abs, values)))
+    assert min(values) <= found <= max(values)
+
+
+@pytest.mark.parametrize(("times", "uneven"), [((0, 1, 2, 3), False), ((0, 1, 2, 3.02), True), ((0, 0.1, 0.2, 0.3), False)])
+def test_the_mean_of_rows_with_uneven_steps_is_noted(times: tuple[float, ...], uneven: bool) -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in times)
+    note = compute(figure("summary", measure="mean"), {"energy": frame}).note
+    assert ("in 3 runs, and mean is the mean of the rows: time_mean is the mean over time" in note) == uneven
+    assert "time_mean" not in compute(figure("summary"), {"energy": frame}).note
+
+
+def test_runs_that_end_at_different_times_are_noted_where_their_last_values_are_shown() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in range(4 + 2 * run))
+    note = "runs of an experiment end at different times, from 3 to 7: final has each at its own end"
+    assert note in compute(figure("summary"), {"energy": frame}).note
+    assert note in compute(figure("box"), {"energy": frame}).note
+    assert "own end" not in compute(figure("summary", measure="mean"), {"energy": frame}).note
+    alone = Memory((0, run, float(run), 1.0) for run in range(3))
+    assert "own end" not in compute(figure("summary"), {"energy": alone}).note
+    swept = Memory((e, run, float(t), 1.0) for e in range(2) for run in range(3) for t in range(4 + e))
+    assert "own end" not in compute(figure("summary"), {"energy": swept}).note
+
+
 def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
     frame = Memory((0, 0, float(t), value) for t, value in enumerate(values))
     table, _ = samples(frame).by_experiment(measure, ["mean"], threshold)
@@ -471,7 +522,15 @@ def test_unknown_times_are_refused() -> None:
 def test_a_run_that_ended_early_does_not_cause_resampling() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
     computed = compute(figure(), {"energy": frame})
-    assert computed.note == "mean, 95 % CI (Student's t), n = 7–8"
+    note = "mean, 95 % CI (Student's t), n = 7–8; 15 of 20 times have fewer runs than others, from 5 on"
+    assert computed.note == note
+
+
+def test_times_with_fewer_runs_are_noted_with_two_runs_too() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(2) for t in range(4 if run else 3))
+    assert compute(figure(), {"energy": frame}).note.endswith("1 of 4 times has fewer runs than others, from 3 on")
+    missing = Memory((0, run, float(t), None if t and run else 1.0) for run in range(2) for t in range(4))
+    assert "fewer runs" not in compute(figure(), {"energy": missing}).note
 
 
 def test_the_note_reports_absent_runs_and_left_out_values() -> None:
@@ -562,7 +621,7 @@ def test_each_kind_of_figure_gets_its_tables(kind: str, center: str) -> None:
 def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
     files = sorted(path.relative_to(stats.HERE).as_posix() for path in stats.HERE.rglob("*.sql"))
     known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
-        f"measures/{m}.sql" for m in ("final", "mean", "time_to")
+        f"measures/{m}.sql" for m in ("final", "mean", "time_mean", "time_to")
     }
     assert set(files) == known | {
         "group_by_time.sql",
@@ -571,6 +630,8 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
         "sums.sql",
         "coverage.sql",
         "doubled.sql",
+        "backward.sql",
+        "uneven.sql",
         "resample.sql",
         "censored_times.sql",
         "values_of_runs.sql",
