@@ -266,6 +266,11 @@ def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
     return outputs
 
 
+def volatile(outputs: Mapping[str, Output]) -> dict[str, tuple[str, ...]]:
+    """Return the volatile columns of the outputs that have some, by the name of the output."""
+    return {name: output.volatile for name, output in outputs.items() if output.volatile}
+
+
 class Success(Table):
     """Conditions for a successful run, in addition to its required outputs."""
 

@@ -6,7 +6,7 @@ The project adds labels and units to what SQL computes.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import SEVERAL_TABLES, Output
+from sierra.config.output_tables import SEVERAL_TABLES, Output, volatile
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -26,6 +26,7 @@ from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
+from sierra.store import equal_runs
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
 from sierra.store.store import Store
@@ -229,7 +230,7 @@ class Gallery:
         return (
             *self.target_notes,
             *self.declared_notes,
-            *chain.from_iterable(self.row_notes.values()),
+            *dict.fromkeys(chain.from_iterable(self.row_notes.values())),
             *self.time_notes.values(),
         )
 
@@ -285,6 +286,38 @@ class Gallery:
             raise NotFound(f"{where}: no column {unknown[0]!r}; {like(unknown[0], output.all_columns)}")
         return (*output.flags, *rates)
 
+    def key_of_rates(self, output: str, column: str) -> str:
+        """Return what to declare so that the values 0 and 1 of a column are a rate."""
+        if output in self.frame.written:
+            return f'set rates = ["{column}"] in [outputs.{output}]'
+        return f"let the SQL of [tables.{output}] return {column} as true and false"
+
+    def about_rates(self, samples: stats.Samples, table: pa.Table, measure: str | None) -> list[str]:
+        """Return a note on the interval of the mean in computed statistics, if the values are 0 and 1, or should be."""
+        if not isinstance(samples.frame, Column) or not (methods := stats.methods_of_mean(table)):
+            return []
+        column, output = samples.frame.column, samples.frame.table
+        if stats.is_rate(table):
+            return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
+        if measure == "time_to" or "t" not in methods:
+            return []
+        if samples.rate:
+            return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
+        if not stats.may_be_rate(samples.frame, measure):
+            return []
+        return [
+            f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
+            f" (for the interval of a rate, {self.key_of_rates(output, column)})"
+        ]
+
+    def _rates_in(self, made: Drawing, source: _Output, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
+        """Yield notes on the intervals of means in a figure whose values are 0 and 1, but no declared rate."""
+        for column, table in made.tables.items():
+            timed = "t" in table.column_names
+            if column not in rates:
+                samples = stats.Samples(source.samples(column), seen)
+                yield from self.about_rates(samples, table, None if timed else made.figure.measure)
+
     def drawing(self, name: str, figure: Figure, *, model: str = "") -> Drawing:
         """Return the computed content of a figure, with the models that join it, or with one model."""
         output = self.output(figure)
@@ -309,7 +342,9 @@ class Gallery:
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
-        made = gather(name, figure, columns, batch, source, seen, self.rates(output), self._config.statistics)
+        rates = self.rates(output)
+        made = gather(name, figure, columns, batch, source, seen, rates, self._config.statistics)
+        of_rates = tuple(self._rates_in(made, source, seen, rates))
         made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
@@ -322,7 +357,7 @@ class Gallery:
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
-        note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note)))
+        note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_rates)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
@@ -395,7 +430,8 @@ class Gallery:
             robots = self.frame.robots_note(output.name, time)
             read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
             seen = self.frame.once(("coverage", output.name, column, time), read)
-            self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen)) if note]
+            equal = equal_runs.note(self.frame, volatile(self._config.outputs))
+            self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
             seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled
             self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)

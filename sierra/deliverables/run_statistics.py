@@ -94,7 +94,7 @@ def statistics(
         if selection:
             notes += selection.notes(shown)
         if not selection or "mean" in chosen:
-            notes += _about_rates(shown, column, output, asked=samples.rate and measure != "time_to")
+            notes += gallery.about_rates(samples, shown, measure)
         notes = [
             *gallery.notes,
             *stats.left_out([] if "remaining" in table.column_names else [shown], coverage, planned, threshold),
@@ -200,6 +200,10 @@ def values_of_runs(
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
         notes = [*stats.left_out((), samples.coverage), *samples.about(measure)]
+        if not samples.rate and measure != "time_to" and stats.may_be_rate(samples.frame, measure):
+            notes.append(
+                f"all values of {chosen} are 0 or 1 (to compare them as rates, {gallery.key_of_rates(found.name, chosen)})"
+            )
         return RunTable(
             output=found.name,
             column=chosen,
@@ -265,20 +269,6 @@ def _about_times(curves: Mapping[int, Sequence[survival.Step]], of_times: Sequen
     if censored and "restricted_mean" in of_times:
         notes.append(f"restricted_mean is the mean time up to {survival.horizon(curves.values()):.12g}")
     return notes
-
-
-def _about_rates(table: pa.Table, column: str, output: str, *, asked: bool) -> list[str]:
-    """Return notes on the kind of interval if the values are 0 and 1. `asked`: whether the column is one of a rate."""
-    if stats.is_rate(table):
-        return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
-    if asked and any(n > 1 for n in table.column("n").to_pylist()):
-        return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
-    if not stats.may_be_rate(table):
-        return []
-    return [
-        f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
-        f' (for the interval of a rate, set rates = ["{column}"] in [outputs.{output}])'
-    ]
 
 
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:

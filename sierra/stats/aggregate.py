@@ -82,6 +82,8 @@ USUAL = tuple(name for name in STATISTICS if name != "mad")
 ROWS = "SELECT experiment, t, value FROM samples"
 LIST = "coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x"
 """The sorted values of a group, for statistics that need each value; sorted, so that the order of rows has no effect."""
+BOTH = "coalesce(bool_and(value IN (0, 1)), false) AND min(value) = 0 AND max(value) = 1"
+"""True if values are 0 or 1 and both occur, in SQL."""
 STEP = r" AS (_\w+|x\b)"
 """Intermediate steps in SQL, as a regular expression."""
 
@@ -553,28 +555,20 @@ def _nothing(figure: Figure, tables: Mapping[str, pa.Table], seen: Coverage) -> 
 
 def is_rate(table: pa.Table) -> bool:
     """Return whether the intervals of computed statistics are those of a rate."""
+    return words.WILSON in methods_of_mean(table)
+
+
+def methods_of_mean(table: pa.Table) -> set[str]:
+    """Return the methods of the intervals of the mean in computed statistics."""
     names = {"interval", "mean_interval"} & set(table.column_names)
-    return any("Wilson" in table.column(name).to_pylist() for name in names)
+    return {method for name in names for method in table.column(name).to_pylist() if method}
 
 
-def may_be_rate(table: pa.Table) -> bool:
-    """Return whether all values of a column without the interval of a rate are 0 or 1, and both occur.
-
-    Numbers from 0 to 1 are all 0 or 1 exactly if the mean of their squares is their mean, which means that
-    sd² = mean · (1 − mean) · n / (n − 1).
-    """
-    import numpy as np
-
-    if is_rate(table) or not {"mean", "sd", "min", "max"} <= set(table.column_names):
-        return False
-    n, mean, sd, low, high = (
-        numpy_of(table.column(name)).astype(float)[numpy_of(table.column("n")) > 0]
-        for name in ("n", "mean", "sd", "min", "max")
-    )
-    if not len(n) or low.min() != 0 or high.max() != 1:
-        return False
-    expected = mean * (1 - mean) * n / np.maximum(n - 1, 1)
-    return bool(np.all(np.where(n > 1, np.abs(np.nan_to_num(sd) ** 2 - expected) < 1e-9, (mean == 0) | (mean == 1))))
+def may_be_rate(frame: Frame, measure: str | None) -> bool:
+    """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows."""
+    observations = ROWS if measure is None else _file(f"measures/{measure}")
+    text = f"SELECT {BOTH} AS both FROM (\n{observations}\n) WHERE isfinite(value)"  # noqa: S608 - own statements
+    return bool(frame.sql(text, **_used(text, steps=False)).column("both")[0].as_py())
 
 
 def _shown(needs: Needs, tables: Sequence[pa.Table]) -> str:

@@ -222,7 +222,7 @@ def test_the_mean_of_several_flags_of_a_run_is_no_rate_over_runs() -> None:
 )
 def test_numbers_that_may_be_a_rate_are_noticed(values: list[float], doubtful: bool) -> None:
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
-    assert stats.may_be_rate(samples(frame).by_experiment("final", stats.STATISTICS)[0]) is doubtful
+    assert stats.may_be_rate(frame, "final") is doubtful
 
 
 def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
@@ -789,13 +789,23 @@ def test_counts_that_are_0_or_1_get_wilsons_interval_only_if_they_are_declared(s
         said = project.quick("stats", "swarm", column, "--json")
         return {row["interval"] for row in json.loads(said.stdout)}, said.stderr
 
-    assert ask("none") == ({"t"}, "")
+    kind, note = ask("none")
+    assert kind == {"t"}
+    assert "rate" not in note
     kind, note = ask("some")
     assert kind == {"t"}
-    assert note == (
-        "note: all values of some are 0 or 1, but it may be a count: low and high are Student's t interval"
+    key = 'set rates = ["some"] in [outputs.swarm]'
+    for words in (["--statistic", "mean"], ["--format", "markdown"], ["--format", "latex"], ["--times", "own"]):
+        told = project.quick("stats", "swarm", "some", *words)
+        assert key in (told.stdout + told.stderr).replace("{[}", "[").replace("\\_", "_"), words
+    assert key not in project.quick("stats", "swarm", "some", "--statistic", "median").stderr
+    assert key in project.quick("compare", "--by", "size", "--column", "some", "--no-figure").stderr
+    assert project.quick("figures").returncode == 0
+    assert key in next(project.folder.glob("figures/*/swarm_some_summary.txt")).read_text()
+    assert (
+        "all values of some are 0 or 1, but it may be a count: low and high are Student's t interval"
         ' (for the interval of a rate, set rates = ["some"] in [outputs.swarm])\n'
-    )
+    ) in note
     config.write_text(declared + 'rates = ["some"]\n')
     assert ask("some")[0] == {"Wilson"}
     assert "evaluated again" not in project.quick("run", "size=1,3", "--runs", "3", "--dry-run").stdout
