@@ -101,7 +101,7 @@ class _Output:
         return replace(stats.coverage(self.samples(column), several=True), selected=True)
 
     def rows(self, statement: str) -> pa.Table:
-        self.frame.data(self.output.name, self.time, self.condition)
+        self.frame.data(self.output.name, self.time, self.condition, timed='"# t"' in statement)
         return self.frame.sql(statement)
 
     def seeds(self) -> Mapping[tuple[int, str], int]:

@@ -14,8 +14,10 @@ never reached a threshold. One run has a mean but no interval.
 
 The statements run on a `Frame`, which has one relation. The store makes it from one column of one output of one batch:
 
-    samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, value DOUBLE, file VARCHAR, place BIGINT)
+    samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, shared_t DOUBLE, value DOUBLE,
+            file VARCHAR, place BIGINT)
 
+`shared_t` is the time that a row shares with rows of other runs: times that differ by rounding only are one.
 `place` is the place of a row in its file, or NULL if the rows have no order.
 """
 
@@ -79,7 +81,7 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
 USUAL = tuple(name for name in STATISTICS if name != "mad")
 """The statistics of `sierra stats` if none are chosen; `mad` would sort all values once more."""
 
-ROWS = "SELECT experiment, t, value FROM samples"
+ROWS = "SELECT experiment, shared_t AS t, value FROM samples"
 LIST = "coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x"
 """The sorted values of a group, for statistics that need each value; sorted, so that the order of rows has no effect."""
 BOTH = "coalesce(bool_and(value IN (0, 1)), false) AND min(value) = 0 AND max(value) = 1"
@@ -124,7 +126,8 @@ class Coverage:
 
     def about_ends(self) -> list[str]:
         """Return a note if runs of an experiment end at different times."""
-        apart = [ends for ends in self.ends.values() if ends[0] < ends[1]]
+        rounding = 1e-3 * (self.last - self.first) / max(1, self.most - 1)
+        apart = [ends for ends in self.ends.values() if ends[1] - ends[0] > rounding]
         if not apart:
             return []
         first, last = min(first for first, _ in apart), max(last for _, last in apart)
@@ -336,7 +339,7 @@ class Samples:
         """
         import numpy as np
 
-        own = numpy_of(self.frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
+        own = numpy_of(self.frame.sql("SELECT DISTINCT shared_t AS t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
         after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
         near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
         found: list[float] = np.where(np.abs(near - even) <= limit, near, even).tolist()

@@ -105,7 +105,7 @@ def _is_plain(files: Collection[_File], output: str, volatile: Volatile) -> bool
 
 def _same_rows(frame: Frame, output: str, volatile: Collection[str]) -> bool:
     """Return whether the runs of each experiment have the same rows in an output."""
-    frame.data(output)
+    frame.data(output, timed=False)
     described = frame.sql("DESCRIBE data").to_pylist()
     kinds = {row["column_name"]: row["column_type"] for row in described}
     left_out = {"run", "# experiment", "# number", "# rowid", "# t", *volatile}

@@ -444,10 +444,11 @@ class Frame:
         known = zip(columns, found, strict=True)  # the variance of very large numbers is not finite
         return {column: share if share is not None and isfinite(share) else 0.0 for column, share in known}
 
-    def samples(self, table: str, column: str, time: str = "", where: str = "") -> None:
+    def samples(self, table: str, column: str, time: str = "", where: str = "", *, shared: bool = False) -> None:
         """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column.
 
-        `where` is a condition on the columns of the output and on variables; rows without it do not count.
+        `where` is a condition on the columns of the output and on variables; rows without it do not count. `shared`: the
+        column `shared_t` has the times that rows share with other runs, if they differ by rounding only.
         """
         data = self._data(table)
         if column in _mixed(self._relation(table, self._files[table])):
@@ -459,32 +460,39 @@ class Frame:
             raise NotFound(
                 f"output {table!r} has no column {time!r} for its time ([outputs.{table}] time); {like(time, known)}"
             )
-        t = self._time(table, time)
+        t = self._time(table, time, shared=False)
+        shared_t = self._time(table, time) if shared else t
         self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
-            self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, t, where)}")
+            self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, (t, shared_t), where)}")
         except Damaged:
             raise
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
 
-    def _values(self, table: str, column: str, time: str, t: str, where: str) -> str:
-        """Return the query for the values of a column: those of each row, or the means of the robots of a run."""
+    def _values(self, table: str, column: str, time: str, times: tuple[str, str], where: str) -> str:
+        """Return the query for the values of a column: those of each row, or the means of the robots of a run.
+
+        `times` are the expressions for a row's own time, and for the time that it shares with rows of other runs.
+        """
         value, data = identifier(column), self._rows(table, where)
         robot = self.column_of_robots(table)
+        t, shared_t = times if not robot else (self._time(table, time), "t")
         aligned = self._same_times(table, robot, time, t, where) if robot else None
         if aligned is None:
             own = '"# experiment" AS experiment, run, "# number" AS number'
             order = self._order(table)
-            return f"SELECT {own}, {t} AS t, {value}::DOUBLE AS value, {order} FROM {data}"
+            return f"SELECT {own}, {t} AS t, {shared_t} AS shared_t, {value}::DOUBLE AS value, {order} FROM {data}"
         template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
-        return template.format(rows=robot_means.rows(data, robot, value, t))
+        return f"SELECT *, t AS shared_t FROM ({template.format(rows=robot_means.rows(data, robot, value, t))})"
 
-    def _time(self, table: str, time: str) -> str:
-        """Return the SQL expression for the time of a row, in which times that differ by rounding only are one."""
+    def _time(self, table: str, time: str, *, shared: bool = True) -> str:
+        """Return the SQL expression for the time of a row. If `shared`, times that differ by rounding only are one."""
         if not time:
             return '"# place"::DOUBLE'
+        if not shared:
+            return f"{identifier(time)}::DOUBLE"
         if (table, time) not in self._times:
             self._times[table, time] = self._one_time(table, f"{identifier(time)}::DOUBLE")
         return self._times[table, time]
@@ -549,15 +557,15 @@ class Frame:
             self._aligned[key] = None if doubled else same
         return self._aligned[key]
 
-    def data(self, table: str, time: str = "", where: str = "") -> None:
+    def data(self, table: str, time: str = "", where: str = "", *, timed: bool = True) -> None:
         """Create the view `data` of all rows of one output, with all columns. Raises NotFound for an unknown output.
 
         It also has the number of the experiment `"# experiment"`, of the run `"# number"`, of the row in its run `"# place"`,
-        and the time `"# t"`.
+        and the time `"# t"`, in which times that differ by rounding only are one if `timed`.
         """
-        rows = self._rows(table, where)
+        rows, t = self._rows(table, where), self._time(table, time, shared=timed)
         self._snapshot.run("DROP VIEW IF EXISTS data")
-        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {self._time(table, time)} AS "# t" FROM {rows}')
+        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t} AS "# t" FROM {rows}')
 
     def experiments_with(self, table: str, where: str) -> set[int]:
         """Return the positions of the experiments that a condition does not exclude by the values of their variables.
@@ -736,7 +744,7 @@ class Column:
     where: str = ""
 
     def sql(self, text: str, /, **parameters: object) -> pa.Table:
-        self.frame.samples(self.table, self.column, self.time, self.where)
+        self.frame.samples(self.table, self.column, self.time, self.where, shared="shared_t" in text)
         return self.frame.sql(text, **parameters)
 
 
