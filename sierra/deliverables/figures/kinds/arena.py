@@ -155,7 +155,7 @@ SELECT experiment{", t" if several else ""}, i, j, list_avg(list_sort(list(value
 FROM cells GROUP BY ALL ORDER BY ALL"""
         bad = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({value})) AS finite FROM data WHERE {' AND '.join(chosen)}"
         what = "mean of the runs" if self._options.run is None else f"run {self._options.run}"
-        when = f"at {', '.join(f'{time:g}' for time in self._options.at)}" if self._options.at else "mean over time"
+        when = f"at {', '.join(f'{time:g}' for time in self._options.at)}" if self._options.at else "mean of the rows"
         return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}, {when}")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
