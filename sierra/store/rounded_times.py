@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     Floats = npt.NDArray[np.float64]
 
 PART = 1e-3
+ROUNDING = 1e-9
+"""The largest difference between a time and the same time as a person writes it, as a part of the time."""
 
 SHARED = """
 SELECT (SELECT count(DISTINCT t) FROM ({rows}))
@@ -42,6 +44,11 @@ def rows(data: str, time: str, robot: str) -> str:
     """
     keys = f'"# experiment" AS experiment, run, {robot or "NULL::INTEGER"} AS robot'
     return f"SELECT {keys}, CASE WHEN isfinite({time}) THEN {time} END AS t FROM {data}"
+
+
+def at_time(time: float) -> str:
+    """Return the SQL condition that a row has a time that a person wrote."""
+    return f'abs("# t" - {time!r}) <= {abs(time) * ROUNDING!r}'
 
 
 def same(times: Floats, steps: Floats) -> Iterator[tuple[float, float]]:

@@ -408,9 +408,12 @@ class Frame:
         if robot := self.column_of_robots(table):  # each robot has a time of its own; the first one's rows follow each other
             data = f"(SELECT * FROM {data} WHERE {robot} = (SELECT min({robot}) FROM {data}))"
         grows = [column for column in columns if column in self._growing(data, columns)]
-        return next(
-            (column for column in grows if self._snapshot.run(ALIKE.format(column=identifier(column), data=data))), None
-        )
+        return next((column for column in grows if self._alike(data, identifier(column))), None)
+
+    def _alike(self, data: str, column: str) -> bool:
+        """Return whether a column has the same values in all runs, except for rounding."""
+        part = rounded_times.PART
+        return any(self._snapshot.run(text.format(column=column, data=data, part=part)) for text in (ALIKE, NEARLY_ALIKE))
 
     def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
         """Return the columns that increase from row to row in the longest run."""
@@ -718,6 +721,18 @@ ALIKE = """
 SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (
     SELECT "# place" FROM {data} GROUP BY "# place"
     HAVING min({column}) <> max({column}) OR count({column}) < count(*)
+)
+"""
+NEARLY_ALIKE = """
+SELECT 1 FROM (
+    SELECT max("# apart") AS "# apart", bool_and("# complete") AS "# complete" FROM (
+        SELECT max({column}) - min({column}) AS "# apart", count({column}) = count(*) AS "# complete"
+        FROM {data} GROUP BY "# place"
+    )
+) WHERE "# complete" AND (SELECT count(DISTINCT run) FROM {data}) > 1 AND "# apart" <= {part} * (
+    SELECT min("# step") FROM (
+        SELECT {column} - lag({column}) OVER (PARTITION BY run, "# experiment" ORDER BY "# place") AS "# step" FROM {data}
+    )
 )
 """
 
