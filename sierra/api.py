@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config import find_project
-from sierra.config.field_types import Measure
 from sierra.errors import Missing, NotFound, UsageError
+from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 from sierra.util import processors

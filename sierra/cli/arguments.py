@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
-from sierra.config.field_types import Measure as MeasureName
+
+
+if TYPE_CHECKING:
+    from sierra.model import Measure as MeasureName
 
 
 class Measure(StrEnum):

@@ -12,7 +12,6 @@ from sierra.cli.compare import PAIRED, Pairs
 from sierra.cli.output import note, print_json
 from sierra.cli.sql import Format, Printable, write
 from sierra.errors import UsageError
-from sierra.stats.words import of_run
 
 if TYPE_CHECKING:
     from sierra.deliverables.power import RunsForPower
@@ -121,6 +120,7 @@ def plan_n(
 def _conclusion(found: RunsNeeded | RunsForPower) -> str:
     """Return the answer in one line."""
     from sierra.deliverables.sample_size import RunsNeeded
+    from sierra.stats.words import of_run
 
     if isinstance(found, RunsNeeded):
         enough = "more than ten million" if found.runs is None else found.runs

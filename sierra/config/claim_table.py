@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
 
 from sierra.config.deliverable_tables import ListOfWords, known_method
-from sierra.config.field_types import OF_RUN, Finite, Line, Measure, Positive, Table, Words
+from sierra.config.field_types import OF_RUN, Finite, Line, Positive, Table, Words
+from sierra.model import Measure
 
 DECISIONS = ("sql", "value", "order", "equivalence")
 """The ways to decide a claim."""

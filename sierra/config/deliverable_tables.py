@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from sierra.config.field_types import OF_RUN, Finite, InProject, Measure, Positive, RawTable, Table, Words
+from sierra.config.field_types import OF_RUN, Finite, InProject, Positive, RawTable, Table, Words
 from sierra.config.field_types import Size as SizeInBytes
+from sierra.model import Measure
 from sierra.util.text import like
 
 CHOSEN = frozenset(

@@ -6,7 +6,7 @@ import re
 import shlex
 from collections.abc import Callable
 from pathlib import PurePosixPath
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import (
     AfterValidator,
@@ -36,8 +36,6 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 RawTable = targets.RawTable
-Measure = Literal["final", "mean", "time_mean", "time_to"]
-"""How a run is reduced to one number."""
 OF_RUN = "its last value, the mean of its rows, its mean over time (`time_mean`), or the time until `threshold`"
 """What the measures are, in the descriptions of keys."""
 

@@ -6,7 +6,8 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from sierra.config.field_types import OF_RUN, Argv, Finite, InProject, Measure, Positive, Table, Words
+from sierra.config.field_types import OF_RUN, Argv, Finite, InProject, Positive, Table, Words
+from sierra.model import Measure
 
 SOURCES = ("expression", "sql", "file", "command")
 

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, PositiveInt, StringConstraints, WithJsonSchema, model_validator
 
-from sierra.config.field_types import Finite, Inside, Measure, Name, NotNegative, Positive, Table
+from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table
+from sierra.model import Measure
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""

@@ -189,7 +189,10 @@ def seeded(template: Template, changes: Sequence[Change], found: Iterable[str]) 
     """Return the paths among `found` whose value changes with the seed: a path can be written in several ways."""
     before = {path: template.find(path) for path in found}
     seed = next(number for number in count(SOME_SEED) if all((str(number),) != texts for texts in before.values()))
-    after = template.reread(template.changed(changes, {"seed": seed}).render(), "template")
+    try:
+        after = template.reread(template.changed(changes, {"seed": seed}).render(), "template")
+    except SierraError:  # a platform's changes of the seed may need its other changes
+        return {change.path for change in changes if isinstance(change, Set) and change.path in before}
     return {path for path, texts in before.items() if after.find(path) != texts}
 
 
