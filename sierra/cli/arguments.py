@@ -9,7 +9,6 @@ import typer
 
 from sierra.cli import complete
 
-
 if TYPE_CHECKING:
     from sierra.model import Measure as MeasureName
 
