@@ -33,6 +33,7 @@ from sierra.deliverables.claims.baseline import ClaimInBaseline, decision_of
 from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
 from sierra.stats import student_t
+from sierra.stats.rates import Interval, square_and_add
 
 
 class Change(StrEnum):
@@ -172,11 +173,5 @@ def _of_intervals(before: Estimate, now: Estimate) -> tuple[float, float, float]
 
     It is d − √((now − its low)² + (high of before − before)²) to d + √((high of now − now)² + (before − its low)²).
     """
-    values = (before.value, before.low, before.high, now.value, now.low, now.high)
-    one, one_low, one_high, other, other_low, other_high = (value or 0.0 for value in values)
-    difference = other - one
-    return (
-        difference,
-        difference - math.hypot(other - other_low, one_high - one),
-        difference + math.hypot(other_high - other, one - one_low),
-    )
+    first, second = (Interval(one.value or 0.0, one.low or 0.0, one.high or 0.0) for one in (before, now))
+    return square_and_add(first, second)
