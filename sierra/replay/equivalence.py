@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
 
 from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Equivalence, Output
@@ -20,10 +21,9 @@ from sierra.store.samples import Column, Frame
 from sierra.store.store import Store
 from sierra.util.text import counted
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-Values = dict[str, dict[tuple[int, str], float]]
+Number = float | Fraction
+"""A value of a run; a fraction if floats do not hold the digits of the column's numbers."""
+Values = dict[str, dict[tuple[int, str], Number]]
 """By metric: the value of each run, by (experiment's place, run id)."""
 
 
@@ -62,16 +62,19 @@ def values(
         for name, metric in metrics.items():
             table = declared.get(metric.table)
             column = Column(frame, metric.table, metric.column, table.time if table else "")
-            rows = _reduced(column, metric).to_pylist()
-            found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
+            rows, offset = _reduced(column, metric)
+            found[name] = {
+                (row["experiment"], row["run"]): Fraction(row["value"]) + offset if offset else row["value"] for row in rows
+            }
     return found
 
 
-def _reduced(column: Column, metric: Equivalence) -> pa.Table:
-    """Return the values of the runs. Raises NotFound."""
+def _reduced(column: Column, metric: Equivalence) -> tuple[list[dict[str, Any]], int]:
+    """Return the values of the runs, and the whole number that was subtracted from them. Raises NotFound."""
     try:
         _check_single(column)
-        return stats.reduced(column, metric.measure, metric.threshold)
+        offset = 0 if metric.measure == "time_to" else column.frame.offset(column.table, column.column)
+        return stats.reduced(replace(column, offset=offset), metric.measure, metric.threshold).to_pylist(), offset
     except (NotFound, Missing, Damaged):
         raise
     except SierraError as error:
@@ -97,7 +100,7 @@ def compare(metrics: Mapping[str, Equivalence], was: Values, now: Values, ordina
         yield _compare(name, metric, [pair for pair in pairs if not all(map(math.isnan, pair))])
 
 
-def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -> Metric:
+def _compare(name: str, metric: Equivalence, pairs: list[tuple[Number, Number]]) -> Metric:
     alone = sum(any(map(math.isnan, pair)) for pair in pairs)
     if alone or len(pairs) < 2:
         why = (
@@ -106,8 +109,8 @@ def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -
             else f"{counted(len(pairs), 'run')} with a value, but two are needed"
         )
         return Metric(name, metric, None, None, None, f"{name}: {why}")
-    mean, now = (equivalence.mean_of(values) for values in zip(*pairs, strict=True))
-    differences = [new - old for old, new in pairs]
+    mean, now = (equivalence.mean_of(list(map(float, values))) for values in zip(*pairs, strict=True))
+    differences = [float(new - old) for old, new in pairs]
     if not all(map(math.isfinite, differences)):
         return Metric(name, metric, mean, now, None, f"{name}: values differ by more than the largest possible number")
     margin = metric.margin or (metric.relative or 0.0) * abs(mean)
