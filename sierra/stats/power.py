@@ -8,7 +8,7 @@ are exact for any number: see `sierra.stats.rates`.
 
 A wanted difference replaces that of the pilot: the second group is shifted. Whole numbers stay whole numbers, because ties
 matter to a test by ranks: a part of the runs is shifted by one more. Of values that are 0 or 1, the second group gets another
-rate, and no pairs.
+rate: of pairs, a part of its values is turned into the other one.
 
 Values that are drawn from m values have a variance that is (m − 1)/m of the right one. So the distances from the mean are
 first multiplied by √(m/(m − 1)), unless values occur several times (Efron and Tibshirani 1993, An Introduction to the
@@ -103,6 +103,9 @@ class Pilot:
     def _draw(self, n: int) -> tuple[Floats, Floats]:
         """Return samples of both groups: a row for each sample, a column for each run."""
         random = np.random.default_rng(SEED)
+        if self.rates is not None and self.paired:
+            places = random.integers(len(self.first), size=(RESAMPLES, n))
+            return self.first[places], _turned(self.second[places], float(self.second.mean()), self.rates[1], random)
         if self.rates is not None:
             one, other = (random.random((RESAMPLES, n)) < rate for rate in self.rates)
             return one.astype(float), other.astype(float)
@@ -147,7 +150,7 @@ class Pilot:
 def of_groups(first: Floats, second: Floats, difference: float | None, *, paired: bool, rate: bool = False) -> Pilot:
     """Return the pilot of two groups with their own or a wanted difference. Raises UsageError for an impossible rate."""
     if difference is not None and _binary(first) and _binary(second):
-        return _of_rates(first, second, float(first.mean()), difference, rate=rate)
+        return _of_rates(first, second, float(first.mean()), difference, paired=paired and rate, rate=rate)
     if rate:
         return Pilot(first, second, paired, rate=True)
     shift = 0.0 if difference is None else difference - difference_of(first, second, paired=paired)
@@ -170,15 +173,22 @@ def difference_of(first: Floats, second: Floats, *, paired: bool) -> float:
 def of_one_group(values: Floats, difference: float, *, rate: bool = False) -> Pilot:
     """Return the pilot of a group and of another one that differs only by this difference; their runs are no pairs."""
     if _binary(values):
-        return _of_rates(values, values, float(values.mean()), difference, rate=rate)
+        return _of_rates(values, values, float(values.mean()), difference, paired=False, rate=rate)
     (values,), _ = ties.alike([values])
     return Pilot(*_widened(values, values, paired=False), paired=False, shift=difference)
 
 
-def _of_rates(first: Floats, second: Floats, before: float, difference: float, *, rate: bool) -> Pilot:
+def _of_rates(first: Floats, second: Floats, before: float, difference: float, *, paired: bool, rate: bool) -> Pilot:
     if not 0 <= before + difference <= 1:
         raise UsageError(f"a rate of {before:.4g} cannot differ by {difference:g}: rates are from 0 to 1")
-    return Pilot(first, second, paired=False, rates=(before, before + difference), rate=rate)
+    return Pilot(first, second, paired, rates=(before, before + difference), rate=rate)
+
+
+def _turned(values: Floats, rate: float, wanted: float, random: np.random.Generator) -> Floats:
+    """Return values that are 0 or 1 with another rate, by turning a part of one of them."""
+    more = wanted > rate
+    part = (wanted - rate) / (1 - rate) if more else (rate - wanted) / rate if rate else 0.0
+    return np.where((values != more) & (random.random(values.shape) < part), float(more), values)
 
 
 def _alike(first: Floats, second: Floats) -> tuple[Floats, Floats]:
