@@ -232,8 +232,8 @@ def find(store: Store, root: Path, file: Path, again: Callable[[DeliverableRow],
 def other_version(row: DeliverableRow) -> str:
     """Return why a deliverable is not computed again: another version of the method made it; "" if this one did."""
     with parsing(row.name):
-        made, now = json.loads(row.definition).get("version", 1), VERSIONS.get(row.kind, 1)
-    if made == now:
+        made = int({**json.loads(row.definition)}.get("version", 1))
+    if made == (now := VERSIONS.get(row.kind, 1)):
         return ""
     return f"it is by version {made} of its method, and this SIERRA has version {now}; {REMEDIES.get(row.kind, DRAW_AGAIN)}"
 
