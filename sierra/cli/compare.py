@@ -257,7 +257,7 @@ def _answer(found: Compared, drawn: list[Path]) -> dict[str, object]:
         "pairs": found.pairs,
         "effects": found.effects,
         "text": found.text,
-        "notes": [*found.notes, *found.analysis.notes],
+        "notes": [*found.notes, *found.analysis.notes, *found.analysis.limits],
         "figures": list(map(str, drawn)),
     }
 

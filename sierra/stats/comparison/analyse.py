@@ -193,8 +193,8 @@ def _corrected(result: Analysis, method: ComparisonMethod) -> Analysis:
     omnibus = tuple(replace(one, p_adjusted=next(of_omnibus)) for one in result.omnibus)
     best = _best(result)
     pairs = tuple(replace(one, verdict=_verdict(one, result.question, least)) for one, least in zip(pairs, best, strict=True))
-    notes = (*result.notes, *_limits(pairs, best, result, len(p)), *_too_few(pairs, result, method, len(p)))
-    return replace(result, omnibus=omnibus, pairs=pairs, effects=effects, tests=len(p), notes=notes)
+    limits = (*_limits(pairs, best, result, len(p)), *_too_few(pairs, result, method, len(p)))
+    return replace(result, omnibus=omnibus, pairs=pairs, effects=effects, tests=len(p), limits=limits)
 
 
 def _best(result: Analysis) -> list[tuple[float, float]]:

@@ -191,6 +191,8 @@ class Analysis:
     """The number of tests that the p values are corrected for; omnibus tests are corrected for each other only."""
     notes: tuple[str, ...] = ()
     """Notes on data that are not in the numbers: runs without a value, pairs that were left out, cells that lack a group."""
+    limits: tuple[str, ...] = ()
+    """Notes on what the numbers of runs allow: the smallest p value, and groups that cannot be found different."""
     method: str = ""
     """The name of the comparison method."""
     title: str = ""

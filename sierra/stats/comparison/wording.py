@@ -172,7 +172,7 @@ def _method(result: Analysis) -> Iterator[str]:
 
 
 def _left_out(result: Analysis) -> Iterator[str]:
-    yield from map(_sentence, result.notes)
+    yield from map(_sentence, (*result.notes, *result.limits))
 
 
 def _and(names: Sequence[str]) -> str:

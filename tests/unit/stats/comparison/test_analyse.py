@@ -175,7 +175,7 @@ def test_many_tests_need_more_runs_for_a_verdict() -> None:
     assert {pair.verdict for pair in analyse(cells[:1], ASK).pairs} == {Verdict.different}
     result = analyse(cells, ASK)
     assert {pair.verdict for pair in result.pairs} == {Verdict.too_few}
-    assert result.notes == (
+    assert result.limits == (
         "no two groups can be found different: the smallest possible p value with n = 7 pairs is 0.0156, and 0.0781 after "
         "correction for 5 tests (Holm)",
         "a verdict at alpha = 0.05 over 5 tests needs 8 pairs or more",
@@ -256,7 +256,7 @@ def test_neighbours_are_found_different_whatever_other_groups_are_there() -> Non
 @pytest.mark.parametrize(("n", "alone", "after"), [(3, "0.1", "0.6"), (4, "0.0286", "0.171"), (5, "0.00794", "0.0476")])
 def test_a_note_says_the_smallest_p_value_and_where_nothing_can_be_found(n: int, alone: str, after: str) -> None:
     groups = cell(**{f"g{k}": [100.0 * k + run for run in range(n)] for k in range(4)})
-    (note, *_) = analyse([groups], replace(ASK, paired=False)).notes
+    (note, *_) = analyse([groups], replace(ASK, paired=False)).limits
     text = f"the smallest possible p value with n = {n} is {alone}, and {after} after correction for 6 tests (Holm)"
     assert note == (text if n == 5 else f"no two groups can be found different: {text}")
 
