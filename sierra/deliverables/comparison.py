@@ -25,7 +25,7 @@ from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.text import counted, like
+from sierra.util.text import counted, few, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -392,7 +392,7 @@ def again(project: LoadedProject, store: Store, row: DeliverableRow) -> Compared
     Raises SierraError for one that another version of the method made.
     """
     if other := other_version(row):
-        raise SierraError(f"{other}; its recorded files are {', '.join(row.files)}")
+        raise SierraError(f"{other}; its recorded figure is {few(row.files, 1)}")
     with parsing(row.name):
         definition = json.loads(row.definition)
         asked = Comparison.model_validate(definition["comparison"])

@@ -410,7 +410,7 @@ def test_a_comparison_by_another_version_is_not_computed_again(compared: tuple[P
     assert (checked.returncode, said in checked.stdout) == (1, True)
     assert written.returncode == 0, written.stderr
     page = (tmp_path / "report.html").read_text()
-    assert f"could not be made: {said}; its recorded files are figures/comparisons/" in page
+    assert f"could not be made: {said}; its recorded figure is figures/comparisons/" in page
     assert "follows from the store" in projects.quick(root, "figures", first, "--check").stdout
 
 
