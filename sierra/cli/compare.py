@@ -70,8 +70,8 @@ def compare(
             "--method",
             metavar="NAME",
             autocompletion=complete.comparison_methods,
-            help="How groups are tested: signed_rank, friedman, rank_sum, kruskal, log_rank, aligned_ranks, or a plug-in "
-            "(default: what suits the data).",
+            help="How groups are tested: signed_rank, friedman, rank_sum, kruskal, mcnemar, fisher, log_rank, aligned_ranks, "
+            "or a plug-in (default: what suits the data).",
         ),
     ] = None,
     paired: Annotated[
@@ -111,10 +111,11 @@ def compare(
     The groups are batches, or the values of a variable in one batch, such as controllers. Prints a table with a row for each
     test, and a paragraph that can be pasted into a paper; draws a figure of the differences.
 
-    Runs with the same seed are pairs, if that helps. Two groups are compared by Wilcoxon's signed-rank test (pairs) or by the
-    Mann-Whitney test; more groups first by the Friedman test (pairs) or the Kruskal-Wallis test. The p values are corrected for
-    all tests of the report (Holm). A difference is the second group minus the first, as estimated by Hodges and Lehmann. If no
-    difference is shown, groups need not be equal: --margin tests for equivalence.
+    Runs with the same seed are pairs, if that helps. Each two groups are compared by Wilcoxon's signed-rank test (pairs) or by
+    the Mann-Whitney test; rates by McNemar's exact test (pairs) or by Fisher's. The p values are corrected for all pairs of the
+    report (Holm). A test of all of more than two groups is shown beside them, and decides about no pair. A difference is the
+    second group minus the first, as estimated by Hodges and Lehmann; of rates, with Newcombe's interval. If no difference is
+    shown, groups need not be equal: --margin tests for equivalence.
 
     \b
     Examples:
@@ -245,6 +246,7 @@ def _answer(found: Compared, drawn: list[Path]) -> dict[str, object]:
         "unit": found.unit,
         "groups": found.analysis.groups,
         "method": found.analysis.method,
+        "version": found.analysis.version,
         "alpha": found.analysis.question.alpha,
         "margin": found.analysis.question.margin,
         "paired": found.analysis.pairing.paired,
@@ -255,7 +257,7 @@ def _answer(found: Compared, drawn: list[Path]) -> dict[str, object]:
         "pairs": found.pairs,
         "effects": found.effects,
         "text": found.text,
-        "notes": [*found.notes, *found.analysis.notes],
+        "notes": [*found.notes, *found.analysis.notes, *found.analysis.limits],
         "figures": list(map(str, drawn)),
     }
 

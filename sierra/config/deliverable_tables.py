@@ -292,9 +292,9 @@ class Comparison(Table):
     )
     method: Annotated[str, Field(min_length=1), AfterValidator(known_method)] = Field(
         "auto",
-        description="how groups are tested: `signed_rank`, `friedman` (pairs), `rank_sum`, `kruskal` (no pairs), `log_rank` "
-        "(times that runs never reached), `aligned_ranks` (several variables in `by`), or a plug-in; `auto`: what suits the "
-        "data",
+        description="how groups are tested: `signed_rank`, `friedman` (pairs), `rank_sum`, `kruskal` (no pairs), `mcnemar` "
+        "(rates, pairs), `fisher` (rates, no pairs), `log_rank` (times that runs never reached), `aligned_ranks` (several "
+        "variables in `by`), or a plug-in; `auto`: what suits the data",
     )
     paired: bool | Literal["auto"] = Field(
         "auto", description="whether runs with the same seed are compared as pairs; `auto`: if their values are correlated"

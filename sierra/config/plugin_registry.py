@@ -280,6 +280,8 @@ COMPARISONS = Kind(
         "rank_sum": f"{_COMPARISON}.shipped:RankSum",
         "friedman": f"{_COMPARISON}.shipped:Friedman",
         "kruskal": f"{_COMPARISON}.shipped:Kruskal",
+        "mcnemar": f"{_COMPARISON}.shipped:McNemar",
+        "fisher": f"{_COMPARISON}.shipped:Fisher",
         "log_rank": f"{_COMPARISON}.shipped:LogRank",
         "aligned_ranks": f"{_COMPARISON}.shipped:AlignedRanks",
     },

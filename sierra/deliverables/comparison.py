@@ -9,15 +9,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables.record import parsing
+from sierra.deliverables.record import other_version, parsing
 from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_time, values_of_runs
-from sierra.errors import NotFound, UsageError
+from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Value
 from sierra.stats.comparison.model import Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
@@ -26,7 +26,7 @@ from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.text import counted, like
+from sierra.util.text import counted, few, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -174,14 +174,22 @@ def gather_cells(
         for group, batch in batches.items()
     }
     first = next(iter(found.values()))
+    found = {group: one.minus(first.offset) for group, one in found.items()}
     if len({(one.output, one.measure) for one in found.values()}) > 1:
         each = ", ".join(f"{group}: {one.measure} of {one.output}" for group, one in found.items())
         raise UsageError(f"the batches differ in the output or the measure ({each}); name both")
     if len(found) > 1:
         cells, notes = _cells_of_batches(found)
-        return found, cells, (), notes
+        return found, _with_rates(cells, found), (), notes
     cells, factors = _cells_within(first, asked)
-    return found, cells, factors, ()
+    return found, _with_rates(cells, found), factors, ()
+
+
+def _with_rates(cells: Sequence[Cell], found: Mapping[str, RunTable]) -> list[Cell]:
+    """Return the cells, marked if all their values are those of a rate."""
+    values = (run.value for cell in cells for sample in cell.samples for run in sample.values)
+    rate = all(one.rate for one in found.values()) and all(value in (0, 1) for value in values)
+    return [replace(cell, rate=rate) for cell in cells]
 
 
 def _bands(
@@ -210,7 +218,8 @@ def _bands(
             series.get(group, first).values[samples[(*pair.point.items(), group)].experiment]
             for group in (pair.first, pair.second)
         )
-        numbers = compute(before, after, result.question.alpha)
+        apart = series.get(pair.second, first).offset - series.get(pair.first, first).offset
+        numbers = (numbers + float(apart) for numbers in compute(before, after, result.question.alpha))
         bands.append(over_time.Band(pair.point, pair.first, pair.second, np.array(first.times), *numbers))
     return first.time, tuple(bands)
 
@@ -380,7 +389,12 @@ def _row(one: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
 
 
 def again(project: LoadedProject, store: Store, row: DeliverableRow) -> Compared:
-    """Return a recorded comparison, made again from the data that the store has now. Raises the errors of `compare`."""
+    """Return a recorded comparison, made again from the data that the store has now. Raises the errors of `compare`.
+
+    Raises SierraError for one that another version of the method made.
+    """
+    if other := other_version(row):
+        raise SierraError(f"{other}; its recorded figure is {few(row.files, 1)}")
     with parsing(row.name):
         definition = json.loads(row.definition)
         asked = Comparison.model_validate(definition["comparison"])

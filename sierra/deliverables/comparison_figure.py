@@ -65,6 +65,7 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Conten
 
 def _content(compared: Compared, drawn: Drawing) -> Content:
     definition: dict[str, JsonView] = {
+        "version": compared.analysis.version,
         "comparison": compared.asked.model_dump(mode="json"),
         "groups": list(compared.batches),
         "note": drawn.note,
@@ -105,6 +106,7 @@ def caption_of(compared: Compared) -> str:
         pairs = " pairs" if found.pairing.paired else ""
         return f"mean difference, {100 * (1 - found.question.alpha):.4g} % CI at each time (no test), {runs}{pairs}"
     known = any(pair.low is not None for pair in compared.pairs)
-    interval = found.estimates + (f", {100 * (1 - found.question.alpha):.4g} % CI of each" if known else "")
+    each = "each" if len(compared.pairs) == 1 else f"each alone (not corrected for {len(compared.pairs)} pairs)"
+    interval = found.estimates + (f", {100 * (1 - found.question.alpha):.4g} % CI of {each}" if known else "")
     margin = "; shaded: the margin" if found.question.margin is not None else ""
     return f"{interval}, {runs}{' pairs' if found.pairing.paired else ''}; filled: different (Holm){margin}"

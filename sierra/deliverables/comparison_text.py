@@ -1,7 +1,7 @@
 """A comparison for a paper, as LaTeX, Markdown or HTML: its table, its paragraph, and its figure.
 
 Differences are rounded by their intervals (see `sierra.stats.rounding`), A12 has two digits, and p values are those that are
-corrected for all tests of the report.
+corrected for all tests of the report. The caption says that each interval is of one pair alone.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
             if one.p_equivalent_adjusted is not None:
                 cells["p (TOST)"] = _short(p_value(one.p_equivalent_adjusted))
         case Omnibus():
-            statistic = f"χ²({one.df}) = {number(one.statistic)}"
+            statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}"
             cells |= {"groups": "all groups", "n": str(one.n), "test": one.test, "statistic": statistic}
         case Effect():
             statistic = f"F({one.df}, {one.df_error}) = {number(one.f)}"

@@ -89,8 +89,8 @@ class _Output:
     def name(self) -> str:
         return self.output.name
 
-    def samples(self, column: str) -> Column:
-        return Column(self.frame, self.output.name, column, self.time, self.condition)
+    def samples(self, column: str, offset: int = 0) -> Column:
+        return Column(self.frame, self.output.name, column, self.time, self.condition, offset)
 
     def coverage(self, column: str) -> stats.Coverage:
         """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
@@ -265,8 +265,8 @@ class Gallery:
         """Return the variables, with their labels and units."""
         return self._axes
 
-    def column(self, figure: Figure) -> stats.Samples:
-        """Return the samples of the one column that a figure names, in the rows of its `where`."""
+    def column(self, figure: Figure, offset: int = 0) -> stats.Samples:
+        """Return the samples of the one column that a figure names, in the rows of its `where`, minus a whole number."""
         output = self.output(figure)
         (column,) = figure.columns
         source = _Output(self.frame, output, self.time(output), figure.where)
@@ -275,7 +275,7 @@ class Gallery:
         if figure.where:
             seen = self._in_order(output, source.coverage(column))
             stats.check_times(seen)
-        return stats.Samples(source.samples(column), seen, column in self.rates(output))
+        return stats.Samples(source.samples(column, offset), seen, column in self.rates(output))
 
     def rates(self, output: OutputTable) -> tuple[str, ...]:
         """Return the columns whose values 0 and 1 are a rate: those of flags, and those that are declared."""

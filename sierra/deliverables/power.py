@@ -182,7 +182,8 @@ def _one_group(
     for ordinal in runs.cells:
         values = _values(Sample("", tuple(runs.values.get(ordinal, ())), 0, ordinal))
         if len(values) > 1:
-            pilot = power.of_one_group(values, wanted.difference)
+            rate = runs.rate and all(run.value in (0, 1) for run in runs.values[ordinal])
+            pilot = power.of_one_group(values, wanted.difference, rate=rate)
             name = f"{wanted.difference:+g}"
             pairs.append(_Groups(runs.shown(ordinal), "pilot", f"pilot {name}", pilot, wanted.difference, len(values)))
     if not pairs:
@@ -226,7 +227,7 @@ def _pair(cell: Cell, wanted: Wanted, *, paired: bool) -> _Groups | None:
         if len(blocks) < 2:
             return None
         first, second = blocks[:, 0], blocks[:, 1]
-    pilot = power.of_groups(first, second, wanted.difference, paired=paired)
+    pilot = power.of_groups(first, second, wanted.difference, paired=paired, rate=cell.rate)
     difference = power.difference_of(first, second, paired=paired) if wanted.difference is None else wanted.difference
     names = [sample.group for sample in cell.samples]
     return _Groups(cell.point, names[0], names[1], pilot, difference, min(len(first), len(second)))

@@ -21,6 +21,7 @@ from sierra.config.validate import options
 from sierra.config.video_table import Video
 from sierra.errors import ConfigError, Damaged, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
+from sierra.stats.comparison.model import VERSION
 from sierra.store import deliverable_records, unfinished_files
 from sierra.store.deliverable_records import Source
 from sierra.store.lamport_clock import stamp
@@ -167,6 +168,8 @@ DECLARATIONS: Mapping[str, type[Table]] = {
     "video": Video,
 }
 """The models of the declarations, by kind of deliverable; a definition has the declaration under the name of the kind."""
+VERSIONS: Mapping[str, int] = {"comparison": VERSION}
+"""The versions of how deliverables are computed, by kind; definitions have them as `version`, and none is version 1."""
 FORMATS = "formats"
 """The key of definitions and declarations that says which files are made, and not what they show."""
 
@@ -226,12 +229,23 @@ def find(store: Store, root: Path, file: Path, again: Callable[[DeliverableRow],
     )
 
 
+def other_version(row: DeliverableRow) -> str:
+    """Return why a deliverable is not computed again: another version of the method made it; "" if this one did."""
+    with parsing(row.name):
+        made = int({**json.loads(row.definition)}.get("version", 1))
+    if made == (now := VERSIONS.get(row.kind, 1)):
+        return ""
+    return f"it is by version {made} of its method, and this SIERRA has version {now}; {REMEDIES.get(row.kind, DRAW_AGAIN)}"
+
+
 def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], Content]) -> str | None:
     for file, recorded, found in zip(row.files, row.sha256s, _hashes(root, row), strict=True):
         if found is None:
             return f"{file} is missing"
         if found != recorded:
             return f"{file} is not the file that SIERRA made (SHA-256 {found[:10]} instead of {recorded[:10]})"
+    if other := other_version(row):
+        return other
     try:
         now = again(row)
     except Missing:

@@ -143,16 +143,26 @@ class RunTable:
     labelled: Mapping[int, Mapping[str, Value]]
     """The same with the labels of controllers and scenarios instead of their names."""
     values: Mapping[int, tuple[RunValue, ...]]
-    """The runs with a finite value, by the position of their experiment."""
+    """The runs with a finite value, by the position of their experiment; minus `offset`."""
     planned: Mapping[int, int]
     """The number of requested runs of each experiment."""
     notes: tuple[str, ...]
     rate: bool = False
     """True if the values 0 and 1 of the column are a rate."""
+    offset: int = 0
+    """What was subtracted from all values, because floats do not hold the digits of the column's numbers."""
 
     def shown(self, ordinal: int) -> dict[str, Value]:
         """Return the values of the axes in an experiment, as a reader sees them."""
         return {name: self.labelled[ordinal][name] for name in self.axes}
+
+    def minus(self, offset: int) -> RunTable:
+        """Return the same runs, from whose values another whole number is subtracted."""
+        if offset == self.offset:
+            return self
+        moved = float(self.offset - offset)
+        values = {place: tuple(replace(run, value=run.value + moved) for run in runs) for place, runs in self.values.items()}
+        return replace(self, values=values, offset=offset)
 
     def among(self, experiments: str) -> RunTable:
         """Return the runs of the experiments that a condition on variables selects; "": all. Raises QueryError."""
@@ -189,8 +199,9 @@ def values_of_runs(
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
         found = gallery.output(Figure(table=output, column=(column,) if column else ()))
         chosen = column or gallery.only_column(found)
-        samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where))
         measure = measure or ("mean" if gallery.takes_mean(found) else "final")
+        offset = 0 if measure == "time_to" else frame.offset(found.name, chosen)
+        samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where), offset)
         rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
         seeds = frame.seeds()
         values: dict[int, list[RunValue]] = {ordinal: [] for ordinal in gallery.planned}
@@ -200,7 +211,7 @@ def values_of_runs(
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
         notes = [*stats.left_out((), samples.coverage), *samples.about(measure)]
-        if not samples.rate and measure != "time_to" and stats.may_be_rate(samples.frame, measure):
+        if not (samples.rate or offset) and measure != "time_to" and stats.may_be_rate(samples.frame, measure):
             notes.append(
                 f"all values of {chosen} are 0 or 1 (to compare them as rates, {gallery.key_of_rates(found.name, chosen)})"
             )
@@ -216,7 +227,8 @@ def values_of_runs(
             values={ordinal: tuple(runs) for ordinal, runs in values.items()},
             planned=gallery.planned,
             notes=(*gallery.notes, *notes),
-            rate=samples.rate and measure != "time_to",
+            rate=samples.remains_rate(measure) and not offset,
+            offset=offset,
         )
 
 
@@ -228,7 +240,9 @@ class RunSeries:
     """The name of the time column with its unit."""
     times: list[float]
     values: Mapping[int, Mapping[int, Floats]]
-    """The values at these times, by the position of the experiment and by seed; NaN where a run has none."""
+    """The values at these times, by the position of the experiment and by seed, minus `offset`; NaN where a run has none."""
+    offset: int = 0
+    """What was subtracted from all values, as in `RunTable`."""
 
 
 def runs_over_time(
@@ -245,7 +259,8 @@ def runs_over_time(
             raise UsageError(
                 f"output {output!r} has no time, so it cannot be compared over time; see time in [outputs.{output}]"
             )
-        rows, times = gallery.column(Figure(table=output, column=(column,))).runs_over_time(grid)
+        offset = frame.offset(found.name, column)
+        rows, times = gallery.column(Figure(table=output, column=(column,)), offset).runs_over_time(grid)
         places = np.searchsorted(np.array(times), rows.column("t").to_numpy())
         seeds = frame.seeds()
         values: dict[int, dict[int, Floats]] = {ordinal: {} for ordinal in gallery.planned}
@@ -255,7 +270,7 @@ def runs_over_time(
             series = values[ordinal].setdefault(seeds[ordinal, run], np.full(len(times), np.nan))
             series[place] = number
         unit = gallery.unit(found, time)
-        return RunSeries(f"{time} [{unit}]" if unit else time, times, values)
+        return RunSeries(f"{time} [{unit}]" if unit else time, times, values, offset)
 
 
 def _about_times(curves: Mapping[int, Sequence[survival.Step]], of_times: Sequence[str], *, others: bool) -> list[str]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from fractions import Fraction
+from typing import Any
 
 from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Equivalence, Output
@@ -20,10 +21,9 @@ from sierra.store.samples import Column, Frame
 from sierra.store.store import Store
 from sierra.util.text import counted
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-Values = dict[str, dict[tuple[int, str], float]]
+Number = float | Fraction
+"""A value of a run; a fraction if floats do not hold the digits of the column's numbers."""
+Values = dict[str, dict[tuple[int, str], Number]]
 """By metric: the value of each run, by (experiment's place, run id)."""
 
 
@@ -63,16 +63,19 @@ def values(
             table = declared.get(metric.table)
             column = Column(frame, metric.table, metric.column, table.time if table else "")
             any_order = isinstance(table, Output) and table.time_order == "any"
-            rows = _reduced(column, metric, any_order=any_order).to_pylist()
-            found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
+            rows, offset = _reduced(column, metric, any_order=any_order)
+            found[name] = {
+                (row["experiment"], row["run"]): Fraction(row["value"]) + offset if offset else row["value"] for row in rows
+            }
     return found
 
 
-def _reduced(column: Column, metric: Equivalence, *, any_order: bool) -> pa.Table:
-    """Return the values of the runs. Raises NotFound."""
+def _reduced(column: Column, metric: Equivalence, *, any_order: bool) -> tuple[list[dict[str, Any]], int]:
+    """Return the values of the runs, and the whole number that was subtracted from them. Raises NotFound."""
     try:
         _check_single(column, any_order=any_order)
-        return stats.reduced(column, metric.measure, metric.threshold)
+        offset = 0 if metric.measure == "time_to" else column.frame.offset(column.table, column.column)
+        return stats.reduced(replace(column, offset=offset), metric.measure, metric.threshold).to_pylist(), offset
     except (NotFound, Missing, Damaged):
         raise
     except SierraError as error:
@@ -99,7 +102,7 @@ def compare(metrics: Mapping[str, Equivalence], was: Values, now: Values, ordina
         yield _compare(name, metric, [pair for pair in pairs if not all(map(math.isnan, pair))])
 
 
-def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -> Metric:
+def _compare(name: str, metric: Equivalence, pairs: list[tuple[Number, Number]]) -> Metric:
     alone = sum(any(map(math.isnan, pair)) for pair in pairs)
     if alone or len(pairs) < 2:
         why = (
@@ -108,8 +111,8 @@ def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -
             else f"{counted(len(pairs), 'run')} with a value, but two are needed"
         )
         return Metric(name, metric, None, None, None, f"{name}: {why}")
-    mean, now = (equivalence.mean_of(values) for values in zip(*pairs, strict=True))
-    differences = [new - old for old, new in pairs]
+    mean, now = (equivalence.mean_of(list(map(float, values))) for values in zip(*pairs, strict=True))
+    differences = [float(new - old) for old, new in pairs]
     if not all(map(math.isfinite, differences)):
         return Metric(name, metric, mean, now, None, f"{name}: values differ by more than the largest possible number")
     margin = metric.margin or (metric.relative or 0.0) * abs(mean)

@@ -260,9 +260,9 @@ class Samples:
     ) -> Statistics:
         """Return statistics of each experiment, each run reduced by `measure`; `steps`: `time_mean` without trapezoids."""
         text = statement(_file(f"measures/{measure}"), "group_by_experiment", statistics)
-        return self._run(text, statistics, rate=self._remains_rate(measure), threshold=threshold, steps=steps)
+        return self._run(text, statistics, rate=self.remains_rate(measure), threshold=threshold, steps=steps)
 
-    def _remains_rate(self, measure: str) -> bool:
+    def remains_rate(self, measure: str) -> bool:
         """Return whether the reduced values of a rate are still 0 or 1; the mean of several rows is a fraction."""
         return self.rate and (measure == "final" or (measure in MEANS and self.coverage.most == 1))
 

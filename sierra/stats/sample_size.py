@@ -18,6 +18,7 @@ from collections.abc import Callable
 from statistics import NormalDist
 
 from sierra.stats import student_t
+from sierra.stats.rates import center_and_half
 
 ASSURANCE = 0.8
 MOST = 10**7
@@ -32,19 +33,13 @@ def runs_needed(sd: float, half_width: float, level: float = 0.95) -> int | None
 def runs_for_rate(rate: float, half_width: float, level: float = 0.95) -> int | None:
     """Return the smallest n of at least 2 for which Wilson's interval of this rate has the half-width; None if above `MOST`."""
     z = NormalDist().inv_cdf((1 + level) / 2)
-    return _smallest(lambda n: _wilson(rate, n, z)[1] <= half_width)
+    return _smallest(lambda n: center_and_half(rate, n, z)[1] <= half_width)
 
 
 def doubtful_rate(rate: float, n: int) -> float:
     """Return the rate nearest to 0.5 that n runs do not exclude: the end of Wilson's one-sided interval (`ASSURANCE`)."""
-    center, half = _wilson(rate, n, NormalDist().inv_cdf(ASSURANCE))
+    center, half = center_and_half(rate, n, NormalDist().inv_cdf(ASSURANCE))
     return min(max(center + half, rate), 0.5) if rate <= 0.5 else max(min(center - half, rate), 0.5)
-
-
-def _wilson(rate: float, n: int, z: float) -> tuple[float, float]:
-    """Return the center and the half-width of Wilson's interval."""
-    scale = 1 + z * z / n
-    return (rate + z * z / (2 * n)) / scale, z * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n)) / scale
 
 
 def _smallest(fits: Callable[[int], bool]) -> int | None:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from decimal import Decimal
 from functools import partial
 from math import isfinite
 from pathlib import Path, PurePosixPath
@@ -26,7 +27,7 @@ from sierra.store.row_types import CaptureRow
 from sierra.store.schema import RECORDED
 from sierra.store.segments import disk_errors, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote
-from sierra.store.sql_result import NUMBER
+from sierra.store.sql_result import INTEGER, NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
@@ -47,6 +48,10 @@ TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "secon
 """Names of a first column that make it the time axis, if the project declares no time column."""
 FLAG, NUMERIC = "BOOLEAN", rf"BOOLEAN|{NUMBER}"
 """DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
+EXACT = rf"{INTEGER}|DECIMAL\(\d+,\d+\)"
+"""The types of numbers that may have more digits than a float holds."""
+HALF_RANGE = Decimal(2**126)
+"""Numbers below this have differences that are whole numbers of 128 bits, the widest type."""
 NO_VALUES = ("run", "number", "row", "seed", "execution", "file", "batch", "experiment", "ordinal")
 """Columns of derived tables that say where a row belongs, and are no values; the axes are others."""
 
@@ -447,11 +452,35 @@ class Frame:
         known = zip(columns, found, strict=True)  # the variance of very large numbers is not finite
         return {column: share if share is not None and isfinite(share) else 0.0 for column, share in known}
 
-    def samples(self, table: str, column: str, time: str = "", where: str = "", *, shared: bool = False) -> None:
+    def offset(self, table: str, column: str) -> int:
+        """Return a whole number to subtract from a column before its values become floats; 0 if floats hold its digits.
+
+        It is the median of a column of whole numbers or decimals, of which some have more than 53 bits. Raises NotFound.
+        """
+        data, kind = self._data(table), self._type(table, column)
+        if not re.fullmatch(EXACT, kind):
+            return 0
+        value = identifier(column)
+        [ends] = self._snapshot.run(f"SELECT min({value})::VARCHAR, max({value})::VARCHAR FROM {data}")
+        digits = int(match[1]) if (match := re.search(r",(\d+)", kind)) else 0
+        largest = max((abs(Decimal(end)) for end in ends if end is not None), default=Decimal(0))
+        if largest.scaleb(digits) <= 2**53 or not 1 < largest < HALF_RANGE:
+            return 0
+        [(middle,)] = self._snapshot.run(f"SELECT quantile_disc({value}, 0.5)::VARCHAR FROM {data}")
+        return int(Decimal(middle))
+
+    def _type(self, table: str, column: str) -> str:
+        types = self._relation(table, self._files[table]).types
+        return next((kind for name, kind in types.items() if name.lower() == column.lower()), "")
+
+    def samples(
+        self, table: str, column: str, time: str = "", where: str = "", offset: int = 0, *, shared: bool = False
+    ) -> None:
         """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column.
 
-        `where` is a condition on the columns of the output and on variables; rows without it do not count. `shared`: the
-        column `shared_t` has the times that rows share with other runs, if they differ by rounding only.
+        `where` is a condition on the columns of the output and on variables; rows without it do not count. `offset` is a whole
+        number that is subtracted from all values before they become floats. `shared`: the column `shared_t` has the times that
+        rows share with other runs, if they differ by rounding only.
         """
         data = self._data(table)
         if column in _mixed(self._relation(table, self._files[table])):
@@ -467,19 +496,24 @@ class Frame:
         shared_t = self._time(table, time) if shared else t
         self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
-            self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, (t, shared_t), where)}")
+            values = self._values(table, column, time, (t, shared_t), where, offset)
+            self._snapshot.run(f"CREATE TEMP VIEW samples AS {values}")
         except Damaged:
             raise
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
 
-    def _values(self, table: str, column: str, time: str, times: tuple[str, str], where: str) -> str:
+    def _values(self, table: str, column: str, time: str, times: tuple[str, str], where: str, offset: int) -> str:
         """Return the query for the values of a column: those of each row, or the means of the robots of a run.
 
         `times` are the expressions for a row's own time, and for the time that it shares with rows of other runs.
         """
         value, data = identifier(column), self._rows(table, where)
+        if offset:
+            kind = self._type(table, column)
+            wide = kind if kind.startswith("DECIMAL") else "HUGEINT"
+            value = f"({value}::{wide} - '{offset}'::{wide})"
         robot = self.column_of_robots(table)
         t, shared_t = times if not robot else (self._time(table, time), "t")
         aligned = self._same_times(table, robot, time, t, where) if robot else None
@@ -757,9 +791,11 @@ class Column:
     column: str
     time: str
     where: str = ""
+    offset: int = 0
+    """What is subtracted from all values: see `Frame.offset`."""
 
     def sql(self, text: str, /, **parameters: object) -> pa.Table:
-        self.frame.samples(self.table, self.column, self.time, self.where, shared="shared_t" in text)
+        self.frame.samples(self.table, self.column, self.time, self.where, self.offset, shared="shared_t" in text)
         return self.frame.sql(text, **parameters)
 
 

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import COMPARISONS
@@ -66,17 +67,29 @@ class Trial:
         return analyse([cell], Question(), cell.names, self.name, {self.name: self.options})
 
     def cell(self, *means: float, n: int = 12, seed: int = 1) -> Cell:
-        """Return groups of normal values around means; two factors with two values each, if the method takes factors."""
+        """Return groups of normal values around means; two factors with two values each, if the method takes factors.
+
+        If it takes rates, there are 0 and 1 instead; their rates have the order of the means.
+        """
         rng = random.Random(seed)
         if "factors" in self.takes:
             means = (means[0], means[0], means[-1], means[-1])
+        rate = "rates" in self.takes
+        draw = partial(_flag, rng, means) if rate else rng.gauss
         samples = tuple(
-            Sample(f"g{place}", tuple(RunValue(run, rng.gauss(mean)) for run in range(n)), n, place)
+            Sample(f"g{place}", tuple(RunValue(run, draw(mean)) for run in range(n)), n, place)
             for place, mean in enumerate(means)
         )
         if "factors" not in self.takes:
-            return Cell({"noise": 0.5}, samples)
+            return Cell({"noise": 0.5}, samples, rate=rate)
         return Cell({}, samples, ((0, 0), (0, 1), (1, 0), (1, 1)), ("a", "b"))
+
+
+def _flag(rng: random.Random, means: Sequence[float], mean: float) -> float:
+    """Return 0 or 1, with a rate that is 0.5 if all means are equal, and otherwise from 0.04 for the lowest to 0.96."""
+    others = len(set(means)) - 1
+    rate = 0.04 + 0.92 * sorted(set(means)).index(mean) / others if others else 0.5
+    return float(rng.random() < rate)
 
 
 def check(name: str, options: RawTable | None = None) -> None:
@@ -132,7 +145,7 @@ def has_p_values_and_intervals(trial: Trial) -> None:
 def _equal(trial: Trial) -> Cell:
     cell = trial.cell(0, 0)
     samples = (Sample(one.group, tuple(RunValue(run.seed, 1.0) for run in one.values), one.planned) for one in cell.samples)
-    return Cell(cell.point, tuple(samples), cell.factors, cell.names)
+    return replace(cell, samples=tuple(samples))
 
 
 def _has_a_right_interval(pair: Pair) -> None:

@@ -27,6 +27,7 @@ from sierra.deliverables.claims.model import Found, Verdict
 from sierra.deliverables.comparison import gather_cells
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.stats.comparison.model import Cell, Pair, Question, Sample
+from sierra.stats.comparison.wording import covers_zero
 from sierra.store.store import Store
 from sierra.util.text import counted, few, like
 
@@ -166,7 +167,10 @@ def conclude(tested: Tested, p: float, tests: int) -> Found:
         return found(Verdict.does_not_hold, text)
     if max(p, tested.smallest) <= alpha:
         return found(Verdict.holds if tested.shown else Verdict.does_not_hold, f"{what}; {end}")
-    return found(Verdict.cannot_tell, f"not shown: {what}; {end}")
+    count = max(tests, len(tested.pairs))
+    apart = count > 1 and not all(map(covers_zero, tested.pairs))
+    alone = f"; each interval is of one pair alone, not corrected for {count} {'tests' if tests == count else 'pairs'}"
+    return found(Verdict.cannot_tell, f"not shown: {what}; {end}{alone if apart else ''}")
 
 
 def _text(pair: Pair, paired: bool, tested: Tested) -> str:

@@ -46,7 +46,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
         among=lambda _: {ordinal},
         where=value.where,
     )
-    each = {} if value.statistic in CENSORED else {str(run.seed): run.value for run in counted}
+    each = {} if value.statistic in CENSORED else {str(run.seed): run.value + runs.offset for run in counted}
     notes = tuple(filter(None, paper_tables.notes_and_sql(table)[0].split("; ")))
     estimates, _ = paper_tables.estimates_of(table, value.statistic, len(runs.axes), {ordinal})
     estimate, low, high, n = estimates[ordinal]

@@ -11,7 +11,8 @@ The interval of the change:
 - Runs with the same seeds and the same values: the change is 0.
 - The mean over runs with the same seeds: Student's t interval of the mean of the differences within pairs. It is right also if
   pairs do not correlate.
-- All others, rates included: from the intervals of both values, by the square-and-add method (Zou and Donner 2008, Stat. Med.
+- Rates over runs with the same seeds: Newcombe's interval of pairs (see `sierra.stats.rates`).
+- All others: from the intervals of both values, by the square-and-add method (Zou and Donner 2008, Stat. Med.
   27: 1693-1702; of rates: Newcombe 1998, Stat. Med. 17: 873-890).
 
 Other claims have no margin: a regression is that a claim which held does not hold. The intervals of several claims are not
@@ -32,7 +33,8 @@ from sierra.config.project_file import Project
 from sierra.deliverables.claims.baseline import ClaimInBaseline, decision_of
 from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
-from sierra.stats import student_t
+from sierra.stats import rates, student_t
+from sierra.stats.rates import Interval, square_and_add
 
 
 class Change(StrEnum):
@@ -144,8 +146,8 @@ def change(before: Estimate, now: Estimate, statistic: str) -> tuple[float, floa
     pairs = _pairs(before, now)
     if pairs and all(one == other for one, other in pairs):
         return 0.0, 0.0, 0.0
-    if len(pairs) > 1 and statistic == "mean" and not _is_rate(pairs):
-        return _of_pairs([other - one for one, other in pairs])
+    if len(pairs) > 1 and statistic == "mean":
+        return _of_rates(pairs) if _is_rate(pairs) else _of_pairs([other - one for one, other in pairs])
     return _of_intervals(before, now)
 
 
@@ -160,6 +162,12 @@ def _is_rate(pairs: Sequence[tuple[float, float]]) -> bool:
     return all(value in (0, 1) for pair in pairs for value in pair)
 
 
+def _of_rates(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """Return the difference of the rates of pairs, and Newcombe's interval."""
+    counts = (pairs.count(which) for which in ((1, 1), (1, 0), (0, 1), (0, 0)))
+    return rates.of_pairs(rates.Pairs(*counts), statistics.NormalDist().inv_cdf(0.975))
+
+
 def _of_pairs(differences: Sequence[float]) -> tuple[float, float, float]:
     """Return the mean of differences and its t interval: mean ± t · s / √n."""
     mean, n = statistics.fmean(differences), len(differences)
@@ -172,11 +180,5 @@ def _of_intervals(before: Estimate, now: Estimate) -> tuple[float, float, float]
 
     It is d − √((now − its low)² + (high of before − before)²) to d + √((high of now − now)² + (before − its low)²).
     """
-    values = (before.value, before.low, before.high, now.value, now.low, now.high)
-    one, one_low, one_high, other, other_low, other_high = (value or 0.0 for value in values)
-    difference = other - one
-    return (
-        difference,
-        difference - math.hypot(other - other_low, one_high - one),
-        difference + math.hypot(other_high - other, one - one_low),
-    )
+    first, second = (Interval(one.value or 0.0, one.low or 0.0, one.high or 0.0) for one in (before, now))
+    return square_and_add(first, second)

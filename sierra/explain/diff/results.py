@@ -3,7 +3,8 @@
 Means are computed from the last value that each run wrote (the measure `final`), for each experiment that both have. The
 interval of their difference is Welch's (1947), for independent samples: degrees of freedom by Satterthwaite, rounded down.
 The interval of the difference of two rates is Newcombe's (1998, Statist. Med. 17: 873-890, method 10), from Wilson's
-intervals of both. If runs share their seeds, as they do by default, both are rather too wide.
+intervals of both. If runs share their seeds, as they do by default, both are rather too wide. Each interval is of one
+experiment alone; it is not corrected for the others.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from sierra.ingest.recording_context import rules_of
 from sierra.replay import compare_outputs
 from sierra.replay.compare_values import Agreement, Verdict, distance
 from sierra.stats import student_t
+from sierra.stats.rates import Interval, square_and_add
 from sierra.store.samples import Frame, names_time
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
@@ -299,7 +301,8 @@ def _apart(
         yield Difference("results", f"{output}.{column}", line, other[0][1].mean, other[0][2].mean)
         return
     counts = f"different in {len(other)} of {len(both)} experiments"
-    line = f"{called}: {counts}; 0 is outside the 95 % interval of the difference in {beyond or 'none'} of them"
+    outside = f"0 is outside the 95 % interval of the difference in {beyond or 'none'} of them"
+    line = f"{called}: {counts}; {outside} (each interval is of one experiment alone, not corrected for {len(both)})"
     yield Difference(
         "results", f"{output}.{column}", line, [m.mean for _, m, _ in both], [m.mean for _, _, m in both], tuple(lines)
     )
@@ -319,9 +322,8 @@ def newcombe(was: Mean, now: Mean) -> tuple[float, float] | None:
     """Return the 95 % interval of the difference of two rates; None if one of the two is not a rate."""
     if was.rate is None or now.rate is None:
         return None
-    below = hypot(now.mean - now.rate[0], was.rate[1] - was.mean)
-    above = hypot(now.rate[1] - now.mean, was.mean - was.rate[0])
-    return now.mean - was.mean - below, now.mean - was.mean + above
+    _, low, high = square_and_add(Interval(was.mean, *was.rate), Interval(now.mean, *now.rate))
+    return low, high
 
 
 def welch(was: Mean, now: Mean) -> tuple[float, float] | None:

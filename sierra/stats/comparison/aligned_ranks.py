@@ -21,7 +21,7 @@ from scipy import stats
 
 from sierra.errors import UsageError
 from sierra.stats.comparison.model import Effect
-from sierra.stats.comparison.rank_tests import Floats, rounded
+from sierra.stats.comparison.ties import Floats, alike, rounded
 
 MOST = 4
 """The largest number of factors."""
@@ -39,6 +39,7 @@ def effects(names: Sequence[str], values: Floats, levels: Levels, blocks: Sequen
     if min(sizes) < 2:
         raise UsageError(f"factor {names[sizes.index(min(sizes))]!r} has one value only; a factor needs two or more")
     cell = np.ravel_multi_index(list(codes), sizes)
+    [values], size = alike([values])
     counts = np.bincount(cell, minlength=int(np.prod(sizes)))
     if not counts.all():
         raise UsageError("a combination of the factors has no value; main effects and interactions need all combinations")
@@ -47,13 +48,17 @@ def effects(names: Sequence[str], values: Floats, levels: Levels, blocks: Sequen
     block = _dummies(np.array(blocks)) if blocks is not None else np.empty((len(values), 0))
     terms = list(_subsets(range(len(names))))
     columns = {term: _columns(term, codes, sizes) for term in terms}
-    return [_effect(term, names, residual + _own(term, means)[tuple(codes)], columns, block) for term in terms if term]
+    return [
+        _effect(term, names, rounded(residual + _own(term, means)[tuple(codes)], size), columns, block)
+        for term in terms
+        if term
+    ]
 
 
 def _effect(
     term: tuple[int, ...], names: Sequence[str], aligned: Floats, columns: dict[tuple[int, ...], Floats], block: Floats
 ) -> Effect:
-    ranks = stats.rankdata(rounded(aligned))
+    ranks = stats.rankdata(aligned)
     full = np.column_stack([*columns.values(), block])
     rest = np.column_stack([*(part for other, part in columns.items() if other != term), block])
     error, df_error = _unexplained(full, ranks)

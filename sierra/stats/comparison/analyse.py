@@ -1,9 +1,11 @@
 """All tests of one report, and their correction for being many.
 
-A comparison method tests the groups of each cell: see `sierra.stats.comparison.base`. The p values of all tests of the report,
-omnibus tests and tests of equivalence included, are corrected together (Holm). So the probability that the report finds any
-difference that does not exist is at most alpha. Two of more groups differ only if the omnibus test of their cell, where the
-method has one, finds a difference too.
+A comparison method tests the groups of each cell: see `sierra.stats.comparison.base`. The p values of all pairs of the report,
+those of equivalence and of effects included, are corrected together (Holm). So the probability that the report finds any
+difference of two groups that does not exist is at most alpha.
+
+An omnibus test of more than two groups is a statement beside the pairs. It is corrected for the other omnibus tests of the
+report only, and decides about no pair: it may find a difference although no pair does, and the other way round.
 
 A censored time is not replaced by a number: if a run never reached the threshold, all cells use the log-rank test. A group
 without any value in a cell is left out of it, and reported.
@@ -20,12 +22,17 @@ from sierra.errors import SierraError, UsageError
 from sierra.stats.comparison import pairing, rank_tests, shipped
 from sierra.stats.comparison.base import CellResult, ComparisonMethod
 from sierra.stats.comparison.model import Analysis, Cell, Pair, Pairing, Question, Verdict
-from sierra.util.text import counted
+from sierra.stats.comparison.wording import number, runs_of, where
+from sierra.util.text import counted, few
 
 LARGEST = 1e150
 """The largest number that can be compared: squares of larger ones overflow."""
 MOST = 100
 """The number of runs below which a note on too few runs looks for one that is enough."""
+SMALL = 0.001
+"""The p value from which on a note says that n allows no smaller one."""
+SHOWN = 3
+"""The largest number of pairs that a note names."""
 AUTO = "auto"
 """Stands for the shipped method that suits the data."""
 
@@ -87,10 +94,8 @@ def _check(cells: Sequence[Cell], question: Question) -> None:
 
 def _chosen(cells: Sequence[Cell], question: Question, name: str, *, censored: bool) -> tuple[str, Pairing]:
     """Return the name of the method, and whether it compares runs as pairs. Raises UsageError if it does not fit."""
-    factors, several = bool(cells[0].names), any(len(cell.samples) > 2 for cell in cells)
-    suitable = [
-        shipped.suitable(factors=factors, censored=censored, paired=paired, several=several) for paired in (True, False)
-    ]
+    factors, rate = bool(cells[0].names), all(cell.rate for cell in cells)
+    suitable = [shipped.suitable(factors=factors, censored=censored, rate=rate, paired=paired) for paired in (True, False)]
     names = suitable if name == AUTO else [name]
     methods: list[type[ComparisonMethod]] = [COMPARISONS.load(one) for one in names]
     takes = frozenset().union(*(method.takes for method in methods))
@@ -109,6 +114,8 @@ def _chosen(cells: Sequence[Cell], question: Question, name: str, *, censored: b
         raise UsageError("main effects and interactions have no group to compare with")
     if not factors and "factors" in takes:
         raise UsageError(f"the {title} needs several variables; name them, as in --by a,b")
+    if not rate and name != AUTO and "rates" in takes:
+        raise UsageError(f"the {title} needs a rate: a column of false and true, or one in rates of [outputs.NAME]")
     if "pairs" not in takes:
         return names[-1], Pairing(False, f"the {title} uses no pairs")
     found = pairing.decide(cells, True if "samples" not in takes else question.paired)
@@ -176,20 +183,45 @@ def _unequal(cells: Sequence[Cell]) -> Iterator[str]:
 
 
 def _corrected(result: Analysis, method: ComparisonMethod) -> Analysis:
-    """Return the result with p values that are corrected for all tests together, and with verdicts."""
+    """Return the result with p values that are corrected for all tests of their family together, and with verdicts."""
     equivalent = [pair.p_equivalent for pair in result.pairs if pair.p_equivalent is not None]
-    p = [one.p for one in result.omnibus] + [one.p for one in result.pairs] + [one.p for one in result.effects] + equivalent
-    adjusted = iter(rank_tests.holm(p))
-    omnibus = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.omnibus)
-    gates = {tuple(one.point.items()): one.p_adjusted for one in omnibus}
-    pairs = tuple(
-        replace(one, p_adjusted=max(next(adjusted), gates.get(tuple(one.point.items()), 0.0))) for one in result.pairs
-    )
+    p = [one.p for one in result.pairs] + [one.p for one in result.effects] + equivalent
+    adjusted, of_omnibus = iter(rank_tests.holm(p)), iter(rank_tests.holm([one.p for one in result.omnibus]))
+    pairs = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.pairs)
     effects = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.effects)
     pairs = tuple(one if one.p_equivalent is None else replace(one, p_equivalent_adjusted=next(adjusted)) for one in pairs)
-    pairs = tuple(replace(one, verdict=_verdict(one, result.question, len(p))) for one in pairs)
-    notes = (*result.notes, *_too_few(pairs, result, method, len(p)))
-    return replace(result, omnibus=omnibus, pairs=pairs, effects=effects, tests=len(p), notes=notes)
+    omnibus = tuple(replace(one, p_adjusted=next(of_omnibus)) for one in result.omnibus)
+    best = _best(result)
+    pairs = tuple(replace(one, verdict=_verdict(one, result.question, least)) for one, least in zip(pairs, best, strict=True))
+    limits = (*_limits(pairs, best, result, len(p)), *_too_few(pairs, result, method, len(p)))
+    return replace(result, omnibus=omnibus, pairs=pairs, effects=effects, tests=len(p), limits=limits)
+
+
+def _best(result: Analysis) -> list[tuple[float, float]]:
+    """Return for each pair the smallest corrected p values of a difference and of equivalence (1: not tested) that n allows."""
+    tested = [pair.p_equivalent is not None for pair in result.pairs]
+    smallest = [pair.smallest for pair in result.pairs] + [0.0] * len(result.effects)
+    best = rank_tests.holm(smallest + [pair.smallest / 2 for pair, two in zip(result.pairs, tested, strict=True) if two])
+    equivalent = iter(best[len(smallest) :])
+    return [(least, next(equivalent) if two else 1.0) for least, two in zip(best[: len(tested)], tested, strict=True)]
+
+
+def _limits(pairs: Sequence[Pair], best: Sequence[tuple[float, float]], result: Analysis, tests: int) -> Iterator[str]:
+    """Yield a note on the smallest p value that n allows, unless it is very small, and on pairs that can't be different."""
+    if not pairs or (least := max(one for one, _ in best)) < SMALL:
+        return
+    place = [one for one, _ in best].index(least)
+    pair = pairs[place]
+    alone = f"the smallest possible p value with {runs_of(pair, paired=result.pairing.paired)} is {number(pair.smallest)}"
+    text = f"{alone}, and {number(least)} after correction for {tests} tests (Holm)" if tests > 1 else alone
+    without = [pair for pair, (one, _) in zip(pairs, best, strict=True) if _above(one, result.question.alpha)]
+    if len(without) == len(pairs):
+        yield f"no two groups can be found different: {text}"
+    elif without:
+        names = [f"{where(one.point)}{one.first} and {one.second}" for one in without]
+        yield f"these groups cannot be found different: {few(names, SHOWN)}; {text}"
+    else:
+        yield text
 
 
 def _too_few(pairs: Sequence[Pair], result: Analysis, method: ComparisonMethod, tests: int) -> Iterator[str]:
@@ -197,18 +229,20 @@ def _too_few(pairs: Sequence[Pair], result: Analysis, method: ComparisonMethod, 
     if not any(pair.verdict is Verdict.too_few for pair in pairs):
         return
     sides = 2 if result.question.margin is not None else 1
-    possible = (n for n in range(2, MOST) if method.smallest(n) / sides * tests <= result.question.alpha)
+    possible = (n for n in range(2, MOST) if not _above(method.smallest(n) / sides * tests, result.question.alpha))
     if needed := next(possible, None):
         what = "pairs" if result.pairing.paired else "runs of each group"
         yield f"a verdict at alpha = {result.question.alpha:g} over {counted(tests, 'test')} needs {needed} {what} or more"
 
 
-def _verdict(pair: Pair, question: Question, tests: int) -> Verdict:
+def _verdict(pair: Pair, question: Question, best: tuple[float, float]) -> Verdict:
     alpha = question.alpha
-    one_sided = pair.smallest / 2
     different = max(pair.p_adjusted, pair.smallest) <= alpha
-    equivalent = pair.p_equivalent_adjusted is not None and max(pair.p_equivalent_adjusted, one_sided) <= alpha
+    equivalent = pair.p_equivalent_adjusted is not None and max(pair.p_equivalent_adjusted, pair.smallest / 2) <= alpha
     if different or equivalent:
         return Verdict.both if different and equivalent else Verdict.different if different else Verdict.equivalent
-    possible = one_sided if question.margin is not None else pair.smallest
-    return Verdict.open if possible * tests <= alpha * (1 + 1e-12) else Verdict.too_few
+    return Verdict.too_few if _above(min(best), alpha) else Verdict.open
+
+
+def _above(p: float, alpha: float) -> bool:
+    return p > alpha * (1 + 1e-12)

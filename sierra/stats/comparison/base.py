@@ -5,7 +5,7 @@ SIERRA ships the methods in `sierra.stats.comparison.shipped`. Others are entry 
 `[comparisons.…] method = "NAME"`. `sierra.testing.comparisons` has the conformance suite.
 
 SIERRA does what all methods have in common: it collects the values of runs, says which are missing, decides about pairs,
-corrects the p values of all tests of a report (Holm), decides the verdicts, and writes the table, the text and the figure.
+corrects the p values of all pairs of a report (Holm), decides the verdicts, and writes the table, the text and the figure.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from typing import Any, ClassVar, Protocol
 from sierra.config.field_types import Table
 from sierra.stats.comparison.model import Cell, Effect, Omnibus, Pair, Question
 
-TAKES = frozenset({"pairs", "samples", "censored", "factors", "margin"})
-"""What a method may take: runs with the same seed as pairs, runs without pairs, censored times, factors, a margin."""
+TAKES = frozenset({"pairs", "samples", "censored", "factors", "margin", "rates"})
+"""What a method may take: runs with the same seed as pairs, runs without pairs, censored times, factors, a margin, rates.
+
+A method that takes censored times or factors can use other values too, but one that takes rates can use nothing else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class CellResult:
 
     pairs: tuple[Pair, ...] = ()
     omnibus: Omnibus | None = None
-    """A test of whether any of more than two groups differs. Two groups can only differ if this test finds a difference."""
+    """A test of whether any of more than two groups differs. It is shown beside the pairs, and decides about none of them."""
     effects: tuple[Effect, ...] = ()
 
 
@@ -34,6 +36,8 @@ class ComparisonMethod(Protocol):
     """One way to compare groups of runs.
 
     - Each sample of a cell has a value or more; all values are finite. There are two groups or more.
+    - A common whole number is subtracted from all values of a comparison if they are whole numbers beyond 2⁵³, which no float
+      holds. So only differences have a meaning.
     - p values are from 0 to 1. `Pair.smallest` is the smallest p value that an exact test can have with these numbers of runs,
       or 0. A difference is shown only if both p and `smallest` allow it.
     - `Pair.difference` is `second` minus `first`, in the column's unit. Its interval has the confidence 1 − alpha, and

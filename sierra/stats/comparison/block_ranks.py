@@ -1,8 +1,8 @@
 """Mean ranks of groups over blocks, and which groups were not shown to differ: the content of a critical-difference diagram.
 
 A block has one value of each group, for example one scenario, or one seed. Within each block the groups are ranked, the best
-one first (Demšar 2006, J. Mach. Learn. Res. 7: 1-30). If Friedman's test finds no difference, no two groups differ. Else two
-groups differ by one of two tests:
+one first (Demšar 2006, J. Mach. Learn. Res. 7: 1-30). Friedman's test is a statement about all groups, and decides about no
+two of them. Two groups differ by one of two tests:
 
 - Nemenyi's: their mean ranks differ by the critical difference or more.
 - Wilcoxon's signed-rank test of their values, corrected by Holm over all tests, as in `sierra compare`. It does not depend on
@@ -21,7 +21,7 @@ from typing import Literal
 from sierra.stats.comparison import rank_tests
 from sierra.stats.comparison.analyse import analyse
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample, Verdict
-from sierra.stats.comparison.rank_tests import Floats
+from sierra.stats.comparison.ties import Floats, each_alike
 
 Test = Literal["nemenyi", "wilcoxon"]
 
@@ -65,7 +65,7 @@ class Ranking:
 
 def ranking(groups: Sequence[str], values: Floats, test: Test, alpha: float, *, best_is_high: bool) -> Ranking:
     """Return the ranking of groups by their values: a row for each block, a column for each group; two of each at least."""
-    values = rank_tests.rounded(values)
+    values = each_alike(values)
     means = rank_tests.mean_ranks_in_blocks(-values if best_is_high else values)
     order = sorted(range(len(groups)), key=lambda place: means[place])
     names, values = [groups[place] for place in order], values[:, order]
@@ -73,8 +73,6 @@ def ranking(groups: Sequence[str], values: Floats, test: Test, alpha: float, *, 
     p = rank_tests.friedman(values)[1] if len(groups) > 2 else None
     ranks = sorted(means)
     alike, critical, enough = of_pairs(ranks, values, alpha)
-    if p is not None and p > alpha:
-        alike = set(combinations(range(len(groups)), 2))
     return Ranking(tuple(names), tuple(ranks), frozenset(alike), len(values), alpha, p, critical, enough)
 
 

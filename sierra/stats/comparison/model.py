@@ -9,6 +9,9 @@ from typing import Literal
 
 from sierra.model import Value
 
+VERSION = 2
+"""The version of how comparisons are computed, which recorded ones keep. Version 1 had no record of it: omnibus tests decided
+about pairs, Dunn's test was that of more than two groups, rates were compared by ranks, and values had 12 digits."""
 Paired = bool | Literal["auto"]
 """The choices for runs with the same seed: they are pairs or not; `auto`: pairs if they are correlated."""
 
@@ -58,6 +61,8 @@ class Cell:
     """For a factorial comparison: the values of the factors, for each sample."""
     names: tuple[str, ...] = ()
     """The names of the factors; empty if this is no factorial comparison."""
+    rate: bool = False
+    """True if all values are 0 or 1, and their mean is a rate."""
 
     @property
     def name(self) -> str:
@@ -81,7 +86,8 @@ class Question:
 class Pair:
     """The comparison of two groups in one cell: `second` minus `first`.
 
-    p values are those of one test; the adjusted ones are corrected for all tests of the report (Holm).
+    p values are those of one test; the adjusted ones are corrected for all tests of the report (Holm), without omnibus tests.
+    The interval is that of this pair alone: it is not corrected for the others.
     """
 
     point: Mapping[str, Value]
@@ -128,21 +134,23 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Omnibus:
-    """One test of whether any of more than two groups differs, in one cell."""
+    """One test of whether any of more than two groups differs, in one cell. It decides about no two of them."""
 
     point: Mapping[str, Value]
     test: str
     groups: tuple[str, ...]
     n: int
     """The number of blocks (paired), or of runs of all groups together."""
-    statistic: float
-    df: int
+    statistic: float | None
+    """The statistic, whose distribution is χ² with `df` degrees of freedom; None if the test needs none."""
+    df: int | None
     p: float
     mean_ranks: tuple[float, ...]
-    """The mean rank of each group; the highest values have the highest ranks."""
+    """The mean rank of each group; the highest values have the highest ranks. Empty for rates."""
     critical_difference: float | None
     """Mean ranks that differ by more are different, by Nemenyi's test at level alpha; None if the runs are not paired."""
     p_adjusted: float = 1.0
+    """The p value, corrected for the omnibus tests of the report only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,12 +188,16 @@ class Analysis:
     omnibus: tuple[Omnibus, ...] = ()
     effects: tuple[Effect, ...] = ()
     tests: int = 0
-    """The number of tests that the p values are corrected for."""
+    """The number of tests that the p values are corrected for; omnibus tests are corrected for each other only."""
     notes: tuple[str, ...] = ()
     """Notes on data that are not in the numbers: runs without a value, pairs that were left out, cells that lack a group."""
+    limits: tuple[str, ...] = ()
+    """Notes on what the numbers of runs allow: the smallest p value, and groups that cannot be found different."""
     method: str = ""
     """The name of the comparison method."""
     title: str = ""
     """The name of the method's test."""
     estimates: str = ""
     """What the differences are, in the plural."""
+    version: int = VERSION
+    """The version of how comparisons are computed."""

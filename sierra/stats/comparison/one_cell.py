@@ -1,23 +1,27 @@
-"""The shipped tests of the groups of one cell: by pairs, by samples, of censored times, of factors."""
+"""The shipped tests of the groups of one cell: by pairs, by samples, of rates, of censored times, of factors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy import special
 
-from sierra.stats.comparison import aligned_ranks, effect_sizes, pairing, rank_tests
+from sierra.stats import rates
+from sierra.stats.comparison import aligned_ranks, effect_sizes, pairing, rank_tests, ties
 from sierra.stats.comparison.model import Cell, Effect, Omnibus, Pair, Question, Sample
-from sierra.stats.comparison.rank_tests import Floats
+from sierra.stats.comparison.ties import Floats
 
 SIGNED, RANKS, DUNN, LOG_RANK = "Wilcoxon signed-rank test", "Mann-Whitney test", "Dunn's test", "log-rank test"
+FISHER, MCNEMAR = "Fisher's exact test", "McNemar's exact test"
+OF_RATES = "difference of rates"
 
 
 def friedman(cell: Cell, question: Question) -> Omnibus:
     """Return Friedman's test, with seeds as blocks, and Nemenyi's critical difference."""
     groups = tuple(sample.group for sample in cell.samples)
-    blocks = rank_tests.rounded(pairing.blocks(cell.samples))
+    blocks = ties.each_alike(pairing.blocks(cell.samples))
     statistic, p = rank_tests.friedman(blocks)
     critical = rank_tests.critical_difference(len(groups), len(blocks), question.alpha)
     ranks = rank_tests.mean_ranks_in_blocks(blocks)
@@ -27,7 +31,7 @@ def friedman(cell: Cell, question: Question) -> Omnibus:
 def kruskal(cell: Cell) -> Omnibus:
     """Return the test of Kruskal and Wallis."""
     groups = tuple(sample.group for sample in cell.samples)
-    values = _values(cell.samples)
+    values, _ = _values(cell.samples)
     statistic, p = rank_tests.kruskal(values)
     ranks = tuple(rank_tests.mean_ranks(values))
     n = sum(map(len, values))
@@ -37,15 +41,14 @@ def kruskal(cell: Cell) -> Omnibus:
 def signed_rank(cell: Cell, question: Question, one: int, other: int) -> Pair:
     """Compare two groups by the differences of pairs; with more groups, only seeds with a value in all of them count."""
     blocks = pairing.blocks(cell.samples)
-    before, after = _alike([blocks[:, one], blocks[:, other]])
-    scale = float(max(np.abs(before).max(), np.abs(after).max()))
-    differences = rank_tests.rounded(after - before, scale)
+    (before, after), _ = ties.alike([blocks[:, one], blocks[:, other]])
+    differences, size = ties.differences(blocks[:, one], blocks[:, other])
     estimate = effect_sizes.of_pairs(differences, question.alpha)
     n = len(differences)
     margin, equivalent = question.margin, None
     if margin is not None:
-        lower = rank_tests.signed_rank(rank_tests.rounded(differences + margin, scale + margin), "greater")
-        equivalent = max(lower, rank_tests.signed_rank(rank_tests.rounded(differences - margin, scale + margin), "less"))
+        above, below = (ties.rounded(differences + shift, size or margin) for shift in (margin, -margin))
+        equivalent = max(rank_tests.signed_rank(above, "greater"), rank_tests.signed_rank(below, "less"))
     return Pair(
         point=cell.point,
         first=cell.samples[one].group,
@@ -65,13 +68,14 @@ def signed_rank(cell: Cell, question: Question, one: int, other: int) -> Pair:
 
 def rank_sum(cell: Cell, question: Question, one: int, other: int, *, dunn: bool = False) -> Pair:
     """Compare two groups without pairs: by the test of Mann and Whitney, or by Dunn's, which uses the ranks of all groups."""
-    groups = _values(cell.samples) if dunn else _values([cell.samples[one], cell.samples[other]])
+    groups, size = _values(cell.samples if dunn else [cell.samples[one], cell.samples[other]])
     places = (one, other) if dunn else (0, 1)
     before, after = groups[places[0]], groups[places[1]]
     estimate = effect_sizes.of_samples(before, after, question.alpha)
     margin, equivalent = question.margin, None
     if margin is not None:
-        equivalent = max(_shifted(before, after + margin, "greater"), _shifted(before, after - margin, "less"))
+        above, below = (ties.rounded(after + shift, size or margin) for shift in (margin, -margin))
+        equivalent = max(rank_tests.rank_sum(before, above, "greater"), rank_tests.rank_sum(before, below, "less"))
     n, m, total = len(before), len(after), sum(map(len, groups))
     return Pair(
         point=cell.point,
@@ -88,6 +92,81 @@ def rank_sum(cell: Cell, question: Question, one: int, other: int, *, dunn: bool
         smallest=min(1.0, 2 / (math.comb(total, n) * math.comb(total - n, m))),
         p_equivalent=equivalent,
     )
+
+
+def rates_of_samples(cell: Cell, question: Question, one: int, other: int) -> Pair:
+    """Compare two rates without pairs: Newcombe's interval of their difference, and Fisher's exact test."""
+    first, second = cell.samples[one], cell.samples[other]
+    before, after = _successes(first), _successes(second)
+    return _of_rates(
+        (cell, question, first, second),
+        (before[1], after[1]),
+        lambda z: rates.of_samples(before, after, z),
+        (FISHER, rates.fisher(before, after), rates.smallest_fisher(before[1], after[1])),
+    )
+
+
+def rates_of_pairs(cell: Cell, question: Question, one: int, other: int) -> Pair:
+    """Compare two rates of pairs; with more groups, only seeds with a value in all of them count."""
+    blocks = pairing.blocks(cell.samples)[:, [one, other]] > 0
+    counts = [int((blocks == which).all(axis=1).sum()) for which in ((1, 1), (1, 0), (0, 1), (0, 0))]
+    pairs = rates.Pairs(*counts)
+    return _of_rates(
+        (cell, question, cell.samples[one], cell.samples[other]),
+        (pairs.n, pairs.n),
+        lambda z: rates.of_pairs(pairs, z),
+        (MCNEMAR, rates.mcnemar(pairs), rank_tests.smallest_signed_rank(pairs.n)),
+    )
+
+
+def _of_rates(
+    about: tuple[Cell, Question, Sample, Sample],
+    n: tuple[int, int],
+    interval: Callable[[float], rates.Interval],
+    tested: tuple[str, float, float],
+) -> Pair:
+    """Return the comparison of two rates. `tested` is the name of the test, its p value, and the smallest possible one."""
+    cell, question, first, second = about
+    difference, low, high = interval(float(special.ndtri(1 - question.alpha / 2)))
+    test, p, smallest = tested
+    return Pair(
+        point=cell.point,
+        first=first.group,
+        second=second.group,
+        n_first=n[0],
+        n_second=n[1],
+        test=test,
+        difference=difference,
+        low=low,
+        high=high,
+        a12=None,
+        p=p,
+        smallest=smallest,
+        estimate=OF_RATES,
+        p_equivalent=None if question.margin is None else rates.within(interval, question.margin),
+    )
+
+
+def freeman_halton(cell: Cell) -> Omnibus:
+    """Return the test of Freeman and Halton, which is Fisher's for several groups."""
+    groups = [_successes(sample) for sample in cell.samples]
+    p, exact = rates.freeman_halton(groups)
+    test = "Fisher-Freeman-Halton test" if exact else "Fisher-Freeman-Halton test (Monte Carlo)"
+    names = tuple(sample.group for sample in cell.samples)
+    return Omnibus(cell.point, test, names, sum(n for _, n in groups), None, None, p, (), None)
+
+
+def cochran(cell: Cell) -> Omnibus:
+    """Return Cochran's Q, with seeds as blocks."""
+    blocks = pairing.blocks(cell.samples)
+    q, p = rates.cochran(blocks.tolist())
+    names = tuple(sample.group for sample in cell.samples)
+    return Omnibus(cell.point, "Cochran's Q test", names, len(blocks), q, len(names) - 1, p, (), None)
+
+
+def _successes(sample: Sample) -> tuple[int, int]:
+    """Return how many values are 1, and how many there are."""
+    return sum(run.value > 0 for run in sample.values), len(sample.values)
 
 
 def log_rank(cell: Cell, one: int, other: int) -> Pair:
@@ -134,17 +213,6 @@ def effects(cell: Cell, *, paired: bool) -> list[Effect]:
     return aligned_ranks.effects(cell.names, values, levels, blocks)
 
 
-def _shifted(first: Floats, second: Floats, side: rank_tests.Side) -> float:
-    """Return the p value of a one-sided test of samples of which one was shifted by the margin."""
-    first, second = _alike([first, second])
-    return rank_tests.rank_sum(first, second, side)
-
-
-def _values(samples: Sequence[Sample]) -> list[Floats]:
-    return _alike([np.array([run.value for run in sample.values], dtype=float) for sample in samples])
-
-
-def _alike(groups: Sequence[Floats]) -> list[Floats]:
-    """Return the values of groups without rounding errors, at the scale of all of them."""
-    scale = max(float(np.abs(group).max(initial=0.0)) for group in groups)
-    return [rank_tests.rounded(group, scale) for group in groups]
+def _values(samples: Sequence[Sample]) -> tuple[list[Floats], float]:
+    """Return the values of groups without rounding errors, and their spread."""
+    return ties.alike([np.array([run.value for run in sample.values], dtype=float) for sample in samples])

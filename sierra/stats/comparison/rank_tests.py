@@ -8,7 +8,7 @@
 - The log-rank test, for censored times.
 - Holm's correction for several tests (Holm 1979, Scand. J. Stat. 6: 65-70).
 
-Values that differ by rounding only are ties: see `rounded`.
+Values that differ by rounding only must be made ties before: see `sierra.stats.comparison.ties`.
 """
 
 from __future__ import annotations
@@ -28,18 +28,6 @@ from sierra.stats.comparison.model import RunValue
 
 Floats = npt.NDArray[np.float64]
 Side = Literal["two-sided", "less", "greater"]
-
-DIGITS = 12
-"""The number of digits, relative to the largest value, in which values must differ."""
-
-
-def rounded(values: Floats, scale: float | None = None) -> Floats:
-    """Return values without their last digits, which are rounding errors. `scale` is the size of the data."""
-    largest = float(np.abs(values).max(initial=0.0)) if scale is None else scale
-    if not 0 < largest < 1e290:
-        return values
-    digits = DIGITS - math.ceil(math.log10(largest))
-    return np.round(values, digits) if abs(digits) < 290 else values
 
 
 def signed_rank(differences: Floats, side: Side = "two-sided") -> float:

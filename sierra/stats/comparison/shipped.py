@@ -4,12 +4,18 @@
 name             tests                                                       for
 ===============  ==========================================================  ===========================================
 `signed_rank`    Wilcoxon's signed-rank test of each two groups              pairs
+`friedman`       the same                                                    pairs
 `rank_sum`       the Mann-Whitney test of each two groups                    no pairs
-`friedman`       Friedman's test, then Wilcoxon's of each two groups         pairs, more than two groups
-`kruskal`        the Kruskal-Wallis test, then Dunn's of each two groups     no pairs, more than two groups
+`kruskal`        Dunn's test of each two groups                              no pairs, more than two groups
+`mcnemar`        McNemar's exact test of each two groups                     rates, with pairs
+`fisher`         Fisher's exact test of each two groups                      rates, without pairs
 `log_rank`       the log-rank test of each two groups                        times that some runs never reached
 `aligned_ranks`  analysis of variance of aligned ranks                       factors (`--by a,b`), with pairs or without
 ===============  ==========================================================  ===========================================
+
+Of more than two groups, there is an omnibus test beside the pairs: Friedman's, that of Kruskal and Wallis, Cochran's Q, or that
+of Freeman and Halton. It decides about no pair: a test of ranks of all groups depends on groups that are far away, and sees no
+difference of neighbours (so does Dunn's, which is shipped for those who must report it).
 
 By default (`auto`), the data decide: see `suitable`.
 """
@@ -24,16 +30,17 @@ from sierra.stats.comparison.base import CellResult, pairs_of
 from sierra.stats.comparison.model import Cell, Question
 
 HODGES_LEHMANN = "Hodges-Lehmann estimates"
+NEWCOMBE = "differences of rates, with Newcombe's intervals"
 
 
-def suitable(*, factors: bool, censored: bool, paired: bool, several: bool) -> str:
+def suitable(*, factors: bool, censored: bool, rate: bool, paired: bool) -> str:
     """Return the name of the method for data of this kind."""
     if factors:
         return "aligned_ranks"
     if censored:
         return "log_rank"
-    if several:
-        return "friedman" if paired else "kruskal"
+    if rate:
+        return "mcnemar" if paired else "fisher"
     return "signed_rank" if paired else "rank_sum"
 
 
@@ -56,7 +63,7 @@ class _Shipped:
 
 
 class SignedRank(_Shipped):
-    """Wilcoxon's signed-rank test of each two groups."""
+    """Wilcoxon's signed-rank test of each two groups; of three or more, also Friedman's."""
 
     title = "Wilcoxon signed-rank test"
     takes = frozenset({"pairs", "margin"})
@@ -64,7 +71,8 @@ class SignedRank(_Shipped):
     def compare(self, cell: Cell, question: Question, *, paired: bool) -> CellResult:
         from sierra.stats.comparison import one_cell
 
-        return CellResult(tuple(one_cell.signed_rank(cell, question, *places) for places in pairs_of(cell, question)))
+        pairs = tuple(one_cell.signed_rank(cell, question, *places) for places in pairs_of(cell, question))
+        return CellResult(pairs, one_cell.friedman(cell, question) if len(cell.samples) > 2 else None)
 
     def smallest(self, n: int) -> float:
         from sierra.stats.comparison import rank_tests
@@ -73,41 +81,65 @@ class SignedRank(_Shipped):
 
 
 class Friedman(SignedRank):
-    """Friedman's test of three groups or more, then Wilcoxon's signed-rank test of each two."""
+    """The same under another name, which was that for more than two groups."""
 
     title = "Friedman test"
 
-    def compare(self, cell: Cell, question: Question, *, paired: bool) -> CellResult:
-        from sierra.stats.comparison import one_cell
-
-        omnibus = one_cell.friedman(cell, question) if len(cell.samples) > 2 else None
-        return CellResult(super().compare(cell, question, paired=paired).pairs, omnibus)
-
 
 class RankSum(_Shipped):
-    """The Mann-Whitney test of each two groups."""
+    """The Mann-Whitney test of each two groups; of three or more, also that of Kruskal and Wallis."""
 
     title = "Mann-Whitney test"
     takes = frozenset({"samples", "margin"})
-
-    def compare(self, cell: Cell, question: Question, *, paired: bool) -> CellResult:
-        from sierra.stats.comparison import one_cell
-
-        return CellResult(tuple(one_cell.rank_sum(cell, question, *places) for places in pairs_of(cell, question)))
-
-
-class Kruskal(_Shipped):
-    """The Kruskal-Wallis test of three groups or more, then Dunn's test of each two; the Mann-Whitney test of only two."""
-
-    title = "Kruskal-Wallis test"
-    takes = frozenset({"samples", "margin"})
+    _dunn = False
 
     def compare(self, cell: Cell, question: Question, *, paired: bool) -> CellResult:
         from sierra.stats.comparison import one_cell
 
         several = len(cell.samples) > 2
-        pairs = (one_cell.rank_sum(cell, question, *places, dunn=several) for places in pairs_of(cell, question))
-        return CellResult(tuple(pairs), one_cell.kruskal(cell) if several else None)
+        dunn = self._dunn and several
+        pairs = tuple(one_cell.rank_sum(cell, question, *places, dunn=dunn) for places in pairs_of(cell, question))
+        return CellResult(pairs, one_cell.kruskal(cell) if several else None)
+
+
+class Kruskal(RankSum):
+    """Dunn's test of each two of three groups or more, with that of Kruskal and Wallis; the Mann-Whitney test of only two."""
+
+    title = "Kruskal-Wallis test"
+    _dunn = True
+
+
+class McNemar(_Shipped):
+    """McNemar's exact test of each two rates with Newcombe's interval of pairs; of three groups or more, also Cochran's Q."""
+
+    title = "McNemar's exact test"
+    takes = frozenset({"pairs", "margin", "rates"})
+    estimates = NEWCOMBE
+
+    def compare(self, cell: Cell, question: Question, *, paired: bool) -> CellResult:
+        from sierra.stats.comparison import one_cell
+
+        pairs = tuple(one_cell.rates_of_pairs(cell, question, *places) for places in pairs_of(cell, question))
+        return CellResult(pairs, one_cell.cochran(cell) if len(cell.samples) > 2 else None)
+
+    def smallest(self, n: int) -> float:
+        from sierra.stats.comparison import rank_tests
+
+        return rank_tests.smallest_signed_rank(n)
+
+
+class Fisher(_Shipped):
+    """Fisher's exact test of each two rates with Newcombe's interval; of three or more, also that of Freeman and Halton."""
+
+    title = "Fisher's exact test"
+    takes = frozenset({"samples", "margin", "rates"})
+    estimates = NEWCOMBE
+
+    def compare(self, cell: Cell, question: Question, *, paired: bool) -> CellResult:
+        from sierra.stats.comparison import one_cell
+
+        pairs = tuple(one_cell.rates_of_samples(cell, question, *places) for places in pairs_of(cell, question))
+        return CellResult(pairs, one_cell.freeman_halton(cell) if len(cell.samples) > 2 else None)
 
 
 class LogRank(_Shipped):

@@ -28,6 +28,18 @@ def p_value(value: float) -> str:
     return "p < 0.001" if value < 0.001 else f"p = {value:.2g}"
 
 
+def runs_of(pair: Pair, *, paired: bool) -> str:
+    """Return the numbers of runs of a pair, as in `n = 6`, `n = 6 and 8`, `n = 6 pairs`."""
+    n = f"n = {pair.n_first}" if pair.n_first == pair.n_second else f"n = {pair.n_first} and {pair.n_second}"
+    return f"{n} pairs" if paired else n
+
+
+def where(point: Mapping[str, Value]) -> str:
+    """Return the beginning of a text about a point; empty for the only point."""
+    values = ", ".join(f"{name} = {value}" for name, value in point.items())
+    return f"for {values}, " if values else ""
+
+
 def magnitude(value: float) -> str:
     """Return the word for an A12: Vargha and Delaney's limits are 0.56, 0.64 and 0.71."""
     distance = abs(value - 0.5) + 1e-12
@@ -42,6 +54,11 @@ def interval(pair: Pair, alpha: float) -> str:
     if pair.low is None or pair.high is None:
         return f"{pair.estimate} {number(pair.difference)}"
     return f"{pair.estimate} {number(pair.difference)}, {_level(alpha)} CI [{number(pair.low)}, {number(pair.high)}]"
+
+
+def covers_zero(pair: Pair) -> bool:
+    """Return whether the interval of a difference contains 0, or is not known."""
+    return pair.low is None or pair.high is None or pair.low <= 0 <= pair.high
 
 
 def _level(alpha: float) -> str:
@@ -88,25 +105,28 @@ def _effect(effect: Effect) -> str:
 
 
 def _omnibus(one: Omnibus, result: Analysis) -> str:
-    differ = "at least one group differs" if one.p_adjusted <= result.question.alpha else "no difference was shown"
+    shown = one.p_adjusted <= result.question.alpha
+    differ = "at least one group differs" if shown else "no difference among all groups was shown"
     critical = ""
     if one.critical_difference is not None:
         critical = f"; critical difference of mean ranks {number(one.critical_difference)}"
-    found = f"χ²({one.df}) = {number(one.statistic)}, n = {one.n}, {p_value(one.p_adjusted)}"
-    return _sentence(f"{_at(one.point)}{differ} ({one.test}, {found}{critical})")
+    statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}, "
+    found = f"{statistic}n = {one.n}, {p_value(one.p_adjusted)}"
+    return _sentence(f"{where(one.point)}{differ} ({one.test}, {found}{critical})")
 
 
 def _pair(pair: Pair, result: Analysis) -> str:
     alpha = result.question.alpha
-    n = f"n = {pair.n_first}" if pair.n_first == pair.n_second else f"n = {pair.n_first} and {pair.n_second}"
-    pairs = f"{n} pairs" if result.pairing.paired else n
+    pairs = runs_of(pair, paired=result.pairing.paired)
     size = "" if pair.a12 is None else f", A12 = {pair.a12:.2f} ({magnitude(pair.a12)})"
     found = f"{interval(pair, alpha)}; {pair.test}, {pairs}, {p_value(pair.p_adjusted)}{size}"
     if pair.never_first + pair.never_second:
         found += f"; not reached by {pair.never_first} runs of {pair.first} and {pair.never_second} of {pair.second}"
     if pair.p_equivalent_adjusted is not None and result.question.margin is not None:
         found += f"; TOST with margin {number(result.question.margin)}: {p_value(pair.p_equivalent_adjusted)}"
-    text = f"{_at(pair.point)}{_conclusion(pair, result)} ({found})"
+    if pair.verdict in (Verdict.open, Verdict.too_few) and not covers_zero(pair) and len(result.pairs) > 1:
+        found += f"; the interval is of this pair alone, not corrected for {len(result.pairs)} pairs"
+    text = f"{where(pair.point)}{_conclusion(pair, result)} ({found})"
     return f"{text}." if text.startswith(pair.second) else _sentence(text)
 
 
@@ -143,16 +163,16 @@ def _method(result: Analysis) -> Iterator[str]:
         yield f"The tests are by {result.title}."
     if result.tests > 1:
         yield f"The p values are corrected for {result.tests} tests (Holm)."
+    if len(result.omnibus) > 1:
+        yield f"Those of the {len(result.omnibus)} omnibus tests are corrected for each other only; they decide about no pair."
+    elif result.omnibus:
+        yield f"The {result.omnibus[0].test} is not among these tests; it decides about no pair."
+    if len(result.pairs) > 1 and any(pair.low is not None for pair in result.pairs):
+        yield f"Each interval is of one pair alone, not corrected for {len(result.pairs)} pairs."
 
 
 def _left_out(result: Analysis) -> Iterator[str]:
-    yield from map(_sentence, result.notes)
-
-
-def _at(point: Mapping[str, Value]) -> str:
-    """Return the beginning of a sentence about a point; empty for the only point."""
-    values = ", ".join(f"{name} = {value}" for name, value in point.items())
-    return f"For {values}, " if values else ""
+    yield from map(_sentence, (*result.notes, *result.limits))
 
 
 def _and(names: Sequence[str]) -> str:

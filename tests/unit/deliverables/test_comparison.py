@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.deliverables import record
 from sierra.deliverables.report import comparisons
 from sierra.errors import UsageError
 from tests import projects, stores
@@ -297,6 +298,120 @@ def test_a_pilot_without_an_answer_is_one_line(
     done = projects.quick(compared[0], "plan-n", compared[1][:8], *words)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1)
     assert message in done.stderr
+
+
+STAMPS = """\
+import sys
+from random import Random
+
+arena = open(sys.argv[1]).read()
+count, seed = (int(arena.split(f'<{key}="')[1].split('"')[0]) for key in ("swarm count", "random seed"))
+late = 4_000_000 * count + int(Random(seed * 10 + count).gauss(0, 1_000_000))
+ok = Random(seed).random() < 0.25 * count
+with open("swarm.csv", "w") as file:
+    print("tick,stamp,exact,plain,ok", file=file)
+    for tick in range(3):
+        stamp = 1_764_000_000_000_000_000 + late + tick
+        exact = f"{10**15 + late + tick}.25"
+        print(tick, stamp, exact, late + tick, "true" if ok else "false", sep=",", file=file)
+"""
+
+
+WIDE = """
+[tables.wide]
+sql = '''
+SELECT run, stamp::HUGEINT * 1000000 AS huge, stamp::UBIGINT AS large, stamp + 0.125::DECIMAL(24, 3) AS decimals FROM swarm
+'''
+"""
+
+
+@pytest.fixture(scope="module")
+def stamped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a project whose runs wrote nanoseconds since 1970, the same without an offset, and flags."""
+    root = projects.make(tmp_path_factory.mktemp("stamped") / "project", projects.CONFIG + WIDE, simulator=STAMPS)
+    for sets in ((), [("//noise", "0.2")]):
+        sierra.open(root).run("population_size=1,2,3", runs=12, sets=sets, figures=False)
+    return root
+
+
+@pytest.mark.parametrize("words", [(), ("--measure", "mean"), ("--paired", "no"), ("--margin", "100", "--measure", "mean")])
+@pytest.mark.parametrize("column", ["stamp", "exact"])
+def test_numbers_that_no_float_holds_are_subtracted_before_they_are_rounded(
+    stamped: Path, column: str, words: tuple[str, ...]
+) -> None:
+    """The last digits of 64-bit whole numbers, and those of decimals with a large offset, count as others do."""
+    found, plain = (answer(stamped, "--by", "population_size", "--column", one, *words) for one in (column, "plain"))
+    assert [pair["verdict"] for pair in plain["pairs"]] == ["different"] * 3
+    for one, other in zip(found["pairs"], plain["pairs"], strict=True):
+        for name in ("p", "p_adjusted", "p_equivalent", "a12", "verdict"):
+            assert one[name] == other[name]
+        for name in ("difference", "low", "high"):
+            assert one[name] == pytest.approx(other[name], abs=0.01 if column == "stamp" else 0.5)
+
+
+@pytest.mark.parametrize(("column", "factor"), [("huge", 1e6), ("large", 1), ("decimals", 1)])
+def test_all_types_of_exact_numbers_keep_their_digits(stamped: Path, column: str, factor: float) -> None:
+    words = ("--by", "population_size", "--groups", "1,2", "--measure", "mean")
+    found, plain = (
+        answer(stamped, *words, "--table", *names) for names in (("wide", "--column", column), ("swarm", "--column", "plain"))
+    )
+    (one,), (other,) = found["pairs"], plain["pairs"]
+    assert (one["p"], one["difference"] / factor, one["low"] / factor) == pytest.approx(
+        (other["p"], other["difference"], other["low"])
+    )
+
+
+def test_batches_of_such_numbers_are_compared_over_time_too(stamped: Path) -> None:
+    """The runs of both batches wrote the same, so each difference is 0, whatever was subtracted from each batch."""
+    first, second = [row["batch"] for row in projects.sql(stamped, "SELECT batch FROM batches ORDER BY lamport")]
+    project = sierra.open(stamped)
+    found, plain = (project.compare(first, second, column=one, over_time=True) for one in ("stamp", "plain"))
+    for one, other in zip(found.bands, plain.bands, strict=True):
+        assert (one.mean.tolist(), one.low.tolist()) == (other.mean.tolist(), other.low.tolist())
+    found, plain = (
+        project.runs_for_power(first, by=["population_size"], groups=["1", "2"], column=one).comparisons[0].runs
+        for one in ("stamp", "plain")
+    )
+    assert found == plain
+
+
+def test_flags_are_compared_as_rates(stamped: Path) -> None:
+    found = answer(stamped, "--by", "population_size", "--column", "ok", "--paired", "no")
+    assert (found["method"], found["version"], [one["test"] for one in found["omnibus"]]) == (
+        *("fisher", 2),
+        ["Fisher-Freeman-Halton test"],
+    )
+    assert {pair["test"] for pair in found["pairs"]} == {"Fisher's exact test"}
+    assert "(difference of rates " in found["text"]
+    assert "median difference" not in found["text"]
+    paired = answer(stamped, "--by", "population_size", "--column", "ok", "--paired", "yes")
+    assert (paired["method"], paired["omnibus"][0]["test"]) == ("mcnemar", "Cochran's Q test")
+    planned = projects.quick(stamped, "plan-n", "--by", "population_size", "--groups", "1,3", "--column", "ok", "--json")
+    assert json.loads(planned.stdout)["comparisons"][0]["test"] == "McNemar's exact test"
+
+
+def test_an_interval_of_one_of_several_pairs_says_so_in_tables_for_papers(compared: tuple[Path, str, str]) -> None:
+    text = projects.quick(
+        compared[0], "compare", compared[1][:8], compared[2][:8], "--format", "markdown", "--no-figure"
+    ).stdout
+    assert "95 % CI of each alone (not corrected for 2 pairs)" in text
+    assert "Each interval is of one pair alone, not corrected for 2 pairs." in text
+
+
+def test_a_comparison_by_another_version_is_not_computed_again(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    made, first, second = compared
+    root = stores.copy(made, tmp_path / "project")
+    with pytest.MonkeyPatch.context() as older:
+        older.setattr(record, "VERSIONS", {"comparison": 3})
+        assert projects.quick(root, "compare", f"old={first}", f"new={second}", "--column", "coverage").returncode == 0
+        checked = projects.quick(root, "figures", first, "--check")
+        written = projects.quick(root, "report", first, "--to", str(tmp_path / "report.html"))
+    said = "it is by version 2 of its method, and this SIERRA has version 3; draw it again with: sierra compare"
+    assert (checked.returncode, said in checked.stdout) == (1, True)
+    assert written.returncode == 0, written.stderr
+    page = (tmp_path / "report.html").read_text()
+    assert f"could not be made: {said}; its recorded figure is figures/comparisons/" in page
+    assert "follows from the store" in projects.quick(root, "figures", first, "--check").stdout
 
 
 @pytest.mark.parametrize("words", [(), ("--over-time",)])

@@ -289,6 +289,20 @@ def test_stochastic_runs_are_equivalent_if_a_declared_metric_is_equivalent(make:
     assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
 
 
+@pytest.mark.integration
+def test_stochastic_nanoseconds_since_1970_are_compared_with_all_their_digits(make: Make) -> None:
+    """Floats near 1.76e18 are multiples of 256, far more than the runs differ by."""
+    late = "1764 * 10**15 + int(__import__('random').SystemRandom().gauss(0, 10))"
+    simulator = projects.SIMULATOR.replace("count * tick + noise * (seed % 100)", late)
+    root = make(simulator, f"{DECLARED}{METRIC}margin = 60\n")
+    batch = sierra.open(root).run("population_size=1", runs=12, figures=False).batch
+    code, said = replay(root, batch)
+    [[metric]] = [experiment["metrics"] for experiment in said["experiments"]]
+    assert (code, said["verdict"], metric["equivalent"]) == (0, "equivalent", True)
+    assert 0 < metric["high"] - metric["low"] < 100
+    assert metric["recorded_mean"] == pytest.approx(1.764e18)
+
+
 @pytest.mark.nightly
 def test_runs_differ_if_the_margin_is_too_narrow_and_the_power_is_reported(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from sierra.errors import UsageError
-from sierra.stats import power
+from sierra.stats import power, rates
 from sierra.stats.comparison.analyse import analyse
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample
 
@@ -54,6 +54,21 @@ def test_rates_are_compared_as_rates_and_whole_numbers_stay_whole() -> None:
     truth = np.mean(stats.mannwhitneyu(*drawn, axis=1, method="asymptotic").pvalue <= 0.05)
     wide = power.Pilot(counts, counts, paired=False, shift=0.5)
     assert wide.power(60, 0.05) == pytest.approx(truth, abs=ERROR)
+
+
+@pytest.mark.integration
+def test_rates_are_tested_by_exact_tests() -> None:
+    coin = np.array([0.0, 1.0] * 10)
+    pilot = power.of_one_group(coin, 0.4, rate=True)
+    chance = np.outer(stats.binom.pmf(range(13), 12, 0.5), stats.binom.pmf(range(13), 12, 0.9))
+    shown = [[rates.fisher((one, 12), (other, 12)) <= 0.05 for other in range(13)] for one in range(13)]
+    assert (pilot.test, pilot.power(12, 0.05)) == ("Fisher's exact test", pytest.approx((chance * shown).sum(), abs=ERROR))
+    first, second = np.array([1.0] * 48 + [0.0] * 2), np.array([1.0] * 36 + [0.0] * 12 + [1.0] * 2)
+    for difference, only_first, only_second in ((None, 0.24, 0.04), (-0.38, 0.24 + 0.18 * 36 / 38, 0.04 - 0.18 * 2 / 38)):
+        pairs = power.of_groups(first, second, difference, paired=True, rate=True)
+        drawn = np.random.default_rng(3).multinomial(30, (only_first, only_second, 1 - only_first - only_second), size=4000)
+        truth = np.mean([rates.mcnemar(rates.Pairs(0, one, other, rest)) <= 0.05 for one, other, rest in drawn.tolist()])
+        assert (pairs.test, pairs.power(30, 0.05)) == ("McNemar's exact test", pytest.approx(truth, abs=ERROR))
 
 
 def samples(values: npt.NDArray[np.float64], group: str) -> Sample:

@@ -32,7 +32,7 @@ class CriticalDifferenceOptions(Table):
     )
     test: Literal["nemenyi", "wilcoxon"] = Field(
         "nemenyi",
-        description="test of each two groups after Friedman's: `nemenyi`: by the critical difference of mean ranks; "
+        description="test of each two groups: `nemenyi`: by the critical difference of mean ranks; "
         "`wilcoxon`: by the signed-rank test, corrected by Holm; two groups are always compared by `wilcoxon`",
     )
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(0.05, description="significance level")

@@ -18,6 +18,7 @@ from sierra.config.claim_table import ClaimedOrder
 from sierra.deliverables.claims import by_test, evaluate
 from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.evaluate import Ground, Verdict
+from sierra.deliverables.claims.model import Found
 from sierra.errors import ConfigError, NotFound
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample
 from sierra.store.store import Store
@@ -230,7 +231,11 @@ def test_an_interval_within_the_limits_outside_or_across_them() -> None:
 
 
 def verdict(groups: list[Any], tests: int = 1) -> Verdict:
-    """Return the verdict on the order of samples, of which the first should have the greatest values."""
+    return conclusion(groups, tests).verdict
+
+
+def conclusion(groups: list[Any], tests: int) -> Found:
+    """Return the finding about the order of samples, of which the first should have the greatest values."""
     names = tuple(map(str, range(len(groups))))
     samples = (
         Sample(name, tuple(RunValue(seed, float(v)) for seed, v in enumerate(values)), len(values))
@@ -239,7 +244,7 @@ def verdict(groups: list[Any], tests: int = 1) -> Verdict:
     asked = ClaimedOrder(groups=names, by="x", paired=False)
     pairs, paired, notes = by_test._pairs([Cell({}, tuple(samples))], Question(asked.alpha, None, False), "auto", {})
     tested = by_test.Tested(asked, pairs, 0, "", paired, notes)
-    return by_test.conclude(tested, min(1.0, tests * tested.p), tests).verdict
+    return by_test.conclude(tested, min(1.0, tests * tested.p), tests)
 
 
 def test_equal_groups_are_seldom_ordered() -> None:
@@ -249,6 +254,17 @@ def test_equal_groups_are_seldom_ordered() -> None:
     most = 400 * 0.025 + 3 * (400 * 0.025 * 0.975) ** 0.5
     assert 0 < found.count(Verdict.holds) <= most
     assert 0 < found.count(Verdict.does_not_hold) <= most
+
+
+def test_an_interval_without_0_beside_a_claim_that_is_not_shown_is_said_to_be_of_its_pair_alone() -> None:
+    groups = [[4, 5, 6, 7, 8, 9.0], [3, 1, 2, 0, 4.5, 1.5]]
+    alone, among = (conclusion(groups, tests) for tests in (1, 40))
+    assert (alone.verdict, among.verdict) == (Verdict.holds, Verdict.cannot_tell)
+    groups[1][0] = 6.5
+    among = conclusion(groups, 4)
+    assert (among.verdict, (among.low or 0) > 0) == (Verdict.cannot_tell, True)
+    assert among.text.endswith("; each interval is of one pair alone, not corrected for 4 tests")
+    assert not among.notes
 
 
 @pytest.mark.integration

@@ -92,6 +92,13 @@ def test_intervals_of_pairs_and_of_rates_are_those_of_other_sources() -> None:
     assert found == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
 
 
+def test_rates_of_runs_with_the_same_seeds_are_those_of_pairs() -> None:
+    """Newcombe (1998, Stat. Med. 17: 2635-2650), method 10: 36, 12, 2 and 0 pairs differ by 0.2, [0.0569, 0.3404]."""
+    values = [1.0] * 36 + [0.0] * 12 + [1.0] * 2, [1.0] * 48 + [0.0] * 2
+    before, now = (Evaluated(Verdict.holds, "", **measured(np.array(one), range(50))) for one in values)
+    assert regression.change(before, now, "mean") == pytest.approx((0.2, 0.0569, 0.3404), abs=5e-5)
+
+
 @pytest.mark.parametrize(
     ("before", "now", "expected"),
     [

@@ -54,6 +54,16 @@ def test_verdicts_of_wilcoxon_are_those_of_a_comparison() -> None:
     assert (found.groups, found.bars) == (("d", "c", "b", "a"), ((2, 3),))
 
 
+def test_friedmans_test_decides_about_no_two_groups() -> None:
+    """Two groups differ in each block, but among others that vary far more."""
+    wide = np.array([sign * (50.0 + run) for run in range(6) for sign in (-1, 1)])
+    values = np.column_stack([np.arange(12.0) / 100, 1 + np.arange(12.0) / 50, wide, wide[::-1]])
+    found = ranking("abcd", values, "wilcoxon", 0.05, best_is_high=True)
+    assert found.p is not None
+    assert found.p > 0.05
+    assert frozenset("ab") not in {frozenset(name.split()) for name in names_of(found)}
+
+
 def test_two_groups_are_compared_by_wilcoxon_and_few_blocks_are_said_to_be_too_few() -> None:
     found = ranking("ab", np.array([[1.0, 2], [1, 2], [1, 2], [1, 2], [1, 2]]), "nemenyi", 0.05, best_is_high=True)
     assert (found.ranks, found.critical, found.p, found.enough, found.bars) == ((1.0, 2.0), None, None, False, ((0, 1),))
