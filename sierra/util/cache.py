@@ -22,10 +22,10 @@ class Cache:
 
     def get(self, key: str) -> JsonView:
         """Return the fact for a key, or None."""
-        if key not in self._known:
-            return None
-        self._known[key] = self._known.pop(key)  # move to the end: most recently used
-        return self._known[key]
+        fact = self._known.pop(key, None)
+        if fact is not None:
+            self._known[key] = fact  # at the end: most recently used
+        return fact
 
     def put(self, key: str, fact: JsonView) -> None:
         self._known.pop(key, None)
