@@ -30,6 +30,7 @@ from sierra.store.sql_result import NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
+from sierra.store.verified_files import verify
 from sierra.store.views import files_with, recording
 from sierra.util.scratch import scratch
 from sierra.util.text import like
@@ -136,6 +137,11 @@ class Frame:
     def unlock(self) -> None:
         """Free the lock that protects the segments from removal. Whoever uses the frame afterwards must hold it."""
         self._snapshot.unlock()
+
+    def verify(self) -> None:
+        """Raise Damaged if a file that the frame has read has been damaged since."""
+        self._snapshot.verify()
+        verify(path for table in self._relations for path in self._files.get(table, ()))
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
