@@ -82,7 +82,7 @@ def _with_damage(code: object, said: str) -> object:
 def _damage() -> list[str]:
     """Return the messages about damaged files since the last call."""
     verified = sys.modules.get("sierra.store.verified_files")  # commands that read no store do not import it
-    messages: list[str] = verified.damage.copy() if verified else []
+    messages: list[str] = list(verified.damage) if verified else []
     if verified:
         verified.damage.clear()
     return messages

@@ -13,9 +13,10 @@ found by `sierra fsck`, which trusts no cache.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -34,11 +35,15 @@ MAX_ENTRIES = 1 << 18
 """The number of files that are kept for one store."""
 MAX_STORES = 64
 """The number of stores whose files are kept."""
+AGAIN_S = 1.0
+"""The time for which a cache that has been written is not written again, except at the end of the process."""
 
-damage: list[str] = []
+damage: dict[str, None] = {}
 """Messages about the damaged files that this process has found. The command line reports them if nobody else has."""
 _caches: dict[str, Cache] = {}
 """The cache of each store that was read, by the path of its folder of segments."""
+_saved: dict[str, float] = {}
+"""The time at which each cache was written last."""
 _written: dict[tuple[int, ...], str] = {}
 """The SHA-256 of files that this process has written, by their state."""
 
@@ -74,7 +79,7 @@ def verify(files: Iterable[str]) -> None:
     try:
         _verify(files)
     except Damaged as error:
-        damage.append(str(error))
+        damage[str(error)] = None
         raise
 
 
@@ -91,12 +96,19 @@ def _verify(files: Iterable[str]) -> None:
     new = [file for file in _in_segments(files) if not _is_known(file)]
     if not new:
         return
-    with ThreadPoolExecutor(THREADS) as pool:
-        for file, verified in zip(new, pool.map(_hashed, new), strict=True):
-            if verified is not None:
-                _caches[file.store].put(file.key, verified)
+    if len(new) == 1:
+        _note(new, map(_hashed, new))
+    else:
+        with ThreadPoolExecutor(THREADS) as pool:
+            _note(new, pool.map(_hashed, new))
     for store in {file.store for file in new}:
         _save(store)
+
+
+def _note(files: Sequence[_File], verified: Iterable[list[int] | None]) -> None:
+    for file, now in zip(files, verified, strict=True):
+        if now is not None:
+            _caches[file.store].put(file.key, now)
 
 
 def hash_written(path: Path) -> str:
@@ -156,10 +168,24 @@ def _recorded(file: _File) -> str:
 
 
 def _save(store: str) -> None:
-    """Write the cache of a store; remove the oldest one if there are too many."""
-    path = user_verified(store)
-    if not path.exists():
-        with contextlib.suppress(OSError):
+    """Write the cache of a store, but seldom: many calls of `verify` with few files each must not write it each time."""
+    if time.monotonic() < _saved.get(store, 0.0) + AGAIN_S:
+        return
+    _make_room(_caches[store].path)
+    _caches[store].save()
+    _saved[store] = time.monotonic()
+
+
+@atexit.register
+def _save_all() -> None:
+    """Write what is not written yet, at the end of the process."""
+    for cache in _caches.values():
+        cache.save()
+
+
+def _make_room(path: Path) -> None:
+    """Remove the oldest caches if there are too many with a new one."""
+    with contextlib.suppress(OSError):
+        if not path.exists():
             for old in sorted(path.parent.iterdir(), key=lambda one: one.stat().st_mtime_ns)[: 1 - MAX_STORES]:
                 old.unlink()
-    _caches[store].save()

@@ -15,7 +15,7 @@ class Cache:
     """A cache of the most recently used JSON facts by text key. Errors of reading and writing are ignored."""
 
     def __init__(self, path: Path, max_entries: int) -> None:
-        self._path = path
+        self.path = path
         self._max_entries = max_entries
         self._known = _read(path)
         self._new = False
@@ -38,8 +38,8 @@ class Cache:
             return
         kept = dict(list(self._known.items())[-self._max_entries :])
         with contextlib.suppress(OSError):
-            self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_whole(self._path, sealed(json.dumps(kept).encode()))
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            write_whole(self.path, sealed(json.dumps(kept).encode()))
         self._new = False
 
 
