@@ -66,6 +66,7 @@ def flip(path: Path, chance: random.Random) -> None:
 
 def new_process() -> None:
     """Forget what this process knows of stores."""
+    verified_files._save_all()
     verified_files._caches.clear()
     segments._known.clear()
 
@@ -214,9 +215,9 @@ def test_files_that_this_process_wrote_are_not_hashed_again(root: Path, hashed: 
 @pytest.mark.parametrize("content", [b"", b"nothing", b"[1]"])
 def test_a_damaged_cache_costs_one_pass(root: Path, remembers: None, hashed: list[str], content: bytes) -> None:
     before = rows(root, "swarm")
+    new_process()
     user_verified(f"{root}/.sierra/segments").write_bytes(content)
     hashed.clear()
-    new_process()
     assert rows(root, "swarm") == before
     assert "output.swarm.parquet" in hashed
 
