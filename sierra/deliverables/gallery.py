@@ -27,6 +27,7 @@ from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
+from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
@@ -361,7 +362,7 @@ class Gallery:
     def _time(self, output: OutputTable) -> str:
         declared = self._config.declared(output.name)
         if declared and declared.time:
-            return declared.time
+            return stored_name(declared.time, output.all_columns)
         first = output.all_columns[0] if output.all_columns else ""
         if names_time(first) and first in output.columns:
             return first

@@ -23,7 +23,7 @@ from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import Segment
-from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Found, Snapshot
 from sierra.store.table_layout import TableLayout
@@ -459,7 +459,7 @@ def _csv(
     file = content.file
     form = TableLayout.load(file.form)
     own = tuple(form.columns)
-    header = own if column_names(own) == tuple(names) or not names else names
+    header = own if tuple(names) in (stored_names(own), column_names(own)) or not names else names
     found, count = sha256(), 0
 
     def pieces() -> Iterator[bytes]:

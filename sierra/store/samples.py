@@ -25,7 +25,7 @@ from sierra.store.row_mapper import R
 from sierra.store.row_types import CaptureRow
 from sierra.store.schema import RECORDED
 from sierra.store.segments import disk_errors, is_first_part
-from sierra.store.sql_names import column_names, identifier, quote
+from sierra.store.sql_names import LOWER, column_names, identifier, quote
 from sierra.store.sql_result import NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
@@ -714,5 +714,5 @@ def _mixed(relation: Relation) -> tuple[str, ...]:
 
 
 def names_time(column: str) -> bool:
-    """Return whether a column has the name of a time; SQL may have added `_` to it."""
-    return column.lower().rstrip("_") in TIMES
+    """Return whether a column has the name of a time; the store may have added `_` to it, or what tells `t` from `T`."""
+    return column.lower().removesuffix(LOWER).rstrip("_") in TIMES
