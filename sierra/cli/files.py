@@ -71,7 +71,7 @@ def files(
     if recover and to is None:
         raise UsageError("--recover needs --to FOLDER")
     opened = project()
-    listed = listing(opened.store, prefix, paths or ())
+    listed = listing(opened.store, prefix, paths or (), check=to is None and (as_json or not paths))
     if to is not None:
         outcomes = list(extract(opened.store, listed, to))
         _doubt(opened, to)

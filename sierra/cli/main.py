@@ -52,12 +52,15 @@ def main() -> NoReturn:
 def _ended() -> object:
     """Execute the command; return the exit code."""
     code: object
+    said = ""
+    _damage()
     try:
         from sierra.cli.app import app  # only now, because `main` has set how Python looks for unreachable objects
 
         code = app(standalone_mode=False, prog_name="sierra")
     except SierraError as error:
-        code = _say(str(error), error.exit_code)
+        said = str(error)
+        code = _say(said, error.exit_code)
     except KeyboardInterrupt:
         code = _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
@@ -65,7 +68,24 @@ def _ended() -> object:
         code = 0
     except Exception as error:
         code = _other(error)
+    return _with_damage(code, said)
+
+
+def _with_damage(code: object, said: str) -> object:
+    """Return the exit code; report damaged files of the store that no message named, as a failure."""
+    damage = _damage()
+    if damage and damage[0] not in said:
+        return _say(damage[0], code if isinstance(code, int) and code else 1)
     return code
+
+
+def _damage() -> list[str]:
+    """Return the messages about damaged files since the last call."""
+    verified = sys.modules.get("sierra.store.verified_files")  # commands that read no store do not import it
+    messages: list[str] = list(verified.damage) if verified else []
+    if verified:
+        verified.damage.clear()
+    return messages
 
 
 def _other(error: Exception) -> int:

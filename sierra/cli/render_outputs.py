@@ -63,7 +63,8 @@ def _table(table: TakenTable, runs: int) -> Iterator[str]:
     for column in table.columns:
         unit = f" in {readable(column.unit)}" if column.unit else ""
         time = ", time axis" if column.name == table.time else ""
-        yield f"  {readable(column.name).ljust(width)}  {column.type}{unit}{time}"
+        original = f", {readable(column.original)} in the file" if column.original else ""
+        yield f"  {readable(column.name).ljust(width)}  {column.type}{unit}{time}{original}"
 
 
 def _others(files: int, runs: int) -> str:

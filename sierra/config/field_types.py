@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import PurePosixPath
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -38,6 +38,22 @@ Words = str | tuple[str, ...]
 RawTable = targets.RawTable
 OF_RUN = "its last value, the mean of its rows, its mean over time (`time_mean`), or the time until `threshold`"
 """What the measures are, in the descriptions of keys."""
+T = TypeVar("T")
+
+
+def check_distinct(names: Iterable[str], table: str = "") -> None:
+    """Raise ValueError if two names differ only in upper and lower case: SQL and some file systems take them for the same."""
+    first: dict[str, str] = {}
+    for name in names:
+        if (other := first.setdefault(name.lower(), name)) != name:
+            places = " and ".join(f"{table and table + '.'}{one}" for one in (other, name))
+            raise ValueError(f"{places}: these names differ only in upper and lower case, which SQL ignores; rename one")
+
+
+def distinct(tables: Mapping[str, T]) -> Mapping[str, T]:
+    """Check that no two tables have names that differ only in upper and lower case."""
+    check_distinct(tables)
+    return tables
 
 
 def as_words(value: object) -> object:

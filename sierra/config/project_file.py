@@ -42,7 +42,18 @@ from sierra.config.execution_tables import (
     Source,
     StoreTable,
 )
-from sierra.config.field_types import Commands, GroupName, InProject, Name, RawTable, Scalar, Table, Words, as_words
+from sierra.config.field_types import (
+    Commands,
+    GroupName,
+    InProject,
+    Name,
+    RawTable,
+    Scalar,
+    Table,
+    Words,
+    as_words,
+    check_distinct,
+)
 from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
@@ -294,19 +305,27 @@ class Project(Table):
         return self
 
     @model_validator(mode="after")
+    def _distinct_names(self) -> Project:
+        for key, tables in self:
+            if isinstance(tables, Mapping):
+                check_distinct(tables, key)
+        if both := {name.lower() for name in self.figures} & {name.lower() for name in self.paper_tables}:
+            name, other = (next(one for one in tables if one.lower() in both) for tables in (self.figures, self.paper_tables))
+            raise ValueError(f"[figures.{name}] and [paper_tables.{other}] would have files of the same name; rename one")
+        return self
+
+    @model_validator(mode="after")
     def _free_table_names(self) -> Project:
         if not self.tables:
             return self
         from sierra.store.derived_tables import is_free
 
         outputs = {name.lower() for name in self.outputs}
-        seen: set[str] = set()
         for name in self.tables:
-            if name.lower() in outputs | seen:
-                raise ValueError(f"tables.{name}: {'an output' if name.lower() in outputs else 'another table'} has this name")
+            if name.lower() in outputs:
+                raise ValueError(f"tables.{name}: an output has this name")
             if not is_free(name):
                 raise ValueError(f"tables.{name}: SIERRA's own table has this name; use another name")
-            seen.add(name.lower())
         return self
 
     @model_validator(mode="after")
@@ -325,12 +344,6 @@ class Project(Table):
         taken = [name for name in (*self.variables, *self.per_run) if name == ROBOT]
         if self.robots and taken:
             raise ValueError(f"{ROBOT}: in runs on robots, {{{ROBOT}}} is the robot's place; use another name")
-        return self
-
-    @model_validator(mode="after")
-    def _one_deliverable_each(self) -> Project:
-        if both := sorted(self.figures.keys() & self.paper_tables.keys()):
-            raise ValueError(f"[figures.{both[0]}] and [paper_tables.{both[0]}] would have files of the same name; rename one")
         return self
 
     @model_validator(mode="after")

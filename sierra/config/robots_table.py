@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 from itertools import chain
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, PositiveInt, WithJsonSchema, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, WithJsonSchema, model_validator
 
 from sierra.config.change_tables import ChangeTable
-from sierra.config.field_types import NAME, Argv, Name, Table
+from sierra.config.field_types import NAME, Argv, Name, Table, distinct
 
 ROBOT, BASE = "robot", "base"
 """The groups of places that belong to no declared group, and of the base station."""
@@ -68,7 +68,7 @@ class RobotsTable(Table):
     )
     command: Argv = Field((), description="the program and its arguments on each robot; default: the project's `command`")
     base: BaseStation | None = Field(None, description="a base station that takes part in each run; default: none")
-    groups: Mapping[Name, GroupOfPlaces] = Field(
+    groups: Annotated[Mapping[Name, GroupOfPlaces], AfterValidator(distinct)] = Field(
         default_factory=dict, description="places with other commands or inputs, by the group's name"
     )
 

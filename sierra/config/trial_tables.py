@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
 
-from sierra.config.field_types import Command, Finite, InProject, Line, Name, NotNegative, Table
+from sierra.config.field_types import Command, Finite, InProject, Line, Name, NotNegative, Table, distinct
 
 ListedPose = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3)]
 Span = Annotated[tuple[Finite, Finite], Field()]
@@ -59,7 +59,7 @@ class Trials(Table):
     files: tuple[InProject, ...] = Field(
         (), description="files whose SHA-256 is recorded before each trial, for example a calibration"
     )
-    commands: Mapping[Name, Command] = Field(
+    commands: Annotated[Mapping[Name, Command], AfterValidator(distinct)] = Field(
         default_factory=dict,
         description="commands that this machine executes before each trial; what they print is recorded, for example the "
         "version of a firmware",

@@ -22,13 +22,14 @@ from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather
 from sierra.deliverables.models.models_of_batch import Models
-from sierra.errors import NotFound, SierraError, UsageError
+from sierra.errors import Damaged, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store import equal_runs
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
+from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
@@ -201,6 +202,8 @@ class Gallery:
                 notes += suggest_tables.notes(self.frame, output)
             try:
                 self._coverage(output)
+            except Damaged:
+                raise
             except SierraError as error:
                 if output.name in filmed:
                     continue
@@ -402,7 +405,7 @@ class Gallery:
     def _time(self, output: OutputTable) -> str:
         declared = self._config.declared(output.name)
         if declared and declared.time:
-            return declared.time
+            return stored_name(declared.time, output.all_columns)
         first = output.all_columns[0] if output.all_columns else ""
         if names_time(first) and first in output.columns:
             return first

@@ -248,7 +248,7 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
         return other
     try:
         now = again(row)
-    except Missing:
+    except (Damaged, Missing):
         raise
     except SierraError as error:
         return f"it can no longer be made: {error}"

@@ -13,7 +13,7 @@ from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
 from sierra.ingest import robot_files
 from sierra.store.samples import ON_ROBOTS, names_time
-from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import NUMBER as NUMBER_TYPE
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
@@ -29,12 +29,15 @@ RATES = "SELECT {tests} FROM {table} WHERE execution IN (FROM mine)"
 class TakenColumn:
     """One column of a table: its name and its type in SQL, and its unit if `sierra.toml` declares one.
 
-    The name differs from that in the file if SQL or the store needs it for something else: `v` and `V` are `v` and `V_`.
+    The name differs from that in the file if SQL or the store needs it for something else: `v` and `V` are `v_lower` and
+    `V_upper`.
     """
 
     name: str
     type: str
     unit: str | None = None
+    original: str | None = None
+    """The name in the file, if it is another one."""
 
 
 NO_COLUMN = TakenColumn("", "")
@@ -242,7 +245,7 @@ def _table(snapshot: Snapshot, layouts: list[_Layout], size: _Rows, declared: Ou
 
 def _rates(snapshot: Snapshot, size: _Rows, columns: Sequence[tuple[str, TakenColumn]]) -> Iterator[str]:
     """Yield the columns whose only numbers are 0 and 1, if each run has one row."""
-    stored = column_names([original for original, _ in columns])
+    stored = stored_names([original for original, _ in columns])
     numbers = [
         (original, column.name)
         for (original, column), name in zip(columns, stored, strict=True)
@@ -266,10 +269,14 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     described = {row[0]: row[1] for row in snapshot.run(f"DESCRIBE {identifier(name)}")}
     own = {stored: sql for stored, sql in snapshot.views.sql_names.get(name.lower(), {}).items() if stored not in OWN}
     units: Mapping[str, str] = declared.units if declared else {}
-    originals = dict(zip(column_names(list(names)), names, strict=True))
+    originals: dict[str, str] = {}
+    for naming in (column_names, stored_names):  # the first one for records of earlier versions
+        for row in layouts:
+            columns = list(TableLayout.load(row.table_layout).columns)
+            originals |= zip(naming(columns), columns, strict=True)
     for stored, sql in own.items():
         original = originals.get(stored, stored)
-        yield original, TakenColumn(sql, described.get(sql, ""), units.get(original))
+        yield original, TakenColumn(sql, described.get(sql, ""), units.get(original), original if original != sql else None)
 
 
 def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:

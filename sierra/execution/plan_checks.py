@@ -59,9 +59,10 @@ def check_names(project: LoadedProject) -> None:
             raise ConfigError(
                 f"{project.file}: variable {name!r}: the store itself has a column of that name; use another name"
             )
-        if name in GROUPED:
+        if (group := name.lower()) in GROUPED:
             raise ConfigError(
-                f"{project.file}: variable {name!r}: {name}s are not values but sets of changes; declare each in [{name}s.NAME]"
+                f"{project.file}: variable {name!r}: {group}s are not values but sets of changes; "
+                f"declare each in [{group}s.NAME]"
             )
     root = ProjectPaths(project.root)
     if root.store.exists() and not root.store.is_dir():

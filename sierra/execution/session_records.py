@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.images import record
 from sierra.containers.images.image import Image, ImageVariants, every
-from sierra.errors import Damaged, Missing
+from sierra.errors import Damaged, Missing, QueryError
 from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
@@ -50,7 +50,8 @@ STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
 def keep(plan: Plan, store: Store, session: Session) -> None:
     """Record the batch, its runs and their input files before anything executes, unless the store has the batch.
 
-    Records that the store has already are not written again, also if another session wrote them first.
+    Records that the store has already are not written again, also if another session wrote them first. Raises QueryError for an
+    axis that cannot be told from a recorded one.
     """
     batch, code = plan.batch, plan.source
     if code is None:  # a recorded batch, requested by its id
@@ -58,6 +59,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     with store.snapshot() as snapshot:
         if is_kept(plan, snapshot):
             return
+        _check_axes(batch, snapshot)
         seen = snapshot.segments
         known = _known_inputs(plan, snapshot)
         stored = shared_files.stored(plan.shared_files, snapshot)
@@ -85,6 +87,18 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     with sessions.exclusively(store.paths):
         if store.segments() == seen or not is_kept(plan, store):
             store.publish(writer)
+
+
+def _check_axes(batch: Batch, snapshot: Snapshot) -> None:
+    """Raise QueryError if an axis and a recorded one differ only in upper and lower case: they would be one column in SQL."""
+    recorded = set(snapshot.values(str, "SELECT DISTINCT unnest(axes) FROM batches"))
+    other = {name.lower(): name for name in sorted(recorded)}
+    for axis in (axis.name for axis in batch.axes if axis.name not in recorded):
+        if axis.lower() in other:
+            raise QueryError(
+                f"{axis!r} and the recorded variable {other[axis.lower()]!r} differ only in upper and lower case, which SQL "
+                "ignores, so that their values would be in one column; rename the variable in sierra.toml"
+            )
 
 
 def keep_variants(plan: Plan, store: Store, session: Session) -> None:

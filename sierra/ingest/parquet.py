@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -19,7 +20,7 @@ from sierra.store.duckdb_file_io import parquet_given, parquet_schema
 from sierra.store.duckdb_messages import first_line
 from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
-from sierra.store.sql_names import identifier
+from sierra.store.sql_names import differing_by_case, identifier
 from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
+
+RENAMED = re.compile(r"_\d+$")
+"""The end of the names that DuckDB gives to columns whose names differ only in upper and lower case."""
 
 
 class Parquet(TableReader):
@@ -37,6 +41,8 @@ class Parquet(TableReader):
         self._found: Mapping[str, Mapping[str, str]] = {}
         self._wide: dict[str, str] = {}
         """By path, a column with decimals that DuckDB would turn into DOUBLE."""
+        self._called: dict[str, Mapping[str, str]] = {}
+        """By path, DuckDB's names of the columns: it changes those that differ from others only in upper and lower case."""
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
@@ -49,6 +55,10 @@ class Parquet(TableReader):
                     file, f"the column {name!r} has decimals of more than {DIGITS} digits, which is the maximum of a table"
                 )
         return {path: Part(tuple(columns)) for path, columns in self._found.items()}
+
+    def key(self, part: Part) -> Hashable:
+        """Return the key that files of one part share: DuckDB's names depend on the order of names that are alike to it."""
+        return part.names if differing_by_case(part.names) else super().key(part)
 
     def one(self, files: Sequence[Written]) -> None:
         try:
@@ -78,7 +88,8 @@ class Parquet(TableReader):
         try:
             for target, some in written:
                 types = {name: self._type(name, some) for name in self.part.names}
-                columns = {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in self.part.names}
+                called = self._called[some[0].path]
+                columns = {name: f"CAST(t.{identifier(called[name])} AS {types[name]})" for name in self.part.names}
                 self.write(target, some, self._source(), columns)
         except (self.error, AtFaultError):
             for target, _ in written:
@@ -98,7 +109,7 @@ class Parquet(TableReader):
 
     def _any_inexact(self, name: str, files: Sequence[Written]) -> bool:
         kind = self._type(name, files)
-        inexact = is_inexact(f"CAST({identifier(name)} AS {kind})", kind)
+        inexact = is_inexact(f"CAST({identifier(self._called[files[0].path][name])} AS {kind})", kind)
         return bool(self.fetch(f"SELECT 1 FROM {self._source()} WHERE {inexact} LIMIT 1", files))
 
     def _source(self) -> str:
@@ -118,14 +129,17 @@ class Parquet(TableReader):
         )
         self._wide |= {path: name for path, _, name in rows if name}
         by_path = {file.path: file for file in files}
-        described: dict[tuple[str, ...], dict[str, str]] = {}
+        described: dict[tuple[str, ...], tuple[dict[str, str], dict[str, str]]] = {}
         found = {}
         for path, schema, _ in rows:
             key = tuple(schema)
             if key not in described:
                 columns = self.fetch(f"DESCRIBE SELECT * FROM {self._source()}", [by_path[path]])
-                described[key] = {row[0]: row[1] for row in columns if row[0] != FILE}
-            found[path] = described[key]
+                names = [row[0] for row in columns if row[0] != FILE]
+                called = dict(zip(_own_names(path, names), names, strict=True))
+                kinds = {row[0]: row[1] for row in columns}
+                described[key] = {own: kinds[name] for own, name in called.items()}, called
+            found[path], self._called[path] = described[key]
         return found
 
     def _type(self, name: str, files: Sequence[Written]) -> str:
@@ -135,6 +149,16 @@ class Parquet(TableReader):
             return kinds.pop() if kinds else EMPTY
         whole = all("INT" in kind for kind in kinds)
         return HUGE if whole and "UBIGINT" in kinds else "BIGINT" if whole else "DOUBLE"
+
+
+def _own_names(path: str, called: Sequence[str]) -> Sequence[str]:
+    """Return the names of a file's columns. DuckDB calls them so, unless two differ only in upper and lower case."""
+    import pyarrow.parquet as pq
+
+    if not any(RENAMED.search(name) for name in called):
+        return called
+    names: list[str] = pq.read_schema(path).names
+    return names if len(names) == len(called) and len(set(names)) == len(names) else called
 
 
 class Converted(Parquet):

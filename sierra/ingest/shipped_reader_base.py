@@ -18,7 +18,7 @@ from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
 from sierra.store.duckdb_messages import disk_error, duckdb_error
 from sierra.store.parquet_row_counts import rows_by_file
-from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import RawRow
 
 FILE = "# file"
@@ -162,7 +162,7 @@ class TableReader:
         for file in files:
             self.columns[file.execution, file.name] = {**ticks, **kinds[file.path]} if ticks else kinds[file.path]
         self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
-        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         lacking = self._lacking(target)
         partly = [name for name in self.part.names if stored[name] in lacking]
         for key, count, filled in self._count(target, files, [stored[name] for name in partly]):
@@ -226,7 +226,7 @@ class TableReader:
         )
         named = ", ".join(
             f"{expression} AS {identifier(name)}"
-            for name, expression in zip(column_names(list(columns)), columns.values(), strict=True)
+            for name, expression in zip(stored_names(list(columns)), columns.values(), strict=True)
         )
         name = "o.name AS file, " if self.shape.many else ""
         name += "".join(f"o.tick{place} AS {identifier(tick)}, " for place, tick in enumerate(column_names(self.shape.ticks)))

@@ -18,7 +18,7 @@ from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
 from sierra.ingest.recording_context import Context
-from sierra.store.sql_names import identifier
+from sierra.store.sql_names import differing_by_case, identifier, stored_name, stored_names
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT
@@ -79,7 +79,7 @@ class TableWarnings:
             sizes = snapshot.select(TableSize, SIZES)
         self._paths = {row.output: TableLayout.load(row.table_layout).file or "" for row in rows}
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
-        columns = [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
+        columns = [*self._alone(forms), *self._by_case(forms), *self._renamed(forms), *self._of_kinds(forms)]
         return [*empty, *self._lengths(), *columns, *self._events(sizes)]
 
     def _events(self, rows: Sequence[TableSize]) -> Iterator[str]:
@@ -144,6 +144,24 @@ class TableWarnings:
             if name in self._shapes and len(counts) > 1 and alone and (declared is None or declared.mismatch == "strict"):
                 whose = "one run has columns" if alone == 1 else f"{alone} runs each have columns"
                 yield f"output {name!r}: {whose} that no other run has; no other run of the experiment can confirm them"
+
+    def _by_case(self, forms: Sequence[_Table]) -> Iterator[str]:
+        """Yield warnings about columns whose names differ only in upper and lower case."""
+        names: dict[str, dict[str, None]] = {}
+        named: dict[str, dict[str, str]] = {}
+        for row in forms:
+            columns = list(row.columns)
+            names.setdefault(row.output, {}).update(dict.fromkeys(columns))
+            named.setdefault(row.output, {}).update(zip(columns, stored_names(columns), strict=True))
+        for output, all_names in names.items():
+            for several in differing_by_case(all_names) if output in self._shapes else ():
+                alike = sorted(several, key=str.swapcase)
+                message = f"columns {_words(alike)} of output {output!r} differ only in upper and lower case, which SQL ignores"
+                called = [named[output][name] for name in alike]
+                if len(set(map(str.lower, called))) == len(called):
+                    yield f"{message}: they are {_words(called)} in SQL"
+                else:
+                    yield f"{message}: they are one column, because no run has all of them; give one another name"
 
     def _renamed(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns that have another name in SQL, because an axis has their name but other values."""
@@ -233,10 +251,16 @@ class TableWarnings:
         return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
 
 
+def _words(names: Iterable[str]) -> str:
+    return " and ".join(map(repr, names))
+
+
 def _in_sql(snapshot: Snapshot, output: str, name: str) -> str | None:
     """Return the name in SQL of a column of a table; None if it has none."""
     snapshot.views.make((output,))
     named = {row[0].lower(): row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
+    if (own := stored_name(name, named.values())) != name:
+        return own
     return next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
 
 

@@ -11,7 +11,7 @@ from sierra.ingest.model import AtFaultError, Found, Group, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader, these
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
-from sierra.store.sql_names import column_names, identifier, quote
+from sierra.store.sql_names import identifier, quote, stored_names
 from sierra.store.type_inference import (
     AS_TEXT,
     EMPTY,
@@ -165,7 +165,7 @@ class Text(TableReader):
         doubles = [name for name in names if types[name] == "DOUBLE"]
         if not doubles or not files:
             return False
-        stored = dict(zip(names, column_names(names), strict=True))
+        stored = dict(zip(names, stored_names(names), strict=True))
         written = read_parquet([str(target)])
         if not self._any("isinf({})", (identifier(stored[name]) for name in doubles), written, {}):
             files = [file for file in files if self.has_underscores(file)]
@@ -180,7 +180,7 @@ class Text(TableReader):
 
         These are columns in which some files have only whole numbers, and others have fractions.
         """
-        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE" and len(files) > 1]
         great = f"isfinite({{}}) AND abs({{}}) > {2**53}"
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.samples import names_time
-from sierra.store.sql_names import identifier
+from sierra.store.sql_names import identifier, stored_name
 from sierra.store.sql_result import INTEGER, NUMBER
 
 
@@ -38,7 +38,8 @@ class WentBack(NamedTuple):
 def time_of(declared: str | None, names: Sequence[str], types: Sequence[str]) -> str | None:
     """Return the time among the columns of a table: the `declared` one, or the first if its name is that of a time."""
     if declared:
-        found = next((name for name in names if name == declared), None)
+        called = stored_name(declared, names)
+        found = called if called in names else None
     else:
         found = names[0] if names and names_time(names[0]) else None
     return found if found is not None and re.fullmatch(NUMBER, types[names.index(found)]) else None

@@ -17,6 +17,7 @@ from sierra.store.compaction import groups, touched, write_kept
 from sierra.store.segments import disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.store.study_records import looks
+from sierra.store.verified_files import verify
 
 LEAN = ("SET threads = 1", "SET allocator_flush_threshold = '8MB'")
 """Settings of DuckDB with which statements on 100,000 runs need less memory, and give it back when they have ended."""
@@ -40,6 +41,7 @@ def extract(store: Store, batches: Collection[str], root: Path) -> Store:
         names = {segment.name for segment in changed}
         for segment in snapshot.segments:
             if segment.name not in names:
+                verify(segment.files.values())
                 _copy(store.paths.segments / segment.name, other)
         for number, group in enumerate(groups(changed)):
             writer = other.writer(root / "work" / str(number), group[0].batch)

@@ -16,13 +16,13 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.store.layout import user_digests
 from sierra.util.cache import Cache
+from sierra.util.fs import RACY_NS, state
 from sierra.util.hashing import sha256_file
 
 VENV = "pyvenv.cfg"
 """File name that marks a folder as a virtual environment."""
 SMALL = 1 << 16
 """Maximum size in bytes of files that are not cached, because hashing them is as fast as a look-up."""
-RACY_NS = 2 * 10**9
 MAX_ENTRIES = 4096
 
 
@@ -69,16 +69,16 @@ class HashCache:
         return _or_missing(path, lambda there: self._find(there, hashed))
 
     def _find(self, path: str, hashed: Callable[[str], str]) -> str:
-        state = _state(path)
-        if state[2] <= SMALL:
+        now = state(path)
+        if now[2] <= SMALL:
             return hashed(path)
         known = self._cache.get(path)
-        if isinstance(known, list) and known[:-1] == state and isinstance(known[-1], str):
+        if isinstance(known, list) and known[:-1] == now and isinstance(known[-1], str):
             return known[-1]
-        now = time.time_ns()
+        began = time.time_ns()
         digest = hashed(path)
-        if _state(path) == state and max(state[3:]) < now - RACY_NS:
-            self._cache.put(path, [*state, digest])
+        if state(path) == now and max(now[3:]) < began - RACY_NS:
+            self._cache.put(path, [*now, digest])
         return digest
 
 
@@ -95,8 +95,3 @@ def _or_missing(path: str, hashed: Callable[[str], str]) -> str:
         return hashed(os.path.abspath(path))  # noqa: PTH100 - links stay
     except OSError as error:
         raise Missing(f"{path} cannot be read: {error.strerror}") from error
-
-
-def _state(path: str) -> list[int]:
-    status = os.stat(path)  # noqa: PTH116 - for speed
-    return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]

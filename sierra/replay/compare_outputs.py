@@ -15,6 +15,7 @@ from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.recorded_files import holding
 from sierra.store.results import objects, rows_of
 from sierra.store.row_types import ArtifactRow
+from sierra.store.sql_names import stored_name
 from sierra.store.store import Snapshot
 from sierra.store.table_layout import TableLayout
 from sierra.util.chunking import by_weight
@@ -171,7 +172,8 @@ def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: M
     old, new = contents.rows(was), contents.rows(now)
     if old is None or new is None:
         return _without_rows(was, now)
-    found = of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
+    time = stored_name(rules.time, old.column_names) if rules else ""
+    found = of_tables(old, new, Rules(rules.tolerance, volatile, time, rules.ordered) if rules else Rules())
     return replace(found, output=was.output)
 
 

@@ -12,7 +12,7 @@ from sierra.execution.plan_from_record import Recalled
 from sierra.model import Run, Value
 from sierra.replay.options import ReplayOptions
 from sierra.store.recorded_files import ChosenExecution, take, where
-from sierra.store.sql_names import column_names
+from sierra.store.sql_names import stored_names
 from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
@@ -113,7 +113,7 @@ def find(store: Store, found: Found, options: ReplayOptions) -> Record:
 
 def _columns(forms: list[str]) -> list[str]:
     """Return the columns of tables by their names in SQL, from the recorded forms of these tables."""
-    named = (column_names(list(TableLayout.load(form).columns)) for form in forms)
+    named = (stored_names(list(TableLayout.load(form).columns)) for form in forms)
     return list(dict.fromkeys(name for names in named for name in names))
 
 

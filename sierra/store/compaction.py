@@ -34,6 +34,7 @@ from sierra.store.schema import RECORDED, arrow_schema, is_table
 from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
+from sierra.store.verified_files import verify
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """Rows to remove, by table (`output` stands for all outputs) and column: those whose value is in the set."""
@@ -151,6 +152,7 @@ def write_kept(group: Group, drop: Drop, writer: Writer) -> None:
     """Write the kept rows of a group into one new segment. Raises Missing if the disk is full, Damaged for unreadable files."""
     for name in sorted({name for segment in group for name in segment.files}):
         paths = [segment.files[name] for segment in group if name in segment.files]
+        verify(paths)
         with disk_errors(writer.folder):
             _write(writer.path(name), name, paths, drop.get(_table(name), {}))
 

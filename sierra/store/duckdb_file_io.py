@@ -20,6 +20,7 @@ from types import TracebackType
 
 from sierra.errors import Missing
 from sierra.store.sql_names import quote
+from sierra.store.verified_files import verify
 
 ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
 """The parts of a path that DuckDB does not take literally: patterns, the home folder, and bytes that are not UTF-8."""
@@ -39,13 +40,16 @@ def read_parquet(
     filename: bool = False,
     rows: bool = False,
     schema: Mapping[str, str] | None = None,
+    check: bool = True,
 ) -> str:
-    """Return the relation of these files' rows.
+    """Return the relation of these files' rows. Raises Damaged if a file of a segment is not the recorded one.
 
     `union`: match the columns of each file by name; otherwise all files must have the columns of the first. `filename`: add the
     path of a row's file. `rows`: add that, and the row's number in the file. `schema`: the names and types of the columns; a
-    column that a file does not have is NULL.
+    column that a file does not have is NULL. `check`: verify the files; without it, the caller does so.
     """
+    if check:
+        verify(files)
     options = f"union_by_name = {_sql(union)}, filename = {_sql(filename or rows)}, file_row_number = {_sql(rows)}"
     if schema is not None:
         columns = (f"{quote(n)}: {{name: {quote(n)}, type: {quote(t)}, default_value: NULL}}" for n, t in schema.items())

@@ -23,7 +23,16 @@ from types import TracebackType
 from typing import IO
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, UsageError
-from sierra.store.recorded_files import INPUT_FOLDER, OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded, take
+from sierra.store.recorded_files import (
+    INPUT_FOLDER,
+    OUTPUT_FOLDER,
+    ChosenExecution,
+    Recorded,
+    check_objects,
+    contents,
+    recorded,
+    take,
+)
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
@@ -55,16 +64,17 @@ class Outcome:
     """The reason why the file was not written."""
 
 
-def listing(store: Store, prefix: str, patterns: Sequence[str] = ()) -> Listing:
+def listing(store: Store, prefix: str, patterns: Sequence[str] = (), *, check: bool = True) -> Listing:
     """Return the recorded files of an execution, a run, an experiment or a batch, by a prefix of its id.
 
     `patterns` are paths as in the listing, the same paths without `input/` or `output/`, or globs (`*` also matches slashes).
-    Raises NotFound for a pattern that matches nothing.
+    Raises NotFound for a pattern that matches nothing. Without `check`, the list may be wrong if the store is damaged:
+    it is for `content` and `extract`, which verify what they write.
     """
     found = store.resolve(prefix)
     with store.snapshot() as snapshot:
         runs = take(snapshot, found)
-        files = recorded(snapshot, runs)
+        files = recorded(snapshot, runs, check=check)
     return Listing(found.kind, found.id, tuple(runs), tuple(_chosen(files, patterns)))
 
 
@@ -77,13 +87,16 @@ def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
         one = next(contents(snapshot, [file]))
         for piece in one.pieces:
             target.write(piece)
+        if not one.identical:
+            check_objects(snapshot)
         return bool(one.identical)
 
 
 def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
     """Write these files into a folder and yield the outcome of each one. The folder is created if necessary.
 
-    Raises UsageError if the folder is within the store, Missing if it cannot be created or the disk is full.
+    Raises UsageError if the folder is within the store, Missing if it cannot be created or the disk is full, and
+    Damaged at the end if a file may be another one because the store is damaged.
     """
     if folder.resolve().is_relative_to(store.paths.root.resolve()):
         raise UsageError(f"{folder} is in the store itself; use another folder")
@@ -94,6 +107,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
         raise Missing(f"{folder}: {error.strerror}; files cannot be written there") from error
     try:
         with store.snapshot() as snapshot:
+            failed = doubtful = False
             for one in contents(snapshot, listed.files):
                 path = target_path(one.file)
                 failure = None
@@ -108,6 +122,9 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
                         raise Missing(f"{folder}: {error.strerror}; files that were already written stay") from error
                     failure = f"cannot be written: {error.strerror or error}"
                 yield Outcome(one.file, path, bool(one.identical), failure)
+                failed, doubtful = failed or failure is not None, doubtful or not one.identical
+            if doubtful and not failed:
+                check_objects(snapshot)
     finally:
         os.close(root)
 

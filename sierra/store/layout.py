@@ -2,7 +2,7 @@
 
 $XDG_CONFIG_HOME/sierra/config.toml user settings
 $XDG_CACHE_HOME/sierra/             caches that can be rebuilt: digests.json, versions.json, images.json,
-                                    engines.json, clusters.json, apptainer/, packages/<id>/
+                                    engines.json, clusters.json, apptainer/, packages/<id>/, verified/
 $XDG_STATE_HOME/sierra/             crash reports; the history of the SQL prompt
 PROJECT/sierra.toml
 PROJECT/sierra.lock                 the images that image names stand for; committed with the project
@@ -44,6 +44,7 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from sierra.util.fs import inside
+from sierra.util.hashing import sha256
 
 CONFIG = "sierra.toml"
 LOCK = "sierra.lock"
@@ -295,5 +296,11 @@ user_clusters = partial(_user_cache, "clusters.json")
 """Return the cache of clusters whose nodes passed the checks."""
 user_apptainer = partial(_user_cache, "apptainer")
 """Return the folder of apptainer's configuration for runs."""
+_user_verified = partial(_user_cache, "verified")
 user_packages = partial(_user_cache, "packages")
 """Return the folder of the stores of opened packages, each in a folder with the package's id."""
+
+
+def user_verified(segments: str) -> Path:
+    """Return the cache of the states of verified files in a store's folder of segments."""
+    return _user_verified() / f"{sha256(os.fsencode(os.path.realpath(segments)))[:32]}.json"

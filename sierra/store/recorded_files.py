@@ -17,20 +17,19 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from itertools import groupby
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
-from sierra.store.segments import MANIFEST, Segment
-from sierra.store.sql_names import column_names, identifier
+from sierra.store.segments import Segment
+from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Found, Snapshot
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import is_number
+from sierra.store.verified_files import is_sound, verify
 from sierra.store.views import ORDER, recording
-from sierra.util.hashing import sha256_file
 from sierra.util.text import natural
 
 if TYPE_CHECKING:
@@ -180,11 +179,16 @@ FROM t LEFT JOIN all_judgements e ON e.judgement = t.judgement ORDER BY t.ordina
 """
 
 
-def recorded(snapshot: Snapshot, runs: Sequence[ChosenExecution], *, inputs: bool = False) -> list[Recorded]:
+def recorded(
+    snapshot: Snapshot, runs: Sequence[ChosenExecution], *, inputs: bool = False, check: bool = True
+) -> list[Recorded]:
     """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files.
 
-    Input files are in the order of the run, which says which one `{input}` is.
+    Input files are in the order of the run, which says which one `{input}` is. Without `check`, files of objects are not
+    verified, so that a damaged one does not hide the others. Then the caller reports damage, see `check_objects`.
     """
+    if not check:
+        snapshot.views.unchecked.add("objects")
     snapshot.add_table(
         "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
     )
@@ -216,6 +220,11 @@ SELECT l.place, l.nth, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kep
        l.output, l.table_layout, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
 """
+
+
+def check_objects(snapshot: Snapshot) -> None:
+    """Raise Damaged if a file of objects is not the recorded one."""
+    verify(segment.files["objects"] for segment in snapshot.segments if "objects" in segment.files)
 
 
 class Content:
@@ -397,7 +406,7 @@ class _Part:
         self._path = path
         described: list[RawRow] = []
         with contextlib.suppress(duckdb.Error, Damaged):
-            described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
+            described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path], check=False)}")
         self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
         self._many = any(row[0] == "file" for row in described)
         self._sound: bool | None = None
@@ -417,7 +426,7 @@ class _Part:
         line = f"coalesce(nullif(concat_ws(chr(44), {cells}), ''), '\"\"')" if one else f"concat_ws(chr(44), {cells})"
         statement = (
             f"SELECT o.execution || '/' || {'o.file' if self._many else repr('')} AS key, {line} AS line "
-            f"FROM {read_parquet([self._path])} o SEMI JOIN asked USING (execution)"
+            f"FROM {read_parquet([self._path], check=False)} o SEMI JOIN asked USING (execution)"
         )
         with contextlib.suppress(duckdb.Error, Damaged, *UNREADABLE):
             for batch in self._snapshot.connection.sql(statement).to_arrow_reader(LINES):
@@ -428,12 +437,7 @@ class _Part:
     def is_sound(self) -> bool:
         """Check that the file's hash is the one in its segment's MANIFEST."""
         if self._sound is None:
-            path = Path(self._path)
-            try:
-                listed = path.with_name(MANIFEST).read_text("utf-8", "replace").splitlines()
-                self._sound = f"{sha256_file(path)}  {path.name}" in listed
-            except OSError:
-                self._sound = False
+            self._sound = is_sound(self._path)
         return self._sound
 
 
@@ -455,7 +459,7 @@ def _csv(
     file = content.file
     form = TableLayout.load(file.form)
     own = tuple(form.columns)
-    header = own if column_names(own) == tuple(names) or not names else names
+    header = own if tuple(names) in (stored_names(own), column_names(own)) or not names else names
     found, count = sha256(), 0
 
     def pieces() -> Iterator[bytes]:

@@ -26,11 +26,12 @@ from sierra.store.row_mapper import R
 from sierra.store.row_types import CaptureRow
 from sierra.store.schema import RECORDED
 from sierra.store.segments import disk_errors, is_first_part
-from sierra.store.sql_names import column_names, identifier, quote
+from sierra.store.sql_names import LOWER, column_names, identifier, quote
 from sierra.store.sql_result import INTEGER, NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
+from sierra.store.verified_files import verify
 from sierra.store.views import files_with, recording
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.scratch import scratch
@@ -144,6 +145,11 @@ class Frame:
     def unlock(self) -> None:
         """Free the lock that protects the segments from removal. Whoever uses the frame afterwards must hold it."""
         self._snapshot.unlock()
+
+    def verify(self) -> None:
+        """Raise Damaged if a file that the frame has read has been damaged since."""
+        self._snapshot.verify()
+        verify(path for table in self._relations for path in self._files.get(table, ()))
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
@@ -804,5 +810,5 @@ def _mixed(relation: Relation) -> tuple[str, ...]:
 
 
 def names_time(column: str) -> bool:
-    """Return whether a column has the name of a time; SQL may have added `_` to it."""
-    return column.lower().rstrip("_") in TIMES
+    """Return whether a column has the name of a time; the store may have added `_` to it, or what tells `t` from `T`."""
+    return column.lower().removesuffix(LOWER).rstrip("_") in TIMES

@@ -39,12 +39,13 @@ from sierra.errors import Damaged, Missing
 from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
+from sierra.store.verified_files import MANIFEST as MANIFEST
+from sierra.store.verified_files import changed, hash_written, verify
 from sierra.util.fs import inside
-from sierra.util.hashing import sha256, sha256_file
+from sierra.util.hashing import sha256
 
 FORMAT = "sierra store 4\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
-MANIFEST = "MANIFEST"
 IMPORTED = "imported_sessions"
 """The table of the sessions that came in packages."""
 OUTPUT = "output."
@@ -72,7 +73,9 @@ class Segment:
     replaces: frozenset[str] = frozenset()
     after: str | None = None
     missing: tuple[str, ...] = ()
-    """Names of the files in MANIFEST that do not exist, or that of MANIFEST itself."""
+    """Names of the files in MANIFEST that do not exist, or that of MANIFEST itself if it does not exist or has changed."""
+    marks: tuple[str, ...] = ()
+    """The paths of REPLACES and AFTER, as far as they exist."""
 
     def outputs(self) -> Iterator[tuple[str, str]]:
         """Yield the table name and the path of each file that holds rows of an output."""
@@ -82,10 +85,14 @@ class Segment:
 
 
 def is_whole(segment: Segment, folder: Path) -> bool:
-    """Return True; raise Damaged if a segment has lost a file whose rows would be missing without a word."""
+    """Return True; raise Damaged if a segment has lost a file whose rows would be missing without a word.
+
+    A segment whose MANIFEST has changed has lost that.
+    """
     for name in segment.missing:
         if name not in NOTICED:
-            raise Damaged(f"{folder / segment.name / name} is missing: run sierra fsck --repair")
+            path = folder / segment.name / name
+            raise Damaged(changed(str(path)) if path.exists() else f"{path} is missing: run sierra fsck --repair")
     return True
 
 
@@ -94,11 +101,15 @@ def is_first_part(path: str) -> bool:
     return "~" not in Path(path).name
 
 
-def listed(folder: Path) -> Iterator[Segment]:
-    """Yield all segments that are not ignored, in the order of their names."""
+def listed(folder: Path) -> list[Segment]:
+    """Return all segments that are not ignored, in the order of their names. Raises Damaged if a damaged file may hide one.
+
+    The Parquet files are verified when they are read, see `sierra.store.duckdb_file_io`.
+    """
     found = list(on_disk(folder))
+    verify(mark for segment in found for mark in segment.marks)
     hidden = out_of_date(found)
-    yield from (segment for segment in found if segment.name not in hidden)
+    return [segment for segment in found if segment.name not in hidden]
 
 
 def out_of_date(segments: Sequence[Segment]) -> set[str]:
@@ -138,19 +149,30 @@ def _read(folder: str, name: str) -> Segment:
     files = {file.removesuffix(SUFFIX): path for file, path in paths.items() if file.endswith(SUFFIX)}
     replaces = frozenset(_lines(paths[REPLACES])) if REPLACES in paths else frozenset()
     after = next(iter(_lines(paths[AFTER])), "") if AFTER in paths else None
-    missing = _missing(paths) if MANIFEST in paths else (MANIFEST,)
-    return Segment(name.partition("-")[0], files, name, replaces, after, missing)
+    marks = tuple(paths[mark] for mark in (REPLACES, AFTER) if mark in paths)
+    return Segment(name.partition("-")[0], files, name, replaces, after, _missing(paths, name), marks)
 
 
-def _missing(paths: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names in MANIFEST that are not among these paths."""
-    names = (line.partition("  ")[2] for line in _lines(paths[MANIFEST]))
+def _missing(paths: Mapping[str, str], segment: str) -> tuple[str, ...]:
+    """Return the names in MANIFEST that are not among these paths; that of MANIFEST if it is not the segment's."""
+    text = _beginning(paths[MANIFEST]) if MANIFEST in paths else b""
+    if sha256(text)[:16] != segment.rpartition("-")[2]:
+        return (MANIFEST,)
+    names = (line.partition("  ")[2] for line in _split(text))
     return tuple(name for name in names if name not in paths)
 
 
 def _lines(path: str) -> list[str]:
+    return _split(_beginning(path))
+
+
+def _beginning(path: str) -> bytes:
     with Path(path).open("rb") as file:
-        return file.read(MARK_BYTES).decode("utf-8", "replace").splitlines()
+        return file.read(MARK_BYTES)
+
+
+def _split(text: bytes) -> list[str]:
+    return text.decode("utf-8", "replace").splitlines()
 
 
 class Writer:
@@ -222,7 +244,7 @@ class Writer:
 
 def manifest(files: Iterable[Path]) -> bytes:
     """Return the content of MANIFEST for these files, which must be sorted by name."""
-    return "".join(f"{sha256_file(file)}  {file.name}\n" for file in files).encode()
+    return "".join(f"{hash_written(file)}  {file.name}\n" for file in files).encode()
 
 
 def sync(path: Path) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from sierra.store.schema import BESIDE_OUTPUTS
+
+LOWER = "_lower"
+UPPER = "_upper"
+"""The ends of the names of columns that differ only in upper and lower case."""
 
 
 def quote(text: str) -> str:
@@ -28,6 +32,38 @@ def column_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) ->
         seen.add(free.lower())
         kept.append(free)
     return tuple(kept)
+
+
+def stored_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) -> tuple[str, ...]:
+    """Return the names in the store of the columns of a file.
+
+    Names that differ only in upper and lower case get suffixes that tell them apart in whatever order they are: `t` and `T` are
+    `t_lower` and `T_upper`.
+    """
+    doubled = {lower for spelled in differing_by_case(names) for lower in map(str.lower, spelled)}
+    return column_names([name + _case(name) if name.lower() in doubled else name for name in names], taken)
+
+
+def differing_by_case(names: Iterable[str]) -> list[list[str]]:
+    """Return the names that differ from others only in upper and lower case, those that are alike together."""
+    spelled: dict[str, dict[str, None]] = {}
+    for name in names:
+        spelled.setdefault(name.lower(), {})[name] = None
+    return [list(alike) for alike in spelled.values() if len(alike) > 1]
+
+
+def stored_name(name: str, stored: Collection[str]) -> str:
+    """Return the name in the store of the column that a file calls `name`, among those of its table; else `name` itself."""
+    called = name + _case(name)
+    return called if called in stored and name not in stored else name
+
+
+def _case(name: str) -> str:
+    """Return the suffix that tells a name from others that differ only in upper and lower case."""
+    if name == name.lower():
+        return LOWER
+    places = "_".join(str(place) for place, letter in enumerate(name, 1) if letter != letter.lower())
+    return UPPER if name == name.upper() else f"{UPPER}_{places}"
 
 
 def row_name(taken: Iterable[str]) -> str:

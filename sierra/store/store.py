@@ -28,6 +28,7 @@ from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, is_whole
 from sierra.store.sql_names import identifier, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes
+from sierra.store.verified_files import verify
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
@@ -351,6 +352,10 @@ class Snapshot:
         if self._shared is not None:
             self._shared.close()
 
+    def verify(self) -> None:
+        """Raise Damaged if a file that statements have read has been damaged since."""
+        self.views.verify()
+
     def interrupt(self) -> None:
         """End the statement that another thread executes on this snapshot, if there is one; it raises SqlError there."""
         import duckdb
@@ -426,6 +431,8 @@ class Snapshot:
     def _derive(self, text: str, tables: set[str] | None) -> list[str]:
         """Make the derived tables that a statement uses; if it may list tables, return notes on those that cannot be made."""
         check_describes(self.connection, text)
+        if "parquet" in text.lower():  # it may read files by their paths
+            verify(path for segment in self.segments for path in segment.files.values())
         for name in self.derived.used_by(text):
             self.derived.make(name)
         return self.derived.list() if tables is None else []

@@ -18,6 +18,7 @@ from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.sql_result import RawRow
 from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
+from sierra.store.verified_files import verify
 
 Fetch = Callable[[str], list[RawRow]]
 """A function that executes a statement and returns its rows."""
@@ -39,20 +40,24 @@ class Relation:
     """The `_text` column that belongs to each split numeric column."""
     rounded: frozenset[str] = frozenset()
     """The split columns that hold only numbers, some of them with more digits than DOUBLE can hold."""
+    spellings: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """The names of the columns that became one because they differ only in upper and lower case, by its name."""
 
 
 def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: bool = False) -> Relation:
     """Return the rows of these files. Rows that do not meet the condition `where` do not influence the types.
 
-    `rows`: include the columns of `PLACES`.
+    `rows`: include the columns of `PLACES`. Raises Damaged if one of the files is not the recorded one.
     """
+    verify(files)
     described = _described(fetch, files)
     names = _names(described)
     types = _by_type(described)
     first = {own: next(iter(types[name])) for name, own in names.items()}
     several = [name for name in names if len(types[name]) > 1]
     if not several:
-        return Relation(read_parquet(files, union=len(described) > 1, rows=rows), first)
+        source = read_parquet(files, union=len(described) > 1, rows=rows, check=False)
+        return Relation(source, first, spellings=_spellings(described))
     called = column_names([names[name] + TEXT for name in several], taken=names.values())
     mixed = {name: _mixed(fetch, names[name], beside, types[name], where) for name, beside in zip(several, called, strict=True)}
     kept: dict[str, str] = {}
@@ -68,6 +73,7 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
         kept,
         {one.name: one.beside for one in apart},
         frozenset(one.name for one in apart if not one.other),
+        _spellings(described),
     )
 
 
@@ -82,6 +88,15 @@ def _names(described: Described) -> dict[str, str]:
         for name in columns:
             found.setdefault(name.lower(), name)
     return found
+
+
+def _spellings(described: Described) -> dict[str, list[str]]:
+    """Return the names of columns that differ only in upper and lower case, by the first of them."""
+    found: dict[str, dict[str, None]] = {}
+    for _, columns in described:
+        for name in columns:
+            found.setdefault(name.lower(), {})[name] = None
+    return {next(iter(names)): list(names) for names in found.values() if len(names) > 1}
 
 
 def _by_type(described: Described) -> dict[str, dict[str, list[str]]]:
@@ -107,7 +122,8 @@ def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[
     those = [(one, kind) for one, kind in zip(mixed, kinds, strict=True) if kind is not None]
     cells = ", ".join(f"{one.cell(kind)} AS {identifier(one.name)}" for one, kind in those)
     texts = "".join(f", {text} AS {identifier(one.beside)}" for one, kind in those if (text := one.text(kind)))
-    return f"SELECT *{f' REPLACE ({cells})' if cells else ''}{texts} FROM {read_parquet(files, union=True, rows=rows)}"
+    scan = read_parquet(files, union=True, rows=rows, check=False)
+    return f"SELECT *{f' REPLACE ({cells})' if cells else ''}{texts} FROM {scan}"
 
 
 def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict[str, str]]]:
@@ -124,7 +140,10 @@ def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict
             (sorted((own[file] for file in some), key=places.__getitem__) for (some,) in fetch(alike)),
             key=lambda some: places[some[0]],
         )
-    return [(some, {row[0]: row[1] for row in fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1])}")}) for some in groups]
+    return [
+        (some, {row[0]: row[1] for row in fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1], check=False)}")})
+        for some in groups
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +199,7 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     column = identifier(name)
 
     def seen(kind: str, what: str) -> int:
-        found = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")[0][0]
+        found = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True, check=False)} WHERE {where}")[0][0]
         return int(found or 0)  # NULL if there are no rows
 
     def has_values(kind: str) -> bool:

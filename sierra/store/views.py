@@ -15,6 +15,7 @@ from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import Fetch, Relation, relation
+from sierra.store.verified_files import verify
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -98,6 +99,8 @@ class Views:
         """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
         self.notes: list[str] = []
         """Notes for the user on columns with several types."""
+        self.unchecked: set[str] = set()
+        """Tables whose files are not verified, because the caller does so."""
         self._settled = False
         self._made: set[str] = set()
         self.made: list[str] = []
@@ -118,6 +121,10 @@ class Views:
         for name in (*RECORDED, *DERIVED, *sorted(self._outputs)):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
+
+    def verify(self) -> None:
+        """Verify the files of the existing views again, which may have changed since. Raises Damaged."""
+        verify(path for name in self._made for path in (*self._files.get(name, ()), *self._outputs.get(name, ())))
 
     def define(self, name: str, body: str) -> None:
         """Create the view of a table from another query than usual. No view that needs this table may exist yet."""
@@ -152,6 +159,13 @@ class Views:
         if name in self._made:
             return
         self._made.add(name)
+        try:
+            self._create(name)
+        except Damaged:
+            self._made.discard(name)
+            raise
+
+    def _create(self, name: str) -> None:
         for needed in (*NEEDS.get(name, ()), *(NEEDS_IF_IMPORTED.get(name, ()) if self._imported else ())):
             self._make(needed)
         if name == "runs":
@@ -217,7 +231,8 @@ class Views:
 
     def _records(self, name: str, files: list[str], *, older: bool) -> str:
         """Return the relation of records in these files; `older`: no file has the later columns."""
-        source = records(name, files) if older else read_parquet(files, union=name in LATER)
+        check = name not in self.unchecked
+        source = records(name, files) if older else read_parquet(files, union=name in LATER, check=check)
         if name in LATER:
             later = ", ".join(f"{column} AS {column}" for column in LATER[name])  # DuckDB refuses columns that no file has
             source = f"(SELECT * REPLACE ({later}) FROM {source})"
@@ -234,7 +249,10 @@ class Views:
         return self._execute(statement).fetchall()
 
     def _note(self, table: str, found: Relation, sql_names: Mapping[str, str]) -> None:
-        """Note which columns have a `_text` column."""
+        """Note which columns have a `_text` column, and which were several that differ only in upper and lower case."""
+        for name, spelled in found.spellings.items():
+            several = " and ".join(map(repr, spelled))
+            self.notes.append(f"column {sql_names[name]!r} of {table} is {several}, because SQL ignores upper and lower case")
         for name, text in found.texts.items():
             column, beside = f"column {sql_names[name]!r} of {table}", repr(sql_names[text])
             split = "numbers in some runs and other values in others; the other values are"

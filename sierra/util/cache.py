@@ -15,17 +15,17 @@ class Cache:
     """A cache of the most recently used JSON facts by text key. Errors of reading and writing are ignored."""
 
     def __init__(self, path: Path, max_entries: int) -> None:
-        self._path = path
+        self.path = path
         self._max_entries = max_entries
         self._known = _read(path)
         self._new = False
 
     def get(self, key: str) -> JsonView:
         """Return the fact for a key, or None."""
-        if key not in self._known:
-            return None
-        self._known[key] = self._known.pop(key)  # move to the end: most recently used
-        return self._known[key]
+        fact = self._known.pop(key, None)
+        if fact is not None:
+            self._known[key] = fact  # at the end: most recently used
+        return fact
 
     def put(self, key: str, fact: JsonView) -> None:
         self._known.pop(key, None)
@@ -38,8 +38,8 @@ class Cache:
             return
         kept = dict(list(self._known.items())[-self._max_entries :])
         with contextlib.suppress(OSError):
-            self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_whole(self._path, sealed(json.dumps(kept).encode()))
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            write_whole(self.path, sealed(json.dumps(kept).encode()))
         self._new = False
 
 

@@ -46,6 +46,20 @@ def _outside(root: Path, name: str) -> str:
     return f"the record names the path {name!r}, which is not inside {root}; SIERRA did not write this record"
 
 
+RACY_NS = 2 * 10**9
+"""The age of a file's last change after which a further change certainly gives it another time."""
+
+
+def state(path: str) -> list[int]:
+    """Return the facts that change with a file's content: device, inode, size, and the times of writing and of any change.
+
+    The kernel sets the last one (ctime), and no program can set it. Two changes within the same tick of the file system's clock
+    give it the same time, so that whatever is known of a file that is younger than `RACY_NS` must not be kept.
+    """
+    status = os.stat(path)  # noqa: PTH116 - for speed
+    return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]
+
+
 def read_record(path: Path) -> dict[str, Any]:
     """Return the JSON object in a file of a session. Raises FileNotFoundError, and Damaged if the file is not a JSON object."""
     try:

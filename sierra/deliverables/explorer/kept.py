@@ -1,6 +1,7 @@
 """Snapshots that stay open between questions, so that a question costs little more than its own statement.
 
-A snapshot reads files that never change, so it is right as long as the store has the same segments. The lock on the segments is
+A snapshot reads files that never change, so it is right as long as the store has the same segments. Files that were damaged
+meanwhile are noticed. The lock on the segments is
 held only while a question is answered: in between, other processes can remove segments, and then a new snapshot is opened.
 """
 
@@ -14,6 +15,8 @@ class Open(Protocol):
     """A snapshot, or a frame that reads one."""
 
     def unlock(self) -> None: ...
+
+    def verify(self) -> None: ...
 
     def __exit__(self, kind: None, error: None, trace: None, /) -> None: ...
 
@@ -37,11 +40,13 @@ class Kept(Generic[T]):
             self.close()
 
     def opened(self, key: object, opening: Callable[[], T]) -> T:
-        """Return what is open for this key, or open it. The caller holds the lock of the segments."""
+        """Return what is open for this key, or open it. The caller holds the lock of the segments. Raises Damaged."""
         if self._opened is None or self._key != key:
             self.close()
             self._opened, self._key = opening(), key
             self._opened.unlock()
+        else:
+            self._opened.verify()
         return self._opened
 
     def close(self) -> None:

@@ -31,7 +31,7 @@ from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.sqlite_tables import MAGIC as SQLITE
 from sierra.ingest.sqlite_tables import opened as opened_database
 from sierra.store.connections import Database
-from sierra.store.sql_names import column_names
+from sierra.store.sql_names import stored_names
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ class TopicTable:
 
         own = [("topic", pa.string()), *((name, pa.string()) for name in self.names), (RECEIVED, pa.int64())]
         columns = [*own, *((field.name, field.arrow) for field in self.fields)]
-        names = column_names([name for name, _ in columns], ())
+        names = stored_names([name for name, _ in columns], ())
         return pa.schema([(name, kind) for name, (_, kind) in zip(names, columns, strict=True)])
 
     @property

@@ -23,6 +23,7 @@ from sierra.store.row_types import RedactionRow
 from sierra.store.schema import RECORDED, arrow_schema
 from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors
 from sierra.store.store import Snapshot, Store
+from sierra.store.verified_files import verify
 
 ROWS = 65_536
 MARKS = "redactions"
@@ -71,7 +72,8 @@ class _Redactor:
         }
 
     def write(self, segment: Segment, writer: Writer) -> None:
-        """Write a segment again."""
+        """Write a segment again. Raises Damaged if a file is not the recorded one."""
+        verify(segment.files.values())
         for name, path in segment.files.items():
             if name == MARKS:
                 continue

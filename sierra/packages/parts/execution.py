@@ -14,7 +14,7 @@ from typing import Any
 
 from sierra.containers.engines.apptainer import SCRIPT
 from sierra.containers.images.image import AnyImage, Image
-from sierra.errors import Missing, SierraError
+from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
 from sierra.execution.plan_from_record import LAST, Last, Recalled
 from sierra.packages import execute_runs
@@ -62,6 +62,8 @@ class _Batch:
         self.plan: dict[str, Any] = {"batch": batch, "obstacle": ""}
         try:
             self._make(batch)
+        except Damaged:
+            raise
         except SierraError as error:
             self.members = []
             self.plan = {"batch": batch, "obstacle": str(error)}

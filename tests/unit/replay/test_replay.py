@@ -21,6 +21,7 @@ from sierra.config.output_tables import Tolerance
 from sierra.provenance import environment, machine
 from sierra.replay.compare_values import Rules, Verdict, of_tables, of_texts, worst
 from tests import projects, stores
+from tests.unit.maintenance.test_fsck import seal
 
 NOISY = projects.SIMULATOR.replace("count * tick", "__import__('time').time_ns() % 1000 + count * tick")
 JITTER = projects.SIMULATOR.replace("count * tick", "(1 + 1e-13 * __import__('random').random()) * count * tick")
@@ -519,6 +520,7 @@ def test_rows_missing_from_the_store_are_an_error(make: Make) -> None:
     batch = ask(root)
     [file] = root.glob(".sierra/segments/*/output.swarm.parquet")
     pq.write_table(pq.read_table(file).slice(0, 17), file)
+    seal(file.parent)
     ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
     assert "the store has 2 of the 5 rows that execution " in ended.stderr
@@ -537,6 +539,7 @@ def test_the_same_bytes_are_different_if_the_record_lacks_some_of_their_rows(mak
         if (row["execution"], row["path"]) == (lost, "swarm.csv"):
             row.update(rows=row["rows"] - 1, counted=None)  # as recorded by versions that did not count rows
     pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), file.with_name("artifacts.parquet"))
+    seal(file.parent)
     code, said = replay(root, batch)
     assert (code, said["verdict"], said["counts"]) == (1, "different", {"identical": 3, "different": 1})
     assert "the same bytes, but the recorded table has 4 of 5 rows (see sierra fsck)" in json.dumps(said)
@@ -571,13 +574,14 @@ def test_outputs_that_are_entirely_volatile_are_reported() -> None:
 
 def change(root: Path, table: str, **columns: list[Any]) -> None:
     """Write other values into a table of a store, as an attacker could."""
-    for file in root.glob(f".sierra/segments/*/{table}.parquet"):
+    for file in list(root.glob(f".sierra/segments/*/{table}.parquet")):
         rows = pq.read_table(file)
         for name, values in columns.items():
             place = rows.schema.get_field_index(name)
             field = rows.schema.field(place)
             rows = rows.set_column(place, field, pa.array(values * rows.num_rows, field.type))
         pq.write_table(rows, file)
+        seal(file.parent)
 
 
 @pytest.mark.integration

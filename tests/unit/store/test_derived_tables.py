@@ -182,7 +182,7 @@ def test_a_statement_in_a_file_is_read_and_is_no_source_of_runs(root: Path) -> N
     [
         ("[tables.runs]\nsql = 'SELECT 1'\n", "tables.runs: SIERRA's own table has this name"),
         ("[tables.Swarm]\nsql = 'SELECT 1'\n[outputs.swarm]\nfile = 'swarm.csv'\n", "tables.Swarm: an output has this name"),
-        ("[tables.x]\nsql = 'SELECT 1'\n[tables.X]\nsql = 'SELECT 1'\n", "tables.X: another table has this name"),
+        ("[tables.x]\nsql = 'SELECT 1'\n[tables.X]\nsql = 'SELECT 1'\n", "tables.x and tables.X: these names differ only"),
         ("[tables.x]\nfile = '../x.sql'\n", "within the project"),
         ("[tables.x]\n", 'give either "sql" or "file"'),
         ("[tables.x]\nsql = 'SELECT 1'\n[sql]\nwall = 0\n", "sql.wall"),

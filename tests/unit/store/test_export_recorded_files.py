@@ -374,7 +374,7 @@ def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> 
     assert "0 of its 5 rows can be read in table 'swarm'" in ended.stderr
     for path in folder.glob(".sierra/segments/*/artifacts.parquet"):
         path.write_bytes(b"nothing")
-    refused(quick(folder, "files", run), 1, "the store cannot be read")
+    refused(quick(folder, "files", run), 1, "artifacts.parquet has other bytes than SIERRA wrote", "run sierra fsck")
 
 
 @pytest.mark.nightly

@@ -301,7 +301,7 @@ def test_a_damaged_store_is_reported_and_answers_again_when_it_is_repaired(own: 
         for file in whole.glob("*/output.swarm.parquet"):
             file.write_bytes(file.read_bytes()[:100])
         fresh = "SELECT count(*), sum(coverage) FROM swarm"
-        assert "cannot be read" in page.error("query", statement=fresh, batch=batch)
+        assert "has other bytes than SIERRA wrote" in page.error("query", statement=fresh, batch=batch)
         assert page.error("chart", batch=batch, name="mine", keys=SWARM)
         shutil.rmtree(whole)
         shutil.copytree(own / "kept", whole)

@@ -1,0 +1,191 @@
+"""Verification of the files of segments before they are read: each is hashed once for each of its states.
+
+The SHA-256 of a file must be the one in its segment's MANIFEST, and that of MANIFEST must begin with the digits at the end of
+the segment's name. The state of a verified file (see `sierra.util.fs.state`) is kept in the user's cache folder, in one file
+for each store, under the names of the segment and the file: the segment's name stands for the hash. A file is hashed again
+when it has another state. The cache is not in the store, so that users who share a store do not depend on each other, and a
+store may be read-only. If the cache is lost or damaged, all files are hashed once more.
+
+A file that was changed within the last seconds is not kept in the cache (see `RACY_NS`). Only the hashes of files that this
+process has just written are kept, in memory. A change that leaves the state as it was, such as that of a failing disk, is
+found by `sierra fsck`, which trusts no cache.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.errors import Damaged
+from sierra.store.layout import user_verified
+from sierra.util.cache import Cache
+from sierra.util.fs import RACY_NS, state
+from sierra.util.hashing import sha256, sha256_file
+
+MANIFEST = "MANIFEST"
+FOLDER = "/segments"
+"""The end of the path of a folder of segments."""
+THREADS = 4
+MAX_ENTRIES = 1 << 18
+"""The number of files that are kept for one store."""
+MAX_STORES = 64
+"""The number of stores whose files are kept."""
+AGAIN_S = 1.0
+"""The time for which a cache that has been written is not written again, except at the end of the process."""
+
+damage: dict[str, None] = {}
+"""Messages about the damaged files that this process has found. The command line reports them if nobody else has."""
+_caches: dict[str, Cache] = {}
+"""The cache of each store that was read, by the path of its folder of segments."""
+_saved: dict[str, float] = {}
+"""The time at which each cache was written last."""
+_written: dict[tuple[int, ...], str] = {}
+"""The SHA-256 of files that this process has written, by their state."""
+
+
+class _File(NamedTuple):
+    """A file of a segment."""
+
+    path: str
+    store: str
+    """The path of the folder of segments."""
+    segment: str
+    name: str
+
+    @property
+    def key(self) -> str:
+        return f"{self.segment}/{self.name}"
+
+
+def changed(path: str) -> str:
+    """Return the message about a file of a segment that is not the recorded one."""
+    return f"{path} has other bytes than SIERRA wrote ({_batch(path)}): run sierra fsck"
+
+
+def _batch(path: str) -> str:
+    return f"batch {Path(path).parent.name[:10]}"
+
+
+def verify(files: Iterable[str]) -> None:
+    """Check that files of segments have the bytes that were recorded. Raises Damaged, with the name of a file that has others.
+
+    Files outside segments, and files that do not exist, are passed over: whoever reads these finds out.
+    """
+    try:
+        _verify(files)
+    except Damaged as error:
+        damage[str(error)] = None
+        raise
+
+
+def is_sound(path: str) -> bool:
+    """Check that a file of a segment has the bytes that were recorded, for a caller that reports it."""
+    try:
+        _verify([path])
+    except Damaged:
+        return False
+    return True
+
+
+def _verify(files: Iterable[str]) -> None:
+    new = [file for file in _in_segments(files) if not _is_known(file)]
+    if not new:
+        return
+    if len(new) == 1:
+        _note(new, map(_hashed, new))
+    else:
+        with ThreadPoolExecutor(THREADS) as pool:
+            _note(new, pool.map(_hashed, new))
+    for store in {file.store for file in new}:
+        _save(store)
+
+
+def _note(files: Sequence[_File], verified: Iterable[list[int] | None]) -> None:
+    for file, now in zip(files, verified, strict=True):
+        if now is not None:
+            _caches[file.store].put(file.key, now)
+
+
+def hash_written(path: Path) -> str:
+    """Return the SHA-256 of a file that this process has written for a segment, and keep it for `verify`."""
+    digest = sha256_file(path)
+    _written[tuple(state(str(path)))] = digest
+    return digest
+
+
+def _in_segments(files: Iterable[str]) -> Iterable[_File]:
+    for path in files:
+        store, *names = path.rsplit("/", 2)
+        if store.endswith(FOLDER) and len(names) == 2:
+            yield _File(path, store, *names)
+
+
+def _is_known(file: _File) -> bool:
+    """Check whether a file has been verified in its present state, or does not exist."""
+    cache = _caches.get(file.store)
+    if cache is None:
+        cache = _caches[file.store] = Cache(user_verified(file.store), MAX_ENTRIES)
+    with contextlib.suppress(OSError):
+        return cache.get(file.key) == state(file.path)
+    return not Path(file.path).exists()
+
+
+def _hashed(file: _File) -> list[int] | None:
+    """Verify a file; return its state if that may be kept. Raises Damaged."""
+    began = time.time_ns()
+    try:
+        before = state(file.path)
+        digest = _written.get(tuple(before)) or sha256_file(Path(file.path))
+        after = state(file.path)
+        recorded = _recorded(file)
+    except FileNotFoundError:
+        if not Path(file.path).exists():  # another process removed the segment meanwhile
+            return None
+        raise Damaged(f"{Path(file.path).with_name(MANIFEST)} is missing: run sierra fsck --repair") from None
+    except OSError as error:
+        raise Damaged(f"{file.path} cannot be read: {error.strerror} ({_batch(file.path)}): run sierra fsck") from error
+    if digest != recorded:
+        raise Damaged(changed(file.path))
+    return after if after == before and after[-1] < began - RACY_NS else None
+
+
+def _recorded(file: _File) -> str:
+    """Return the SHA-256 that a file must have. Raises Damaged and OSError."""
+    path = Path(file.path).with_name(MANIFEST)
+    text = path.read_bytes()
+    if sha256(text)[:16] != file.segment.rpartition("-")[2]:
+        raise Damaged(changed(str(path)))
+    for line in text.decode("utf-8", "replace").splitlines():
+        digest, _, name = line.partition("  ")
+        if name == file.name:
+            return digest
+    raise Damaged(f"{file.path} is not listed in the segment's MANIFEST ({_batch(file.path)}): run sierra fsck")
+
+
+def _save(store: str) -> None:
+    """Write the cache of a store, but seldom: many calls of `verify` with few files each must not write it each time."""
+    if time.monotonic() < _saved.get(store, 0.0) + AGAIN_S:
+        return
+    _make_room(_caches[store].path)
+    _caches[store].save()
+    _saved[store] = time.monotonic()
+
+
+@atexit.register
+def _save_all() -> None:
+    """Write what is not written yet, at the end of the process."""
+    for cache in _caches.values():
+        cache.save()
+
+
+def _make_room(path: Path) -> None:
+    """Remove the oldest caches if there are too many with a new one."""
+    with contextlib.suppress(OSError):
+        if not path.exists():
+            for old in sorted(path.parent.iterdir(), key=lambda one: one.stat().st_mtime_ns)[: 1 - MAX_STORES]:
+                old.unlink()
