@@ -80,7 +80,7 @@ class TableWarnings:
         self._paths = {row.output: TableLayout.load(row.table_layout).file or "" for row in rows}
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
         columns = [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
-        return [*empty, *self._lengths(), *columns, *self._events(sizes)]
+        return [*empty, *self._lengths(), *self._nans(), *columns, *self._events(sizes)]
 
     def _events(self, rows: Sequence[TableSize]) -> Iterator[str]:
         """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
@@ -120,6 +120,13 @@ class TableWarnings:
             if shape.lengths:
                 columns = few(list(map(repr, shape.lengths)), LENGTHS)
                 yield f"output {name!r} has the number of items of lists in {columns}; the items are only in its files"
+
+    def _nans(self) -> Iterator[str]:
+        """Yield a note for each table in which nan is a missing value among whole numbers that DOUBLE cannot hold."""
+        for name, shape in self._shapes.items():
+            if shape.nans:
+                columns = few(list(map(repr, shape.nans)), LENGTHS)
+                yield f"output {name!r} has nan beside very large whole numbers in {columns}; there, nan is NULL"
 
     def _is_strict(self, output: str) -> bool:
         declared = self._context.outputs.get(output)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.output_tables import Tolerance
 from sierra.replay.clock_columns import Clock, clock_of
+from sierra.store.type_inference import BESIDE
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -126,6 +127,11 @@ class Rules:
     def of(self, column: str) -> Tolerance:
         return self.tolerance.get(column, self.tolerance.get("*", EXACT))
 
+    def compares(self, column: str) -> bool:
+        """Return whether a column is compared. Texts beside numbers are not if the numbers may differ."""
+        own = column.removeprefix(BESIDE)
+        return own not in self.volatile and (own == column or self.of(own) == EXACT)
+
 
 def of_tables(recorded: pa.Table, found: pa.Table, rules: Rules | None = None) -> Agreement:
     """Compare two pyarrow tables, row by row. If the order of rows is not significant, sort both by all columns, numbers last.
@@ -133,7 +139,7 @@ def of_tables(recorded: pa.Table, found: pa.Table, rules: Rules | None = None) -
     If only one table has a column, or their numbers of rows differ, the common part is compared as well.
     """
     rules = rules or Rules()
-    old, new = ([name for name in table.column_names if name not in rules.volatile] for table in (recorded, found))
+    old, new = ([name for name in table.column_names if rules.compares(name)] for table in (recorded, found))
     both = [name for name in old if name in new]
     answer = _of_columns(recorded, found, both, rules)
     if set(old) == set(new):

@@ -4,7 +4,9 @@ A column that a file does not have is NULL there. A column that holds numbers in
 others, becomes two columns. The first has the original name and holds the numbers. The second has the suffix `_text` and
 holds the cells of the other files unchanged. A text that reads as a number is in both. A similar split applies to whole
 numbers and decimals that DOUBLE cannot hold exactly, if other files have fractions: the first column has the nearest
-DOUBLE, the second has all digits.
+DOUBLE, the second has all digits. If a file has both, its texts are recorded beside its numbers (see `text_beside`), and are
+the second column. Beside such whole numbers, files with nothing but nan and whole numbers are no reason for a split: the
+column stays whole, and nan is missing.
 
 DuckDB's own union would turn all numbers into texts, true into 1, whole numbers into dates, and decimals into whole numbers.
 """
@@ -17,15 +19,28 @@ from dataclasses import dataclass, field
 from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.sql_result import RawRow
-from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
+from sierra.store.type_inference import (
+    EMPTY,
+    EXACT_TEXT,
+    HUGE,
+    INEXACT,
+    NUMBERS,
+    as_stored,
+    bit,
+    has_fraction,
+    is_inexact,
+    is_number,
+    is_whole,
+    narrowest,
+    reads_as,
+    text_beside,
+)
 
 Fetch = Callable[[str], list[RawRow]]
 """A function that executes a statement and returns its rows."""
 PLACES = ("filename", "file_row_number")
 """Columns that identify a row's origin; they come after all other columns."""
 TEXT = "_text"
-NUMBERS = 2 | 4 | 8
-"""The bits of `bit` for texts that are numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +54,8 @@ class Relation:
     """The `_text` column that belongs to each split numeric column."""
     rounded: frozenset[str] = frozenset()
     """The split columns that hold only numbers, some of them with more digits than DOUBLE can hold."""
+    nans: frozenset[str] = frozenset()
+    """The columns of whole numbers in which nan of some files is missing."""
 
 
 def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: bool = False) -> Relation:
@@ -50,7 +67,7 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
     names = _names(described)
     types = _by_type(described)
     first = {own: next(iter(types[name])) for name, own in names.items()}
-    several = [name for name in names if len(types[name]) > 1]
+    several = [name for name in names if len(types[name]) > 1 or EXACT_TEXT in types[name]]
     if not several:
         return Relation(read_parquet(files, union=len(described) > 1, rows=rows), first)
     called = column_names([names[name] + TEXT for name in several], taken=names.values())
@@ -68,6 +85,7 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
         kept,
         {one.name: one.beside for one in apart},
         frozenset(one.name for one in apart if not one.other),
+        frozenset(one.name for one in mixed.values() if one.no_nan),
     )
 
 
@@ -124,7 +142,14 @@ def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict
             (sorted((own[file] for file in some), key=places.__getitem__) for (some,) in fetch(alike)),
             key=lambda some: places[some[0]],
         )
-    return [(some, {row[0]: row[1] for row in fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1])}")}) for some in groups]
+    described = (fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1])}") for some in groups)
+    return [(some, _with_texts({row[0]: row[1] for row in rows})) for some, rows in zip(groups, described, strict=True)]
+
+
+def _with_texts(columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns of a file, of which those with recorded texts beside them have the type `EXACT_TEXT`."""
+    beside = {text: name for name in columns if (text := text_beside(name)) in columns}
+    return {name: EXACT_TEXT if name in beside.values() else kind for name, kind in columns.items() if name not in beside}
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +167,8 @@ class _Mixed:
     """True if some files hold numbers and others hold other values."""
     rounded: bool = False
     """True if DOUBLE cannot hold some of the numbers exactly."""
+    no_nan: bool = False
+    """True if files have whole numbers or nan as DOUBLE, and others have whole numbers that DOUBLE cannot hold."""
 
     @property
     def apart(self) -> bool:
@@ -164,6 +191,8 @@ class _Mixed:
             return self.column
         if is_number(self.type) and not is_number(kind):
             return reads_as(self.column, self.type) if kind == "VARCHAR" else f"NULL::{self.type}"
+        if self.no_nan and kind == "DOUBLE":
+            return f"CASE WHEN NOT isnan({self.column}) THEN TRY_CAST({self.column} AS {self.type}) END"
         return f"CAST({self.column} AS {self.type})"
 
     def text(self, kind: str) -> str | None:
@@ -172,6 +201,8 @@ class _Mixed:
             return None
         if not is_number(kind):
             return f"CAST({self.column} AS VARCHAR)"
+        if kind == EXACT_TEXT:
+            return identifier(text_beside(self.name))
         return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
 
 
@@ -192,9 +223,14 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     if not numbers:
         return _Mixed(name, beside, _common(others), empty)
     texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
-    kind = _widest([*numbers, *([narrowest(texts) or ""] if texts else [])])
-    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT")] if kind == "DOUBLE" else []
+    kind = _widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
+    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
     rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
+    whole = rounded and not texts and all(map(is_whole, exact)) and {*exact, "DOUBLE"} == {*numbers}
+    if whole and not seen("DOUBLE", f"count_if({has_fraction(column)}) > 0"):
+        return _Mixed(name, beside, _widest(exact), empty, bool(others), no_nan=True)
+    if EXACT_TEXT in numbers:
+        rounded |= bool(seen(EXACT_TEXT, f"bit_or({bit(identifier(text_beside(name)))})") & INEXACT)
     return _Mixed(name, beside, kind, empty, bool(others), rounded)
 
 
