@@ -130,11 +130,12 @@ class Printable:
         from pyarrow import types
 
         from sierra.store.store import NOTE
+        from sierra.util.arrow_columns import rows_of
 
         kinds = (types.is_integer, types.is_floating, types.is_decimal)
         numeric = [field.name for field in table.schema if any(is_kind(field.type) for is_kind in kinds)]
         notes = (table.schema.metadata or {}).get(NOTE.encode(), b"").decode()
-        return cls(table.column_names, [tuple(row.values()) for row in table.to_pylist()], numeric, notes, table)
+        return cls(table.column_names, [tuple(row.values()) for row in rows_of(table)], numeric, notes, table)
 
 
 def write(answer: Printable, format: Format, output: Path | None, *, long: bool = False) -> None:
@@ -209,8 +210,11 @@ def _parquet(answer: Printable) -> bytes:
 
     import pyarrow.parquet as pq
 
+    from sierra.util.arrow_columns import without_intervals
+
     data = io.BytesIO()
-    pq.write_table(answer.table, data, compression="zstd")
+    if answer.table is not None:
+        pq.write_table(without_intervals(answer.table), data, compression="zstd")
     return data.getvalue()
 
 

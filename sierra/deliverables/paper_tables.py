@@ -176,7 +176,7 @@ def _of_statistics(config: Project, about: Mapping[str, Any]) -> dict[str, str]:
 
 def _unit(config: Project, about: Mapping[str, Any], column: str) -> str:
     declared = config.declared(about["output"])
-    return declared.units.get(column, "") if declared else ""
+    return "ns" if column in about.get("durations", ()) else declared.units.get(column, "") if declared else ""
 
 
 def _header(name: str, unit: str) -> str:

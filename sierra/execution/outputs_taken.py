@@ -15,6 +15,7 @@ from sierra.store.samples import ON_ROBOTS, names_time
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
+from sierra.store.type_inference import DURATION
 from sierra.util.text import counted
 
 OWN = ("run", "execution", "file")
@@ -242,11 +243,16 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     snapshot.views.make((name,))
     described = {row[0]: row[1] for row in snapshot.run(f"DESCRIBE {identifier(name)}")}
     own = {stored: sql for stored, sql in snapshot.views.sql_names.get(name.lower(), {}).items() if stored not in OWN}
-    units: Mapping[str, str] = declared.units if declared else {}
+    units = {**(declared.units if declared else {}), **{one: "ns" for row in layouts for one in _durations(row)}}
     originals = dict(zip(column_names(list(names)), names, strict=True))
     for stored, sql in own.items():
         original = originals.get(stored, stored)
         yield original, TakenColumn(sql, described.get(sql, ""), units.get(original))
+
+
+def _durations(row: _Layout) -> Iterator[str]:
+    """Yield the columns of durations, which are recorded in nanoseconds."""
+    yield from (name for name, kind in TableLayout.load(row.table_layout).columns.items() if kind == DURATION)
 
 
 def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:

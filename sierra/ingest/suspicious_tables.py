@@ -21,7 +21,7 @@ from sierra.ingest.recording_context import Context
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
-from sierra.store.type_inference import AS_TEXT
+from sierra.store.type_inference import AS_TEXT, DURATION
 from sierra.store.union_files import TEXT
 from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
@@ -175,10 +175,20 @@ class TableWarnings:
             stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
             if len(stored) > 1:
                 held = ", ".join(f"{many(kind)} in {count}" for kind, count in sorted(counts.items()))
-                apart = f"numbers in {name!r} and other values in {name + TEXT!r}"
-                seen = apart if "number" in stored else "all values as text"
+                seen = f"numbers in {name!r} and other values in {name + TEXT!r}"
+                if "number" not in stored:
+                    seen = f"all values as {self._type(output, name)}"
+                elif stored == {"number", DURATION}:
+                    seen = "all of them as numbers, of which only the durations are in ns"
                 yield f"column {name!r} of output {output!r} has {held} runs; SQL shows {seen}"
         yield from self._texts(kinds)
+
+    def _type(self, output: str, name: str) -> str:
+        """Return the type in SQL of the values of a column in this batch."""
+        with self._store.snapshot(self._context.batch) as snapshot:
+            column = _in_sql(snapshot, output, name)
+            kinds = {row[0]: str(row[1]) for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
+        return kinds.get(column or "", "VARCHAR").replace("VARCHAR", "text")
 
     def _texts(self, kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
         """Yield warnings about columns that are text in all runs, but were probably not intended as text."""

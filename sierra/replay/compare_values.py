@@ -6,6 +6,7 @@ computed between doubles: absolute, relative to the recorded number, and in unit
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING
 from sierra.config.output_tables import Tolerance
 from sierra.replay.clock_columns import Clock, clock_of
 from sierra.store.type_inference import BESIDE
+from sierra.util.arrow_columns import values_of
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -195,7 +197,7 @@ def _plain(table: pa.Table) -> pa.Table:
     kinds = (pa.types.is_nested, pa.types.is_interval, pa.types.is_dictionary, pa.types.is_null)
     for place, column in enumerate(table.schema):
         if any(kind(column.type) for kind in kinds):
-            texts = [None if value is None else repr(value) for value in table.column(place).to_pylist()]
+            texts = [None if value is None else repr(value) for value in values_of(table.column(place))]
             table = table.set_column(place, column.name, pa.array(texts, pa.string()))
     return table
 
@@ -371,7 +373,7 @@ class _Distance:
         return bool(fine.all())
 
     def _when(self, row: int) -> object:
-        return row if self._time is None else self._time[row].as_py()
+        return row if self._time is None else values_of(self._time.slice(row, 1))[0]
 
     def where(self) -> str:
         was, now = self._values()
@@ -408,7 +410,8 @@ class _Distance:
 
     def _values(self) -> tuple[str, str]:
         place = self.first or 0
-        return _value(self._recorded[place].as_py()), _value(self._found[place].as_py())
+        was, now = (values_of(column.slice(place, 1))[0] for column in (self._recorded, self._found))
+        return _value(was), _value(now)
 
 
 def distances(far: float, rel: float, ulp: float) -> str:
@@ -453,7 +456,10 @@ def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.boo
 
     if recorded.type != found.type:
         flags = [pa.types.is_boolean(column.type) for column in (recorded, found)]
-        pairs = zip(recorded.to_pylist(), found.to_pylist(), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
+        if pa.types.is_timestamp(recorded.type) and pa.types.is_timestamp(found.type) and recorded.type.tz == found.type.tz:
+            with contextlib.suppress(pa.ArrowInvalid):  # outside of the years 1677 to 2262
+                recorded, found = (column.cast(pa.timestamp("ns", column.type.tz)) for column in (recorded, found))
+        pairs = zip(values_of(recorded), values_of(found), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
         return np.array([one != other or (any(flags) and one is not None) for one, other in pairs], dtype=bool)
     same = pc.fill_null(pc.equal(recorded, found), False)
     same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(found)))

@@ -19,6 +19,8 @@ EXACT_TEXT = "DOUBLE with exact text"
 
 They are recorded as DOUBLE, with each number as it is written in a column beside it: see `text_beside`.
 """
+DURATION = "duration"
+"""The kind of durations, which are recorded as nanoseconds."""
 BESIDE = "# text of "
 """The beginning of the recorded names of such columns; real columns are unlikely to have such a name."""
 NAN, INEXACT = 32, 64
@@ -88,7 +90,8 @@ def bit(cell: str) -> str:
         f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 + {inexact} "
         f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 + {inexact} "
         f"WHEN TRY_CAST({no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN "
-        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} WHEN regexp_matches({cell}, '[nN] *$') THEN {NAN} ELSE 8 END "
+        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} "
+        f"WHEN regexp_matches({cell}, '[nN] *$') THEN {NAN} ELSE 8 END "
         f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
     )
 

@@ -13,6 +13,7 @@ DuckDB's own union would turn all numbers into texts, true into 1, whole numbers
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -193,6 +194,8 @@ class _Mixed:
             return reads_as(self.column, self.type) if kind == "VARCHAR" else f"NULL::{self.type}"
         if self.no_nan and kind == "DOUBLE":
             return f"CASE WHEN NOT isnan({self.column}) THEN TRY_CAST({self.column} AS {self.type}) END"
+        if self.type == "VARCHAR" and _is_instant(kind):
+            return f"CAST({self.column} AT TIME ZONE 'UTC' AS VARCHAR) || '+00'"
         return f"CAST({self.column} AS {self.type})"
 
     def text(self, kind: str) -> str | None:
@@ -221,7 +224,7 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     numbers = [kind for kind in kinds if is_number(kind) and (not others or has_values(kind))]
     empty = frozenset(kinds) - {*numbers, *others}
     if not numbers:
-        return _Mixed(name, beside, _common(others), empty)
+        return _Mixed(name, beside, _of_times(others, seen, column) or _common(others), empty)
     texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
     kind = _widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
     exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
@@ -238,7 +241,25 @@ def _common(kinds: Sequence[str]) -> str:
     """Return the type that holds these types that are not numbers; empty if DuckDB's own union gives the right type."""
     if len(kinds) < 2:
         return next(iter(kinds), "BOOLEAN")
-    return "" if all(map(_is_time, kinds)) or not any(map(_is_plain, kinds)) else "VARCHAR"
+    return "" if _are_times(kinds) or _are_nested_alike(kinds) else "VARCHAR"
+
+
+def _of_times(kinds: Sequence[str], seen: Callable[[str, str], int], column: str) -> str:
+    """Return VARCHAR for times with nanoseconds and others that these cannot hold, before 1677 or after 2262; else nothing."""
+    exact = next((kind for kind in kinds if kind.endswith("_NS")), "")
+    if not exact or not _are_times(kinds):
+        return ""
+    beyond = f"count_if({column} IS NOT NULL AND TRY_CAST({column} AS {exact}) IS NULL) > 0"
+    return "VARCHAR" if any(seen(kind, beyond) for kind in kinds if kind != exact) else ""
+
+
+def _are_nested_alike(kinds: Sequence[str]) -> bool:
+    """Return whether DuckDB can unite these types: only lists whose items it can unite, only structures, or only maps."""
+    if not all(kind.endswith("]") for kind in kinds):
+        return any(all(kind.startswith(word) and kind.endswith(")") for kind in kinds) for word in ("STRUCT", "MAP", "UNION"))
+    items = sorted({kind[: kind.rindex("[")] for kind in kinds})
+    same = len(items) == 1 or all(map(is_number, items)) or "VARCHAR" in items
+    return same or _are_times(items) or _are_nested_alike(items)
 
 
 def _widest(kinds: Sequence[str]) -> str:
@@ -250,9 +271,12 @@ def _widest(kinds: Sequence[str]) -> str:
     return "DOUBLE"
 
 
-def _is_time(kind: str) -> bool:
-    return kind.startswith(("DATE", "TIMESTAMP"))
+def _are_times(kinds: Sequence[str]) -> bool:
+    """Return whether these are dates and times, all with a time zone, or all without one."""
+    times = all(re.fullmatch(r"DATE|TIMESTAMP\w*( WITH TIME ZONE)?", kind) for kind in kinds)
+    return times and len(set(map(_is_instant, kinds))) == 1
 
 
-def _is_plain(kind: str) -> bool:
-    return not kind.startswith(("STRUCT", "MAP", "UNION")) and not kind.endswith("]")
+def _is_instant(kind: str) -> bool:
+    """Return whether this is a type of times with a time zone."""
+    return kind.startswith("TIMESTAMP") and ("TIME ZONE" in kind or "TZ" in kind)

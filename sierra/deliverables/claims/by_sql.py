@@ -12,6 +12,7 @@ from sierra.store.samples import Frame
 from sierra.store.several_batches import joined
 from sierra.store.sql_result import SqlValue
 from sierra.store.store import Store
+from sierra.util.arrow_columns import rows_of
 from sierra.util.text import few
 
 SHOWN = 8
@@ -28,7 +29,7 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> F
     if made.table.num_rows != 1:
         raise SierraError(f"{origin}: it has {made.table.num_rows} rows; a claim needs one")
     first, *others = made.table.column_names
-    row: dict[str, SqlValue] = dict(zip(made.table.column_names, made.table.to_pylist()[0].values(), strict=True))
+    row: dict[str, SqlValue] = dict(zip(made.table.column_names, rows_of(made.table)[0].values(), strict=True))
     if (kind := str(made.table.schema.field(0).type)) != "bool":
         raise SierraError(f"{origin}: its first column {first!r} is {kind}, not true or false; write a condition, as in x > 1")
     numbers = {other: row[other] for other in others}

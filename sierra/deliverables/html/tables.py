@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.deliverables.html.escaping import Data, text
+from sierra.util.arrow_columns import values_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -37,7 +38,7 @@ class Table:
 def of_arrow(name: str, table: pa.Table, *, most: int, headers: Mapping[str, str] | None = None) -> Table:
     """Return the first `most` rows of a pyarrow table; `headers` has other headers for columns."""
     shown = table.slice(0, most)
-    columns = tuple([_cell(value) for value in column.to_pylist()] for column in shown.columns)
+    columns = tuple([_cell(value) for value in values_of(column)] for column in shown.columns)
     lacking = f"the first {most:,} of {table.num_rows:,} rows" if table.num_rows > most else ""
     return Table(name, tuple((headers or {}).get(name, name) for name in table.column_names), columns, lacking)
 
