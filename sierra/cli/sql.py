@@ -13,7 +13,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import Long
-from sierra.cli.output import as_json, cell, note, short_id, table, terminal_width
+from sierra.cli.output import as_json, cells, note, short_id, table, terminal_width
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
 
@@ -201,7 +201,7 @@ def _json(answer: Printable) -> bytes:
 
 def _markdown(answer: Printable) -> bytes:
     lines = [answer.columns, ["---"] * len(answer.columns)]
-    lines += [[cell(value).replace("|", "\\|") for value in row] for row in answer.rows]
+    lines += [[text.replace("|", "\\|") for text in row] for row in cells(answer.rows)]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines).encode()
 
 

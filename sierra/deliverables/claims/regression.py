@@ -33,6 +33,7 @@ from sierra.deliverables.claims.baseline import ClaimInBaseline, decision_of
 from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
 from sierra.stats import student_t
+from sierra.util.text import digits_apart, short_number
 
 
 class Change(StrEnum):
@@ -127,7 +128,8 @@ def _by_margin(asked: ClaimedValue, now: Evaluated, before: ClaimInBaseline) -> 
         return Changed(now.name, now.says, Change.cannot_tell, missing, now)
     margin = distance(asked.regression or 0.0, before.value)
     found = change(before, now, asked.statistic)
-    what = f"{now.value:.6g} instead of {before.value:.6g}"
+    digits = digits_apart([now.value, before.value])
+    what = f"{short_number(now.value, digits)} instead of {short_number(before.value, digits)}"
     if found is None:
         return Changed(now.name, now.says, Change.cannot_tell, f"{what}; the runs are too few for an interval", now)
     difference, low, high = found
