@@ -42,7 +42,7 @@ from sierra.config.execution_tables import (
     Source,
     StoreTable,
 )
-from sierra.config.field_types import Commands, GroupName, InProject, Name, RawTable, Scalar, Table, Words, as_words
+from sierra.config.field_types import Commands, GroupName, InProject, Name, OutputName, RawTable, Scalar, Table, Words, as_words
 from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
@@ -178,7 +178,7 @@ class Project(Table):
         description='scenarios for `scenario` and --scenario, by name; `"LowBlockCount.{x}x{y}"` stands for all names with '
         "numbers in these places, and `{x}` in its changes is such a number",
     )
-    outputs: Annotated[Mapping[Name, Output], AfterValidator(file_once)] = Field(
+    outputs: Annotated[Mapping[OutputName, Output], AfterValidator(file_once)] = Field(
         default_factory=dict,
         description="files that runs write, by the table's name; default: each .csv, .tsv, .parquet, .jsonl and "
         ".ndjson of the output folder, but not of its subfolders",

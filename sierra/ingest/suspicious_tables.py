@@ -240,14 +240,17 @@ class TableWarnings:
                 LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
             )
         looks = [(look, count, example) for look, count, example in rows if look != "number"]
-        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "grouped"))
+        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "thousands?", "grouped"))
         united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
         if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
             return None
         first = next(column for table, column in kinds if table == output)
         if first.startswith("#") and looks and looks[0][0] == "other":
             return COMMENT
-        return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
+        first_look = looks[0] if looks else ("", 0, "")
+        if first_look[0] == "thousands?":  # the others may say what the comma is
+            first_look = next((look for look in looks if look[0] in ("comma", "grouped")), first_look)
+        return "most of its values look like numbers; " + _instead(output, name, *first_look)
 
 
 def _in_sql(snapshot: Snapshot, output: str, name: str) -> str | None:
@@ -263,6 +266,10 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
         case ("comma", _, _):
             message = f"write {example.replace(',', '.')!r} instead of {example!r}, with a decimal point"
             return f'{message} ([outputs.{output}] decimal = "," reads decimal commas)'
+        case ("thousands?", _, _):
+            whole, decimal = example.replace(",", ""), example.replace(",", ".")
+            message = f"{example!r} can be {whole}, with a separator of thousands, or {decimal}, with a decimal comma; write"
+            return f'{message} {whole!r} or {decimal!r} ([outputs.{output}] decimal = "," reads decimal commas)'
         case ("grouped", _, _):
             return f"write {example!r} without separators between digits"
         case ("unit", _, unit):
@@ -322,6 +329,7 @@ WITH cells AS (
 ), looking AS (
     SELECT cell, CASE
         WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN 'number'
+        WHEN regexp_full_match(cell, '[-+]?[1-9][0-9]{{0,2}},[0-9]{{3}}') THEN 'thousands?'
         WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
         WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',._][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
         WHEN regexp_full_match(lower(cell), '{missing}') THEN 'missing'
