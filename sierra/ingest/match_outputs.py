@@ -87,14 +87,14 @@ class OutputMatcher:
             return
         taken = {name.lower() for name in self._outputs}
         for path, files in {**{file.path: [file] for file in automatic}, **of_robots}.items():
-            name, kind, several = self._name(path), automatic_format(path) or "", path in of_robots
-            if name is None or name.lower() in taken:
+            table, kind, several = self._name(path), automatic_format(path) or "", path in of_robots
+            if table is None or table.lower() in taken:
                 for file in files:
                     self._keep(TAKEN, file)
                 continue
-            taken.add(name.lower())
+            taken.add(table.lower())
             shape = Shape(kind, many=True, ticks=(robot_files.COLUMN,)) if several else Shape(kind)
-            yield from ((name, shape, file) for file in files)
+            yield from ((table, shape, file) for file in files)
 
     def _name(self, path: str) -> str | None:
         """Return the name of the table of an undeclared file; None if it is another file's, and this one was kept as a file."""
