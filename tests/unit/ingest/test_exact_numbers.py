@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 import sierra
+from sierra.config.output_tables import Tolerance
+from sierra.replay.compare_values import Rules, Verdict, of_tables
 from tests import projects
 from tests.readings import read_file
 
@@ -96,3 +99,13 @@ def test_runs_with_nothing_but_nan_and_small_numbers_leave_the_column_whole(tmp_
     assert set(project.sql("SELECT v FROM c").column(0).to_pylist()) == {FIRST, None, 2, 3, 4, 5}
     told = projects.quick(project.root, "sql", "SELECT max(v) FROM c").stderr
     assert told == "note: column 'v' of c has very large whole numbers, and nan in some runs; nan is NULL\n"
+
+
+def test_a_replay_compares_the_texts_unless_the_numbers_may_differ() -> None:
+    recorded, found = (
+        pa.table({"v": [float(number), 0.5], "# text of v": [str(number), "0.5"]}) for number in (FIRST, FIRST + 1)
+    )
+    assert of_tables(recorded, found).verdict is Verdict.DIFFERENT
+    assert of_tables(recorded, recorded).verdict is Verdict.EQUAL
+    assert of_tables(recorded, found, Rules(volatile=("v",))).verdict is Verdict.EQUAL
+    assert of_tables(recorded, found, Rules(tolerance={"v": Tolerance(abs=1e3)})).verdict is Verdict.EQUAL
