@@ -69,7 +69,6 @@ class Text(TableReader):
             written = self._slowly_written(files)
         for target, some, kinds in written:
             self.done(target, some, kinds)
-        self.nans.update(name for name, path in sorted(self._with_nan))
 
     def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
         """Write the valid files among these, some of which are faulty; return the same as `_write`."""
@@ -122,7 +121,8 @@ class Text(TableReader):
                 odd = any((file.execution, file.name) in self.hints for file in some)
                 target = next(targets) if odd or written else usual
                 types = {name: common(kept[name].get(file.path) for file in some) for name in names}
-                nan = {name for name, path in self._with_nan if path in {file.path for file in some}}
+                paths = {file.path for file in some}
+                nan = {name for name, path in self._with_nan if path in paths and is_whole(types[name])}
                 columns = {n: self._typed(f"t.c{place}", types[n], by_text, n in nan) for place, n in enumerate(names)}
                 for place, (name, stored) in enumerate(zip(names, column_names(names), strict=True)):
                     if types[name] == EXACT_TEXT:
@@ -133,6 +133,7 @@ class Text(TableReader):
                     raise _MisreadError
                 if rounded := self._rounded(target, some, types, found, apart):
                     raise _RoundedError(rounded)
+                self.nans |= nan
         except (self.error, _MisreadError, _RoundedError, AtFaultError):
             for target, _, _ in written:
                 target.unlink(missing_ok=True)
