@@ -19,7 +19,7 @@ from datetime import datetime
 from decimal import Decimal
 from typing import Any, TextIO
 
-from sierra.util.text import visible
+from sierra.util.text import DIGITS, digits_apart, short_number, visible
 
 
 def safe(text: str) -> str:
@@ -93,7 +93,7 @@ def table(
     `width` is the width of the terminal; 0 cuts nothing.
     """
     columns, rows = [cell(column) for column in columns], [list(row) for row in rows]
-    texts = [[cell(value) for value in row] for row in rows]
+    texts = cells(rows)
     to_the_right = set(right)
     widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
     cuttable = [place for place in range(len(columns)) if any(isinstance(row[place], str) for row in rows)]
@@ -132,7 +132,20 @@ def _cut(text: str, width: int) -> str:
     return text if len(text) <= width else f"{text[: width - 1]}…"
 
 
-def cell(value: object) -> str:
+def cells(rows: Sequence[Sequence[object]]) -> list[list[str]]:
+    """Return the texts of the rows of a table, with as many digits in each column as tell different values apart."""
+    columns = [_column([row[place] for row in rows]) for place in range(len(rows[0]) if rows else 0)]
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _column(values: Sequence[object]) -> list[str]:
+    digits = digits_apart(values)
+    moments = {value for value in values if isinstance(value, datetime)}
+    exact = len({cell(moment) for moment in moments}) < len(moments)
+    return [str(one.replace(tzinfo=None)) if exact and isinstance(one, datetime) else cell(one, digits) for one in values]
+
+
+def cell(value: object, digits: int = DIGITS) -> str:
     """Return a value as text for a table: short numbers, times to the second, one line."""
     match value:
         case None:
@@ -140,7 +153,7 @@ def cell(value: object) -> str:
         case bool():
             return "yes" if value else "no"
         case float():
-            return f"{value:.6g}"
+            return short_number(value, digits)
         case datetime():
             return value.strftime("%Y-%m-%d %H:%M:%S")
         case _:
@@ -160,7 +173,7 @@ def fitting(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> int:
         return len(columns)
     room = shutil.get_terminal_size().columns
     for place, column in enumerate(columns):
-        room -= max([len(column), *(len(cell(row[place])) for row in rows)]) + (2 if place else 0)
+        room -= max([len(column), *map(len, _column([row[place] for row in rows]))]) + (2 if place else 0)
         if room < 0:
             return max(place, 1)
     return len(columns)

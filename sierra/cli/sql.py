@@ -13,7 +13,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import Long
-from sierra.cli.output import as_json, cell, note, short_id, table, terminal_width
+from sierra.cli.output import as_json, cells, note, short_id, table, terminal_width
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
 
@@ -130,11 +130,12 @@ class Printable:
         from pyarrow import types
 
         from sierra.store.store import NOTE
+        from sierra.util.arrow_columns import rows_of
 
         kinds = (types.is_integer, types.is_floating, types.is_decimal)
         numeric = [field.name for field in table.schema if any(is_kind(field.type) for is_kind in kinds)]
         notes = (table.schema.metadata or {}).get(NOTE.encode(), b"").decode()
-        return cls(table.column_names, [tuple(row.values()) for row in table.to_pylist()], numeric, notes, table)
+        return cls(table.column_names, [tuple(row.values()) for row in rows_of(table)], numeric, notes, table)
 
 
 def write(answer: Printable, format: Format, output: Path | None, *, long: bool = False) -> None:
@@ -200,7 +201,7 @@ def _json(answer: Printable) -> bytes:
 
 def _markdown(answer: Printable) -> bytes:
     lines = [answer.columns, ["---"] * len(answer.columns)]
-    lines += [[cell(value).replace("|", "\\|") for value in row] for row in answer.rows]
+    lines += [[text.replace("|", "\\|") for text in row] for row in cells(answer.rows)]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines).encode()
 
 
@@ -209,8 +210,11 @@ def _parquet(answer: Printable) -> bytes:
 
     import pyarrow.parquet as pq
 
+    from sierra.util.arrow_columns import without_intervals
+
     data = io.BytesIO()
-    pq.write_table(answer.table, data, compression="zstd")
+    if answer.table is not None:
+        pq.write_table(without_intervals(answer.table), data, compression="zstd")
     return data.getvalue()
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import PurePosixPath
 from typing import Annotated, TypeVar
 
@@ -26,6 +28,10 @@ from sierra.store.layout import STORE
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
 """A name that is also a column in SQL."""
+OutputName = Annotated[
+    str, StringConstraints(pattern=r"^[\p{L}_][\p{L}\p{M}\p{N}_]*$"), AfterValidator(partial(unicodedata.normalize, "NFC"))
+]
+"""A name of a table, with letters and digits of any script."""
 GroupName = Annotated[str, StringConstraints(pattern=group_names.GROUP_NAME)]
 """A name of a controller or a scenario: see `sierra.config.group_names`."""
 VariableName = Annotated[str, StringConstraints(pattern=r"^[^=]+$")]

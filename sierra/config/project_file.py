@@ -47,6 +47,7 @@ from sierra.config.field_types import (
     GroupName,
     InProject,
     Name,
+    OutputName,
     RawTable,
     Scalar,
     Table,
@@ -189,7 +190,7 @@ class Project(Table):
         description='scenarios for `scenario` and --scenario, by name; `"LowBlockCount.{x}x{y}"` stands for all names with '
         "numbers in these places, and `{x}` in its changes is such a number",
     )
-    outputs: Annotated[Mapping[Name, Output], AfterValidator(file_once)] = Field(
+    outputs: Annotated[Mapping[OutputName, Output], AfterValidator(file_once)] = Field(
         default_factory=dict,
         description="files that runs write, by the table's name; default: each .csv, .tsv, .parquet, .jsonl and "
         ".ndjson of the output folder, but not of its subfolders",

@@ -245,9 +245,13 @@ class Gallery:
         return columns[0]
 
     def unit(self, output: OutputTable, column: str) -> str:
-        """Return the declared unit of a column; "" if there is none."""
+        """Return the unit of a column; "" if there is none."""
+        return self.units(output).get(column, "")
+
+    def units(self, output: OutputTable) -> dict[str, str]:
+        """Return the units of columns: those that are declared, and that of durations."""
         declared = self._config.declared(output.name)
-        return declared.units.get(column, "") if declared else ""
+        return {**(declared.units if declared else {}), **dict.fromkeys(self.frame.durations(output.name), "ns")}
 
     def declared_output(self, name: str) -> Output:
         """Return the declaration of an output. Raises NotFound."""
@@ -349,8 +353,7 @@ class Gallery:
         made = gather(name, figure, columns, batch, source, seen, rates, self._config.statistics)
         of_rates = tuple(self._rates_in(made, source, seen, rates))
         made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
-        declared = self._config.declared(output.name)
-        units = dict(declared.units) if declared else {}
+        units = self.units(output)
         tables, models, note = made.tables, made.models, made.note
         per_second = (
             self.ticks_per_second(output.name) if tables and all("t" in one.column_names for one in tables.values()) else {}

@@ -21,6 +21,7 @@ from sierra.execution import targets
 from sierra.model import Value
 from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
+from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -176,7 +177,7 @@ def _of_statistics(config: Project, about: Mapping[str, Any]) -> dict[str, str]:
 
 def _unit(config: Project, about: Mapping[str, Any], column: str) -> str:
     declared = config.declared(about["output"])
-    return declared.units.get(column, "") if declared else ""
+    return "ns" if column in about.get("durations", ()) else declared.units.get(column, "") if declared else ""
 
 
 def _header(name: str, unit: str) -> str:
@@ -210,9 +211,8 @@ def paper_table(
 
 def plain(values: Sequence[object]) -> list[Cell]:
     """Return the values of a variable as text, with as many digits as it takes to tell them apart."""
-    texts = [f"{value:.12g}" if isinstance(value, float) else str(value) for value in values]
-    if len(set(texts)) < len(set(values)):
-        texts = [repr(value) if isinstance(value, float) else str(value) for value in values]
+    digits = digits_apart(values, 12)
+    texts = [short_number(value, digits) if isinstance(value, float) else str(value) for value in values]
     numbers = (isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return [text.replace("-", "−") if number else text for text, number in zip(texts, numbers, strict=True)]
 

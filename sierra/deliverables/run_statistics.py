@@ -109,6 +109,8 @@ def statistics(
             "time": gallery.time(gallery.output(figure)) or "row",
             "threshold": threshold,
         }
+        if durations := frame.durations(output):
+            about["durations"] = durations
         metadata = {
             "sierra:batch": batch,
             "sierra:sql": text,

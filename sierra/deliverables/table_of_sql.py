@@ -14,6 +14,7 @@ from sierra.errors import NotFound
 from sierra.stats.rounding import Rounded, fixed, rounded
 from sierra.store.several_batches import joined
 from sierra.store.store import Store
+from sierra.util.arrow_columns import values_of
 from sierra.util.text import like
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 def columns(store: Store, declared: TableForPaper, batches: Mapping[str, str]) -> tuple[Columns, pa.Table, str]:
     """Return the columns of the rows of a statement, these rows, and the statement."""
     found = joined(store, batches, declared.sql, "sql")
-    every = {column: found.table.column(column).to_pylist() for column in found.table.column_names}
+    every = {column: values_of(found.table.column(column)) for column in found.table.column_names}
     numeric = _numeric(found.table)
     intervals = {column: ends for column in every if (ends := _interval(column, numeric))}
     shown = [column for column in every if not any(column in ends for ends in intervals.values())]

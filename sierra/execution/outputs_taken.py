@@ -17,6 +17,7 @@ from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import NUMBER as NUMBER_TYPE
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
+from sierra.store.type_inference import DURATION
 from sierra.util.text import counted
 
 OWN = ("run", "execution", "file")
@@ -268,7 +269,7 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     snapshot.views.make((name,))
     described = {row[0]: row[1] for row in snapshot.run(f"DESCRIBE {identifier(name)}")}
     own = {stored: sql for stored, sql in snapshot.views.sql_names.get(name.lower(), {}).items() if stored not in OWN}
-    units: Mapping[str, str] = declared.units if declared else {}
+    units = {**(declared.units if declared else {}), **{one: "ns" for row in layouts for one in _durations(row)}}
     originals: dict[str, str] = {}
     for naming in (column_names, stored_names):  # the first one for records of earlier versions
         for row in layouts:
@@ -277,6 +278,11 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     for stored, sql in own.items():
         original = originals.get(stored, stored)
         yield original, TakenColumn(sql, described.get(sql, ""), units.get(original), original if original != sql else None)
+
+
+def _durations(row: _Layout) -> Iterator[str]:
+    """Yield the columns of durations, which are recorded in nanoseconds."""
+    yield from (name for name, kind in TableLayout.load(row.table_layout).columns.items() if kind == DURATION)
 
 
 def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:

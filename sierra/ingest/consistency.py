@@ -224,7 +224,7 @@ def _misfit(columns: Columns, kinds: Columns) -> tuple[str, str] | None:
 def many(kind: str) -> str:
     """Return the words for values of this kind."""
     own = own_kind(kind)
-    return {"number": "numbers", "flag": "flags"}.get(own, own) + kind.removeprefix(own)
+    return {"number": "numbers", "flag": "flags", "duration": "durations"}.get(own, own) + kind.removeprefix(own)
 
 
 def siblings(store: Store, context: Context, name: str) -> Siblings:

@@ -1,11 +1,18 @@
-"""Assignment of an execution's files to tables: first the declared ones, then files with a table's suffix."""
+"""Assignment of an execution's files to tables: first the declared ones, then files with a table's suffix.
+
+The table of an undeclared file has the file's name without its suffix, with `_` for all but letters, marks and digits. Two
+names that would become one table, such as `a b` and `a_b`, or `A` and `a`, become two: the later one gets a number. Tables
+keep the names under which they were recorded, also those of the time when only ASCII letters were kept.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
-from itertools import chain
+from itertools import chain, count
 from pathlib import PurePosixPath
 
 from sierra.config.output_tables import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, SEVERAL_TABLES, Output
@@ -32,9 +39,21 @@ NOT_UTF8 = "with a name that is not UTF-8"
 class OutputMatcher:
     """The assignment of files to tables; it remembers the files that look like tables but are recorded as files."""
 
-    def __init__(self, outputs: Mapping[str, Output], readers: Used) -> None:
-        """`readers` are the readers of other packages; outputs of any other format that is not shipped are kept as files."""
+    def __init__(
+        self, outputs: Mapping[str, Output], readers: Used, recorded: Callable[[], Iterable[tuple[str, str | None]]] = tuple
+    ) -> None:
+        """`readers` are the readers of other packages; outputs of any other format that is not shipped are kept as files.
+
+        `recorded` returns the files that were recorded before, each with its table, or None. It is called once, if necessary.
+        """
         self._outputs = outputs
+        self._recorded = recorded
+        self._names: dict[str, str] | None = None
+        """The tables of undeclared files, by the stems of their names."""
+        self._as_files: set[str] = set()
+        """The files that were recorded as files before."""
+        self.renamed: dict[str, str] = {}
+        """Notes on tables with a number in their names, by the file."""
         self._readers = {name: json.dumps(reader, sort_keys=True) for name, reader in readers.items()}
         self.kept: dict[str, dict[str, None]] = {}
         """The files that are recorded as files although they look like tables, by reason."""
@@ -68,15 +87,42 @@ class OutputMatcher:
             return
         taken = {name.lower() for name in self._outputs}
         for path, files in {**{file.path: [file] for file in automatic}, **of_robots}.items():
-            name, kind, several = table_name(path), automatic_format(path) or "", path in of_robots
-            if name.lower() in taken:
+            table, kind, several = self._name(path), automatic_format(path) or "", path in of_robots
+            if table is None or table.lower() in taken:
                 for file in files:
                     self._keep(TAKEN, file)
                 continue
-            taken.add(name.lower())
+            taken.add(table.lower())
             ticks = (robot_files.COLUMN,) if several else ()
-            shape = Shape(kind, many=several, ticks=ticks, name=name)
-            yield from ((name, shape, file) for file in files)
+            shape = Shape(kind, many=several, ticks=ticks, name=table)
+            yield from ((table, shape, file) for file in files)
+
+    def _name(self, path: str) -> str | None:
+        """Return the name of the table of an undeclared file; None if it is another file's, and this one was kept as a file."""
+        names = self._names if self._names is not None else self._known()
+        if (stem := _stem(path)) in names:
+            return names[stem]
+        name = table_name(path)
+        owners = {known.lower(): owner for owner, known in names.items()}
+        if (owner := owners.get(name.lower())) is not None:
+            if path in self._as_files:
+                return None
+            taken = {*owners, *(known.lower() for known in self._outputs)}
+            first, name = name, next(one for n in count(2) if (one := f"{name}_{n}").lower() not in taken and check_name(one))
+            self.renamed[path] = f"{shown(path)!r} makes the table {name!r}, because the table {first!r} is that of {owner!r}"
+        names[stem] = name
+        return name
+
+    def _known(self) -> dict[str, str]:
+        """Return the names of the recorded tables of undeclared files, by the stems of the files' names."""
+        self._names = {}
+        for path, name in self._recorded():
+            own = path if robot_files.place_of(path) is None else path.partition("/")[2]
+            if name is None:
+                self._as_files.add(own)
+            elif name == _former_name(own) or re.fullmatch(rf"{re.escape(table_name(own))}(_[0-9]+)?", name):
+                self._names.setdefault(_stem(own), name)
+        return self._names
 
     def _shape(self, name: str, output: Output) -> Shape:
         many = bool(output.ticks) or any(c in output.file for c in "*?[")
@@ -106,9 +152,22 @@ class OutputMatcher:
 
 def table_name(path: str) -> str:
     """Return the name of the table for an undeclared file, derived from the file's name."""
-    stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in PurePosixPath(path).stem)
-    name = ("_" if stem[:1].isdigit() else "") + stem or "_"
+    return _sound("".join(c if unicodedata.category(c)[0] in "LMN" else "_" for c in _stem(path)))
+
+
+def _former_name(path: str) -> str:
+    """Return the name that such a table had when only ASCII letters were kept."""
+    return _sound("".join(c if c.isalnum() and c.isascii() else "_" for c in PurePosixPath(path).stem))
+
+
+def _sound(stem: str) -> str:
+    name = ("_" if stem[:1].isnumeric() else "") + stem or "_"
     return name if check_name(name) else name + "_"
+
+
+def _stem(path: str) -> str:
+    """Return the name of a file without its suffix; different encodings of the same letters are one."""
+    return unicodedata.normalize("NFC", PurePosixPath(path).stem)
 
 
 def claims(outputs: Mapping[str, Output], path: str) -> list[str]:

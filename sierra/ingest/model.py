@@ -96,6 +96,8 @@ class Shape:
     """The declared time column; "" if none is declared."""
     any_order: bool = False
     """True if the time may go back within a file."""
+    nans: tuple[str, ...] = ()
+    """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
 
 
 Group = Hashable

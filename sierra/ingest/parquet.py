@@ -16,16 +16,19 @@ from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Wr
 from sierra.ingest.shipped_reader_base import FILE, TableReader
 from sierra.ingest.text_table_reader import alike
 from sierra.store.connections import Database
-from sierra.store.duckdb_file_io import parquet_given, parquet_schema
+from sierra.store.duckdb_file_io import arrow_schemas, parquet_given, parquet_schema
 from sierra.store.duckdb_messages import first_line
 from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import differing_by_case, identifier
-from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
+from sierra.store.type_inference import DURATION, EMPTY, HUGE, is_inexact, is_whole, kind_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+"""The nanoseconds in the units of Arrow's durations."""
+NESTED = "write them as numbers, or as a column of durations"
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
 
@@ -38,7 +41,7 @@ class Parquet(TableReader):
 
     def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
-        self._found: Mapping[str, Mapping[str, str]] = {}
+        self._found: dict[str, dict[str, str]] = {}
         self._wide: dict[str, str] = {}
         """By path, a column with decimals that DuckDB would turn into DOUBLE."""
         self._called: dict[str, Mapping[str, str]] = {}
@@ -49,6 +52,7 @@ class Parquet(TableReader):
             self._found = self._schemas(files)
         except self.error:
             self._found = self._schemas(self._readable(files))
+        self._find_durations(self.sound(files))
         for file in self.sound(files):
             if name := self._wide.get(file.path):
                 self.fault(
@@ -69,7 +73,7 @@ class Parquet(TableReader):
             except self.error as error:
                 raise self.unwritten(error) from error
         for target, some in written:
-            kinds = {file.path: {name: kind_of(self._found[file.path][name]) for name in self.part.names} for file in some}
+            kinds = {file.path: {name: _kind(self._found[file.path][name]) for name in self.part.names} for file in some}
             self.done(target, some, kinds)
 
     def count(self, file: Written, read: int) -> int | str:
@@ -89,7 +93,7 @@ class Parquet(TableReader):
             for target, some in written:
                 types = {name: self._type(name, some) for name in self.part.names}
                 called = self._called[some[0].path]
-                columns = {name: f"CAST(t.{identifier(called[name])} AS {types[name]})" for name in self.part.names}
+                columns = {name: _cast(f"t.{identifier(called[name])}", types[name]) for name in self.part.names}
                 self.write(target, some, self._source(), columns)
         except (self.error, AtFaultError):
             for target, _ in written:
@@ -141,6 +145,27 @@ class Parquet(TableReader):
                 described[key] = {own: kinds[name] for own, name in called.items()}, called
             found[path], self._called[path] = described[key]
         return found
+
+    def _find_durations(self, files: Sequence[Written]) -> None:
+        """Find the columns of durations, whose units only the Arrow schema of a file has; note faults."""
+        texts: dict[str, bytes] = dict(self.fetch(f"SELECT file_name, value FROM {arrow_schemas()}", files))
+        units = {text: durations_in(text) for text in set(texts.values())}
+        limited: dict[tuple[str, str], list[Written]] = {}
+        for file in files:
+            for name, unit in units[texts[file.path]].items() if file.path in texts else ():
+                if name not in self._found[file.path]:
+                    continue
+                if unit not in NANOSECONDS:
+                    self.fault(file, f"the column {name!r} has durations within lists or structures: {NESTED}")
+                self._found[file.path] = {**self._found[file.path], name: f"{DURATION} in {unit}"}
+                limited.setdefault((name, unit), []).append(file)
+        for (name, unit), some in limited.items():
+            limit = (2**63 - 1) // NANOSECONDS.get(unit, 1)
+            called = identifier(self._called[some[0].path][name])
+            beyond = f"SELECT DISTINCT {identifier(FILE)} FROM {self._source()} WHERE abs({called}::HUGEINT) > {limit}"
+            paths = {path for (path,) in self.fetch(beyond, self.sound(some))}
+            for file in (file for file in some if file.path in paths):
+                self.fault(file, f"the column {name!r} has a duration of more than 292 years, which nanoseconds cannot hold")
 
     def _type(self, name: str, files: Sequence[Written]) -> str:
         """Return the type of a column in files that have one kind in it; of several number types, the widest."""
@@ -201,6 +226,43 @@ def write_parquet(columns: Columns | pa.Table, target: BinaryIO) -> None:
             empty = pa.nulls(len(table), pa.bool_())
             table = table.set_column(place, field.name, empty)
     pq.write_table(table, target)
+
+
+def durations_in(schema: bytes) -> dict[str, str]:
+    """Return the columns of durations in an Arrow schema in base64, with their units; "" if they are within other values."""
+    import base64
+
+    import pyarrow as pa
+
+    try:
+        fields = pa.ipc.read_schema(pa.py_buffer(base64.b64decode(schema)))
+    except (pa.ArrowException, OSError, ValueError):
+        return {}
+    units = {field.name: _unit(field.type) for field in fields}
+    return {name: unit for name, unit in units.items() if unit is not None}
+
+
+def _unit(kind: pa.DataType) -> str | None:
+    """Return the unit of a type of durations, "" if a part of the type is one, and None otherwise."""
+    import pyarrow as pa
+
+    if pa.types.is_duration(kind):
+        return str(kind.unit)
+    if pa.types.is_dictionary(kind) or pa.types.is_run_end_encoded(kind):
+        return _unit(kind.value_type)
+    parts = [kind.field(place).type for place in range(kind.num_fields)] if pa.types.is_nested(kind) else []
+    return "" if any(_unit(part) is not None for part in parts) else None
+
+
+def _kind(kind: str) -> str:
+    return DURATION if kind.startswith(DURATION) else kind_of(kind)
+
+
+def _cast(column: str, kind: str) -> str:
+    """Return the SQL expression for a column in its type; durations become nanoseconds."""
+    if kind.startswith(DURATION):
+        return f"CAST({column}::HUGEINT * {NANOSECONDS[kind.rpartition(' ')[2]]} AS BIGINT)"
+    return f"CAST({column} AS {kind})"
 
 
 def _one_line(text: str) -> str:

@@ -35,6 +35,24 @@ class TableFile(NamedTuple):
     layout: str | None
 
 
+class _Named(NamedTuple):
+    path: str
+    output: str | None
+
+
+NAMED = """
+SELECT DISTINCT path, output FROM all_artifacts
+WHERE kind IN ('table', 'file') AND regexp_matches(path, '^([0-9]{1,9}/)?[^/]+[.](csv|tsv|parquet|jsonl|ndjson)$', 'i')
+ORDER BY ALL
+"""
+
+
+def recorded_names(store: Store) -> list[_Named]:
+    """Return the recorded files that could be undeclared tables, each with its table, or None."""
+    with store.snapshot() as snapshot:
+        return snapshot.select(_Named, NAMED) if snapshot.holds("artifacts") else []
+
+
 NO_TABLE = TableFile(None, None, None, None)
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
 from sierra.ingest.observations import WRITTEN, observed, written
-from sierra.ingest.read_into_segment import TableIngest, file_rows, tabled
+from sierra.ingest.read_into_segment import TableIngest, file_rows, recorded_names, tabled
 from sierra.ingest.recording_context import Context
 from sierra.ingest.silent_runs import SilentRuns
 from sierra.ingest.success import Doubt, Judgement, doubted, judge
@@ -125,7 +126,7 @@ class Recorder:
         self._bytes = 0
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
-        self._assigning = OutputMatcher(context.outputs, context.readers)
+        self._assigning = OutputMatcher(context.outputs, context.readers, partial(recorded_names, store))
         self._left_out: dict[str, None] = {}
 
     def add(self, result: Result) -> Status:
@@ -258,6 +259,7 @@ class Recorder:
             *unseen,
             *used,
             *compare_robots.notes(self._store, self.context.batch),
+            *self._assigning.renamed.values(),
             *as_files(kept),
             *remarks.all(),
             *equal_runs.of_batch(self._store, self.context.batch, volatile(self.context.outputs)),

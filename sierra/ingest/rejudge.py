@@ -28,6 +28,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -37,7 +38,7 @@ from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
-from sierra.ingest.read_into_segment import TableFile, TableIngest, artifact_rows, tabled, too_few
+from sierra.ingest.read_into_segment import TableFile, TableIngest, artifact_rows, recorded_names, tabled, too_few
 from sierra.ingest.recording_context import SAME_PROGRAMS, Context, rules_of
 from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files
@@ -232,7 +233,8 @@ def _is_tabled(one: Past, context: Context) -> bool:
 
 def _tables(one: Past, rules: Past | Context) -> Iterator[tuple[str, Shape, OutputFile]]:
     """Yield the files of an execution that become tables by these rules."""
-    return OutputMatcher(rules.outputs, rules.readers).of(one.result(one.last.execution, Path(), {}))
+    known = [(row.path, row.output if row.rows is not None else None) for row in one.artifacts if row.kind != "log"]
+    return OutputMatcher(rules.outputs, rules.readers, lambda: known).of(one.result(one.last.execution, Path(), {}))
 
 
 def _is_hopeless(one: Past, context: Context) -> bool:
@@ -284,7 +286,8 @@ class Rejudged:
 def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Rejudged:
     """Evaluate and record these runs as far as possible. Raises Missing if the disk is full; then nothing is lost."""
     outcome = Rejudged()
-    assigning, shapes = OutputMatcher(context.outputs, context.readers), dict[str, Shape]()
+    assigning = OutputMatcher(context.outputs, context.readers, partial(recorded_names, store))
+    shapes = dict[str, Shape]()
 
     def size(one: Past) -> int:
         return sum(row.size for row in needed(one, context))
@@ -299,7 +302,7 @@ def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iter
                 _Group(store, session, context, assigning, shapes, outcome).judge(some)
             finally:
                 worker.remove(str(session.reevaluation))
-    outcome.notes += [*as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
+    outcome.notes += [*assigning.renamed.values(), *as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
     return outcome
 
 

@@ -158,7 +158,8 @@ class _Rewriting:
         sound = [file for file in made if file.execution not in self._faults]
         found = self._rewriter.reader()(connection, self._rewriter.plain(), target, siblings).read(sound)
         mine = self._rewriter.shape
-        shape = replace(mine, parts=found.shape.parts, files=found.shape.files, ended=found.shape.ended)
+        theirs = found.shape
+        shape = replace(mine, parts=theirs.parts, files=theirs.files, ended=theirs.ended, nans=theirs.nans)
         faults = self._faults | {execution: self._placed(fault, execution) for execution, fault in found.faults.items()}
         hints = {key: self._hints(key, texts) for key, texts in found.hints.items()}
         return replace(found, shape=shape, faults=faults, hints=hints)

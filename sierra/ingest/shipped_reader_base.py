@@ -51,6 +51,8 @@ class TableReader:
         self.hints: dict[tuple[str, str], dict[str, str]] = {}
         self.faults: dict[str, str] = {}
         self.error: type[Exception] = duckdb_error()
+        self.nans: set[str] = set()
+        """The columns of whole numbers in which nan is recorded as missing."""
         self._ticks = {name.lower() for name in shape.ticks}
 
     def read(self, files: Sequence[Written]) -> Reading:
@@ -64,7 +66,10 @@ class TableReader:
                 self._one(sound)
         ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
         shape = self.shape
-        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended)
+        nans = tuple(dict.fromkeys((*shape.nans, *sorted(self.nans))))
+        shape = replace(
+            shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended, nans=nans
+        )
         return Reading(self.rows, self.counted, self.columns, self.hints, self.faults, shape)
 
     def _without_rows(self, files: Sequence[Written]) -> None:

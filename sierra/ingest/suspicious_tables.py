@@ -21,7 +21,7 @@ from sierra.ingest.recording_context import Context
 from sierra.store.sql_names import differing_by_case, identifier, stored_name, stored_names
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
-from sierra.store.type_inference import AS_TEXT
+from sierra.store.type_inference import AS_TEXT, DURATION
 from sierra.store.union_files import TEXT
 from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
@@ -80,7 +80,7 @@ class TableWarnings:
         self._paths = {row.output: TableLayout.load(row.table_layout).file or "" for row in rows}
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
         columns = [*self._alone(forms), *self._by_case(forms), *self._renamed(forms), *self._of_kinds(forms)]
-        return [*empty, *self._lengths(), *columns, *self._events(sizes)]
+        return [*empty, *self._lengths(), *self._nans(), *columns, *self._events(sizes)]
 
     def _events(self, rows: Sequence[TableSize]) -> Iterator[str]:
         """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
@@ -120,6 +120,13 @@ class TableWarnings:
             if shape.lengths:
                 columns = few(list(map(repr, shape.lengths)), LENGTHS)
                 yield f"output {name!r} has the number of items of lists in {columns}; the items are only in its files"
+
+    def _nans(self) -> Iterator[str]:
+        """Yield a note for each table in which nan is a missing value among whole numbers that DOUBLE cannot hold."""
+        for name, shape in self._shapes.items():
+            if shape.nans:
+                columns = few(list(map(repr, shape.nans)), LENGTHS)
+                yield f"output {name!r} has nan beside very large whole numbers in {columns}; there, nan is NULL"
 
     def _is_strict(self, output: str) -> bool:
         declared = self._context.outputs.get(output)
@@ -186,10 +193,20 @@ class TableWarnings:
             stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
             if len(stored) > 1:
                 held = ", ".join(f"{many(kind)} in {count}" for kind, count in sorted(counts.items()))
-                apart = f"numbers in {name!r} and other values in {name + TEXT!r}"
-                seen = apart if "number" in stored else "all values as text"
+                seen = f"numbers in {name!r} and other values in {name + TEXT!r}"
+                if "number" not in stored:
+                    seen = f"all values as {self._type(output, name)}"
+                elif stored == {"number", DURATION}:
+                    seen = "all of them as numbers, of which only the durations are in ns"
                 yield f"column {name!r} of output {output!r} has {held} runs; SQL shows {seen}"
         yield from self._texts(kinds)
+
+    def _type(self, output: str, name: str) -> str:
+        """Return the type in SQL of the values of a column in this batch."""
+        with self._store.snapshot(self._context.batch) as snapshot:
+            column = _in_sql(snapshot, output, name)
+            kinds = {row[0]: str(row[1]) for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
+        return kinds.get(column or "", "VARCHAR").replace("VARCHAR", "text")
 
     def _texts(self, kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
         """Yield warnings about columns that are text in all runs, but were probably not intended as text."""
@@ -241,14 +258,17 @@ class TableWarnings:
                 LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
             )
         looks = [(look, count, example) for look, count, example in rows if look != "number"]
-        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "grouped"))
+        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "thousands?", "grouped"))
         united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
         if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
             return None
         first = next(column for table, column in kinds if table == output)
         if first.startswith("#") and looks and looks[0][0] == "other":
             return COMMENT
-        return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
+        first_look = looks[0] if looks else ("", 0, "")
+        if first_look[0] == "thousands?":  # the others may say what the comma is
+            first_look = next((look for look in looks if look[0] in ("comma", "grouped")), first_look)
+        return "most of its values look like numbers; " + _instead(output, name, *first_look)
 
 
 def _words(names: Iterable[str]) -> str:
@@ -270,6 +290,10 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
         case ("comma", _, _):
             message = f"write {example.replace(',', '.')!r} instead of {example!r}, with a decimal point"
             return f'{message} ([outputs.{output}] decimal = "," reads decimal commas)'
+        case ("thousands?", _, _):
+            whole, decimal = example.replace(",", ""), example.replace(",", ".")
+            message = f"{example!r} can be {whole}, with a separator of thousands, or {decimal}, with a decimal comma; write"
+            return f'{message} {whole!r} or {decimal!r} ([outputs.{output}] decimal = "," reads decimal commas)'
         case ("grouped", _, _):
             return f"write {example!r} without separators between digits"
         case ("unit", _, unit):
@@ -329,6 +353,7 @@ WITH cells AS (
 ), looking AS (
     SELECT cell, CASE
         WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN 'number'
+        WHEN regexp_full_match(cell, '[-+]?[1-9][0-9]{{0,2}},[0-9]{{3}}') THEN 'thousands?'
         WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
         WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',._][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
         WHEN regexp_full_match(lower(cell), '{missing}') THEN 'missing'

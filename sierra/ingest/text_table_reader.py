@@ -7,16 +7,20 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sierra.ingest.messages import shown
-from sierra.ingest.model import AtFaultError, Found, Group, Written
+from sierra.ingest.model import AtFaultError, Found, Group, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader, these
+from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.sql_names import identifier, quote, stored_names
 from sierra.store.type_inference import (
     AS_TEXT,
     EMPTY,
+    EXACT_TEXT,
     LOGICAL,
+    NAN,
     WHOLE,
+    as_stored,
     bit,
     common,
     is_whole,
@@ -25,6 +29,7 @@ from sierra.store.type_inference import (
     no_nan,
     odd,
     right_kind,
+    text_beside,
 )
 
 Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
@@ -35,6 +40,11 @@ AT_ONCE = 50
 
 class Text(TableReader):
     """The base class of readers of formats whose fields are texts: the texts of a column decide its type."""
+
+    def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
+        self._with_nan: set[tuple[str, str]] = set()
+        """The columns, each with the path of a file in which they have nan that is recorded as missing."""
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         """Return a relation on $files with the columns c0, c1, … and the file. Columns are VARCHAR or as in `types`."""
@@ -111,13 +121,19 @@ class Text(TableReader):
                 odd = any((file.execution, file.name) in self.hints for file in some)
                 target = next(targets) if odd or written else usual
                 types = {name: common(kept[name].get(file.path) for file in some) for name in names}
-                columns = {name: self._typed(f"t.c{place}", types[name], by_text) for place, name in enumerate(names)}
+                paths = {file.path for file in some}
+                nan = {name for name, path in self._with_nan if path in paths and is_whole(types[name])}
+                columns = {n: self._typed(f"t.c{place}", types[n], by_text, n in nan) for place, n in enumerate(names)}
+                for place, (name, stored) in enumerate(zip(names, stored_names(names), strict=True)):
+                    if types[name] == EXACT_TEXT:
+                        columns[text_beside(stored)] = f"trim({self.text(f't.c{place}')})"
                 written.append((target, some, kinds_of(some, types, found, kept)))
                 self.write(target, some, self.relation(names, texts if by_text else types), columns)
                 if not by_text and self._misread(target, some, names, types):
                     raise _MisreadError
-                if rounded := self._rounded(target, some, {n: kind for n, kind in types.items() if n not in apart}):
+                if rounded := self._rounded(target, some, types, found, apart):
                     raise _RoundedError(rounded)
+                self.nans |= nan
         except (self.error, _MisreadError, _RoundedError, AtFaultError):
             for target, _, _ in written:
                 target.unlink(missing_ok=True)
@@ -162,7 +178,7 @@ class Text(TableReader):
 
     def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
         """Check if a text that is not a number was written as one; search only if there is a sign of it."""
-        doubles = [name for name in names if types[name] == "DOUBLE"]
+        doubles = [name for name in names if as_stored(types[name]) == "DOUBLE"]
         if not doubles or not files:
             return False
         stored = dict(zip(names, stored_names(names), strict=True))
@@ -175,13 +191,16 @@ class Text(TableReader):
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
         return self._any(odd("{}"), (f"c{places[name]}" for name in doubles), relation, these(files))
 
-    def _rounded(self, target: Path, files: Sequence[Written], types: Mapping[str, str]) -> Found:
+    def _rounded(
+        self, target: Path, files: Sequence[Written], types: Mapping[str, str], found: Found, apart: Collection[str]
+    ) -> Found:
         """Return the types by column and file for columns of large numbers that were written as DOUBLE.
 
-        These are columns in which some files have only whole numbers, and others have fractions.
+        These are columns in which some files have only whole numbers, and others have fractions, or in which a file has both.
+        `found`: the types that were assumed.
         """
         stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
-        doubles = [name for name, kind in types.items() if kind == "DOUBLE" and len(files) > 1]
+        doubles = [name for name, kind in types.items() if kind == "DOUBLE"]
         great = f"isfinite({{}}) AND abs({{}}) > {2**53}"
 
         def any_great(names: Sequence[str]) -> bool:
@@ -193,7 +212,8 @@ class Text(TableReader):
         return {
             n: kinds
             for n, kinds in seen.items()
-            if "DOUBLE" in kinds.values() and any(map(is_whole, filter(None, kinds.values())))
+            if ("DOUBLE" in kinds.values() and any(map(is_whole, filter(None, kinds.values())))) or EXACT_TEXT in kinds.values()
+            if n not in apart or not kinds.items() <= found[n].items()
         }
 
     def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, list[str]]) -> bool:
@@ -208,20 +228,25 @@ class Text(TableReader):
         """Check if a file may have an underscore within a number."""
         return False
 
-    def _typed(self, cell: str, kind: str, by_text: bool) -> str:
-        """Return the SQL expression of a cell in its column's type. A value that does not fit is an error; none is rounded."""
+    def _typed(self, cell: str, kind: str, by_text: bool, nan: bool = False) -> str:
+        """Return the SQL expression of a cell in its column's type. A value that does not fit is an error; none is rounded.
+
+        `nan`: in a column of whole numbers, nan is NULL.
+        """
         match kind:
             case "VARCHAR":
                 return self.text(cell)
-            case "DOUBLE":
-                return f"CAST({no_nan(cell) if by_text else cell} AS DOUBLE)"  # also checked by `_misread`
+            case _ if as_stored(kind) == "DOUBLE":
+                text = no_nan(cell) if by_text or kind == EXACT_TEXT else cell
+                return f"CAST({text} AS DOUBLE)"  # also checked by `_misread`
             case "BOOLEAN":
                 sound = f"regexp_full_match({cell}, {quote(LOGICAL)})"
                 value = f"CAST(trim({cell}) AS BOOLEAN)"
             case _:
                 sound = f"regexp_full_match({cell}, {quote(WHOLE)})"
                 value = f"CAST({cell} AS {kind})"
-        return f"CASE WHEN {cell} IS NULL THEN NULL WHEN {sound} THEN {value} ELSE error('not {kind}') END"
+        missing = f"{cell} IS NULL" + f" OR isnan(TRY_CAST({no_nan(cell)} AS DOUBLE))" * nan
+        return f"CASE WHEN {missing} THEN NULL WHEN {sound} THEN {value} ELSE error('not {kind}') END"
 
     def _try(self, files: Sequence[Written], names: Sequence[str]) -> None:
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
@@ -237,7 +262,8 @@ class Text(TableReader):
         alike: dict[str, dict[str, str | None]] = {}
         for name in names:
             kinds = {kind for kind in found[name].values() if kind}
-            if len(set(map(kind_of, kinds))) != 1 or "VARCHAR" in kinds or name in self.siblings.mixed:
+            exact = EXACT_TEXT in kinds or any((name, file.path) in self._with_nan for file in sample)
+            if len(set(map(kind_of, kinds))) != 1 or "VARCHAR" in kinds or exact or name in self.siblings.mixed:
                 doubtful.append(name)
             else:
                 kind = common(kinds)
@@ -259,13 +285,20 @@ class Text(TableReader):
             )
             rows = self.fetch(f"SELECT {identifier(FILE)}, place, bit_or({bit('cell')}) FROM {each} GROUP BY 1, 2", files)
             for path, place, bits in rows:
-                found[wanted[place]][path] = narrowest(bits or 0)
+                found[wanted[place]][path] = self._type(wanted[place], path, bits or 0)
             return found
         columns = ", ".join(f"bit_or({bit(f'c{places[name]}')})" for name in wanted)
         for path, *seen in self.fetch(f"SELECT {identifier(FILE)}, {columns} FROM {relation} GROUP BY 1", files):
             for name, bits in zip(wanted, seen, strict=True):
-                found[name][path] = narrowest(bits or 0)
+                found[name][path] = self._type(name, path, bits or 0)
         return found
+
+    def _type(self, name: str, path: str, bits: int) -> str | None:
+        """Return the narrowest type of a file's column, and note if nan is a missing value in it."""
+        kind = narrowest(bits)
+        if bits & NAN and kind is not None and is_whole(kind):
+            self._with_nan.add((name, path))
+        return kind
 
 
 class _MisreadError(Exception):
@@ -284,11 +317,13 @@ class _RoundedError(Exception):
 def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) -> list[list[Written]]:
     """Return the files grouped by the kinds of their columns; a column without values joins the most frequent kind.
 
+    Files with texts beside their numbers are separate.
+
     `apart`: the columns in which whole numbers are kept separate from fractions, because DOUBLE cannot hold them.
     """
 
     def sort(name: str, kind: str) -> str:
-        return "whole" if name in apart and is_whole(kind) else kind_of(kind)
+        return "whole" if name in apart and is_whole(kind) else kind if kind == EXACT_TEXT else kind_of(kind)
 
     kinds = {name: {path: sort(name, kind) for path, kind in seen.items() if kind} for name, seen in kept.items()}
     mixed = {name: Counter(seen.values()) for name, seen in kinds.items() if len(set(seen.values())) > 1}

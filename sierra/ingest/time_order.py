@@ -17,6 +17,7 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.samples import names_time
 from sierra.store.sql_names import identifier, stored_name
 from sierra.store.sql_result import INTEGER, NUMBER
+from sierra.store.type_inference import BESIDE
 
 
 class WentBack(NamedTuple):
@@ -50,7 +51,7 @@ def gone_back(connection: Database, target: Path, declared: str | None, hidden: 
     data = read_parquet([str(target)], rows=True)
     described = connection.execute(f"DESCRIBE SELECT * FROM {data}").fetchall()
     kinds = {name: kind for name, kind, *_ in described}
-    own = [name for name in kinds if name not in (*hidden, "filename", "file_row_number")]
+    own = [name for name in kinds if name not in (*hidden, "filename", "file_row_number") and not name.startswith(BESIDE)]
     time = time_of(declared, own, [kinds[name] for name in own])
     if time is None:
         return

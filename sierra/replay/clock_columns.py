@@ -9,6 +9,8 @@ import re
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from sierra.util.arrow_columns import values_of
+
 if TYPE_CHECKING:
     import pyarrow as pa
 
@@ -69,7 +71,7 @@ def _is_moment(recorded: pa.ChunkedArray, found: pa.ChunkedArray, row: int) -> b
     """Check if the values are dates that became later, or seconds since 1970."""
     import datetime
 
-    was, now = (column[row].as_py() for column in (recorded, found))
+    was, now = (values_of(column.slice(row, 1))[0] for column in (recorded, found))
     match was, now:
         case (bool(), _) | (_, bool()):
             return False

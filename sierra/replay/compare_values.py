@@ -6,6 +6,7 @@ computed between doubles: absolute, relative to the recorded number, and in unit
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,8 @@ from typing import TYPE_CHECKING
 
 from sierra.config.output_tables import Tolerance
 from sierra.replay.clock_columns import Clock, clock_of
+from sierra.store.type_inference import BESIDE
+from sierra.util.arrow_columns import values_of
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -126,6 +129,11 @@ class Rules:
     def of(self, column: str) -> Tolerance:
         return self.tolerance.get(column, self.tolerance.get("*", EXACT))
 
+    def compares(self, column: str) -> bool:
+        """Return whether a column is compared. Texts beside numbers are not if the numbers may differ."""
+        own = column.removeprefix(BESIDE)
+        return own not in self.volatile and (own == column or self.of(own) == EXACT)
+
 
 def of_tables(recorded: pa.Table, found: pa.Table, rules: Rules | None = None) -> Agreement:
     """Compare two pyarrow tables, row by row. If the order of rows is not significant, sort both by all columns, numbers last.
@@ -133,7 +141,7 @@ def of_tables(recorded: pa.Table, found: pa.Table, rules: Rules | None = None) -
     If only one table has a column, or their numbers of rows differ, the common part is compared as well.
     """
     rules = rules or Rules()
-    old, new = ([name for name in table.column_names if name not in rules.volatile] for table in (recorded, found))
+    old, new = ([name for name in table.column_names if rules.compares(name)] for table in (recorded, found))
     both = [name for name in old if name in new]
     answer = _of_columns(recorded, found, both, rules)
     if set(old) == set(new):
@@ -189,7 +197,7 @@ def _plain(table: pa.Table) -> pa.Table:
     kinds = (pa.types.is_nested, pa.types.is_interval, pa.types.is_dictionary, pa.types.is_null)
     for place, column in enumerate(table.schema):
         if any(kind(column.type) for kind in kinds):
-            texts = [None if value is None else repr(value) for value in table.column(place).to_pylist()]
+            texts = [None if value is None else repr(value) for value in values_of(table.column(place))]
             table = table.set_column(place, column.name, pa.array(texts, pa.string()))
     return table
 
@@ -365,7 +373,7 @@ class _Distance:
         return bool(fine.all())
 
     def _when(self, row: int) -> object:
-        return row if self._time is None else self._time[row].as_py()
+        return row if self._time is None else values_of(self._time.slice(row, 1))[0]
 
     def where(self) -> str:
         was, now = self._values()
@@ -402,7 +410,8 @@ class _Distance:
 
     def _values(self) -> tuple[str, str]:
         place = self.first or 0
-        return _value(self._recorded[place].as_py()), _value(self._found[place].as_py())
+        was, now = (values_of(column.slice(place, 1))[0] for column in (self._recorded, self._found))
+        return _value(was), _value(now)
 
 
 def distances(far: float, rel: float, ulp: float) -> str:
@@ -447,7 +456,10 @@ def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.boo
 
     if recorded.type != found.type:
         flags = [pa.types.is_boolean(column.type) for column in (recorded, found)]
-        pairs = zip(recorded.to_pylist(), found.to_pylist(), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
+        if pa.types.is_timestamp(recorded.type) and pa.types.is_timestamp(found.type) and recorded.type.tz == found.type.tz:
+            with contextlib.suppress(pa.ArrowInvalid):  # outside of the years 1677 to 2262
+                recorded, found = (column.cast(pa.timestamp("ns", column.type.tz)) for column in (recorded, found))
+        pairs = zip(values_of(recorded), values_of(found), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
         return np.array([one != other or (any(flags) and one is not None) for one, other in pairs], dtype=bool)
     same = pc.fill_null(pc.equal(recorded, found), False)
     same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(found)))

@@ -71,6 +71,11 @@ def parquet_schema(files: Sequence[str] = ()) -> str:
     return f"parquet_schema({f'[{_listed(files)}]' if files else '$files'})"
 
 
+def arrow_schemas() -> str:
+    """Return the relation of the Arrow schemas, in base64, that the footers of $files have."""
+    return "(SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'ARROW:schema')"
+
+
 def parquet_metadata(file: str) -> str:
     """Return the relation of the row group descriptions in a file's footer."""
     return f"parquet_metadata({quote(steady(file))})"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.errors import Missing
 from sierra.util import html
+from sierra.util.arrow_columns import rows_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,6 +35,10 @@ class Result:
             raise Missing(f"pandas is not installed; {EXTRA}")
         return self.arrow.to_pandas()
 
+    def to_pylist(self) -> list[dict[str, Any]]:
+        """Return the rows as Python objects; times with nanoseconds, and intervals, are texts."""
+        return rows_of(self.arrow)
+
     def __getattr__(self, name: str) -> Any:
         if name == "arrow":  # not there yet while it is copied
             raise AttributeError(name)
@@ -59,6 +64,6 @@ class Result:
         return f"Result of {self.arrow.num_rows} rows: {', '.join(self.arrow.column_names)}"
 
     def _repr_html_(self) -> str:
-        rows = (tuple(row.values()) for row in self.arrow.slice(0, html.ROWS).to_pylist())
+        rows = (tuple(row.values()) for row in rows_of(self.arrow.slice(0, html.ROWS)))
         count = "1 row" if len(self) == 1 else f"{len(self)} rows"
         return html.page(count, self.arrow.column_names, rows, total=len(self))

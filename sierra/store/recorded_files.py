@@ -27,7 +27,7 @@ from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Found, Snapshot
 from sierra.store.table_layout import TableLayout
-from sierra.store.type_inference import is_number
+from sierra.store.type_inference import BESIDE, is_number, text_beside
 from sierra.store.verified_files import is_sound, verify
 from sierra.store.views import ORDER, recording
 from sierra.util.text import natural
@@ -407,7 +407,10 @@ class _Part:
         described: list[RawRow] = []
         with contextlib.suppress(duckdb.Error, Damaged):
             described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path], check=False)}")
-        self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
+        own = ("run", "execution", "file")
+        self._columns = [(row[0], row[1]) for row in described if row[0] not in own and not row[0].startswith(BESIDE)]
+        self._texts = {row[0].removeprefix(BESIDE) for row in described if row[0].startswith(BESIDE)}
+        """The columns with the texts of their numbers beside them."""
         self._many = any(row[0] == "file" for row in described)
         self._sound: bool | None = None
         self.names = tuple(name for name, _ in self._columns)
@@ -421,7 +424,8 @@ class _Part:
 
         if not self._columns:
             return
-        cells = ", ".join(_cell(f"o.{identifier(name)}", kind) for name, kind in self._columns)
+        written = ((text_beside(name) if name in self._texts else name, kind) for name, kind in self._columns)
+        cells = ", ".join(_cell(f"o.{identifier(name)}", kind) for name, kind in written)
         one = len(self._columns) == 1
         line = f"coalesce(nullif(concat_ws(chr(44), {cells}), ''), '\"\"')" if one else f"concat_ws(chr(44), {cells})"
         statement = (

@@ -335,6 +335,10 @@ class Frame:
             self._computed[key] = compute()
         return cast("T", self._computed[key])
 
+    def durations(self, table: str) -> list[str]:
+        """Return the columns of an output that have durations, in nanoseconds; a derived table has none."""
+        return self.once(("durations", table), lambda: self._snapshot.durations(table, MEMBERS))
+
     def _output(self, name: str, files: list[str]) -> OutputTable:
         """Return a table that runs wrote to these files."""
         source = self._relation(name, files)

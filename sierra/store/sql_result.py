@@ -42,21 +42,25 @@ NUMBER = rf"{INTEGER}|DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)"
 """The types of whole numbers, and of all numbers, as regular expressions."""
 SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBER}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
 """The types of values that are the same as Python objects from DuckDB and from Arrow; `HUGEINT` is more exact."""
-TIMES = re.compile(r"DATE|TIME|BIT")
+TIMES = re.compile(r"DATE|TIME|BIT|INTERVAL")
 """A pattern in the names of types with values that Python cannot hold: infinity, years before 1 and after 9999, for example."""
 HELD = {
     "DATE": "#{0} BETWEEN DATE '0001-01-01' AND DATE '9999-12-31'",
     "TIMESTAMP": "#{0} BETWEEN TIMESTAMP '0001-01-01' AND TIMESTAMP '9999-12-31 23:59:59.999999'",
     INSTANT: "#{0} BETWEEN TIMESTAMPTZ '0001-01-01 00:00:00+00' AND TIMESTAMPTZ '9999-12-31 23:59:59.999999+00'",
-    "TIMESTAMP_NS": "isfinite(#{0})",
     "TIME": "#{0} < TIME '24:00:00'",
     "TIME WITH TIME ZONE": "false",
     "BIT": "false",
 }
 """Conditions that a value of a type can be a Python object, by the type; those of TIMESTAMP_S and _MS are TIMESTAMP's."""
+NEVER_HELD = re.compile(r"_NS\b|INTERVAL")
+"""A pattern in the names of types with values that Python never holds: nanoseconds and intervals."""
 NESTED_HELD = r"NOT regexp_matches(#{0}::VARCHAR, 'infinity|\(BC\)|\d{{5,}}-\d\d-\d\d|24:00:00')"
 """The condition for values of other types, such as lists of dates; also false if they have a text like such a time."""
-TEXTS = {INSTANT: "(#{0} AT TIME ZONE 'UTC')::VARCHAR || CASE WHEN isfinite(#{0}) THEN '+00' ELSE '' END"}
+TEXTS = {
+    INSTANT: "(#{0} AT TIME ZONE 'UTC')::VARCHAR || CASE WHEN isfinite(#{0}) THEN '+00' ELSE '' END",
+    "TIMESTAMPTZ_NS": "(#{0} AT TIME ZONE 'UTC')::VARCHAR || '+00'",
+}
 """The texts of values that cannot be Python objects, by the type, if they are not DuckDB's own."""
 
 
@@ -80,7 +84,7 @@ class Answer:
         return Answer(self._relation.limit(count), self.notes)
 
     def rows(self) -> list[tuple[SqlValue, ...]]:
-        """Return all rows as Python objects; times are in UTC. What Python cannot hold, such as infinite dates, is text."""
+        """Return all rows as Python objects; times are in UTC. What Python cannot hold, such as nanoseconds, is text."""
         times = [place for place, kind in enumerate(self.types) if TIMES.search(kind)]
         simple = all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self.types)
         relation = self._held(times, simple=simple) if times else self._relation
@@ -100,7 +104,7 @@ class Answer:
         texts = []
         for place in times:
             kind, value = self.types[place], columns[place]
-            held = HELD.get(re.sub("_M?S$", "", kind), NESTED_HELD).format(place + 1)
+            held = HELD.get(re.sub("_M?S$", "", kind), "false" if NEVER_HELD.search(kind) else NESTED_HELD).format(place + 1)
             text = TEXTS.get(kind, "#{0}::VARCHAR").format(place + 1)
             exact = f"epoch_us({value})" if simple and kind == INSTANT else value
             columns[place] = f"CASE WHEN {held} THEN {exact} END"

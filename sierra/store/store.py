@@ -25,9 +25,11 @@ from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, is_whole, listed
-from sierra.store.sql_names import identifier, unnested
+from sierra.store.sql_names import identifier, stored_names, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes
+from sierra.store.table_layout import TableLayout
+from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
@@ -55,6 +57,13 @@ KINDS = {int: "BIGINT", float: "DOUBLE"}
 
 
 Converted = TypeVar("Converted")
+
+
+DESCRIBES = re.compile(r"(?i)\s*(describe|summarize)\b")
+DURATIONS = f"""
+SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND lower(output) = lower($output)
+    AND contains(table_layout, '"{DURATION}"') AND execution IN ({{executions}}) ORDER BY table_layout
+"""
 
 
 class Found(NamedTuple):
@@ -406,7 +415,23 @@ class Snapshot:
             if answer is None:
                 raise SqlError("the statement returns no rows; use SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
             # a list of all tables does not need notes on columns
-            return convert(Answer(answer, "; ".join(notes if tables is None else self.views.notes)))
+            told = notes if tables is None else self.views.notes
+            if theirs and DESCRIBES.match(read):
+                told = [*told, *self._units(tables or ())]
+            return convert(Answer(answer, "; ".join(told)))
+
+    def durations(self, output: str, executions: str = "SELECT judgement FROM all_judgements") -> list[str]:
+        """Return the columns of an output that have durations, in nanoseconds; `executions` is a query for those that count."""
+        layouts = self.values(str, DURATIONS.format(executions=executions), output=output)
+        columns = [TableLayout.load(one).columns for one in layouts]
+        stored = (zip(stored_names(list(one)), one.values(), strict=True) for one in columns)
+        return list(dict.fromkeys(name for one in stored for name, kind in one if kind == DURATION))
+
+    def _units(self, tables: Iterable[str]) -> Iterator[str]:
+        """Yield a note for each of these tables that has columns of durations."""
+        for table in sorted(set(tables) & {name.lower() for segment in self.segments for name, _ in segment.outputs()}):
+            if columns := self.durations(table):
+                yield f"durations of {table} are in ns: {', '.join(map(repr, columns))}"
 
     @contextlib.contextmanager
     def errors(self) -> Iterator[None]:

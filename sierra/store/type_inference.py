@@ -14,6 +14,19 @@ HUGE = "DECIMAL(38,0)"
 EMPTY = '"NULL"'
 """DuckDB's name for the type of a Parquet column that is declared to have no values."""
 AS_TEXT = " as text"
+EXACT_TEXT = "DOUBLE with exact text"
+"""The type of numbers in one file, some of them fractions, and others whole numbers that DOUBLE cannot hold.
+
+They are recorded as DOUBLE, with each number as it is written in a column beside it: see `text_beside`.
+"""
+DURATION = "duration"
+"""The kind of durations, which are recorded as nanoseconds."""
+BESIDE = "# text of "
+"""The beginning of the recorded names of such columns; real columns are unlikely to have such a name."""
+NAN, INEXACT = 32, 64
+"""The bits of `bit` for nan, and (with the bit of its type) for a whole number that DOUBLE cannot hold."""
+NUMBERS = 2 | 4 | 8 | NAN
+"""The bits of `bit` for texts that are numbers."""
 
 
 def own_kind(kind: str) -> str:
@@ -55,13 +68,30 @@ def is_inexact(column: str, kind: str) -> str:
     return f"{column} IS NOT NULL AND TRY_CAST(CAST({column} AS DOUBLE) AS {kind}) IS DISTINCT FROM {column}"
 
 
+def has_fraction(column: str) -> str:
+    """Return the SQL condition that a DOUBLE is neither nan nor a whole number; infinity is not one."""
+    return f"{column} IS NOT NULL AND NOT isnan({column}) AND TRY_CAST({column} AS HUGEINT)::DOUBLE IS DISTINCT FROM {column}"
+
+
+def text_beside(column: str) -> str:
+    """Return the recorded name of the column with the numbers of `column` as they are written."""
+    return BESIDE + column
+
+
 def bit(cell: str) -> str:
-    """Return the SQL expression that classifies the text of a cell: one bit for each kind, 0 for an empty cell."""
+    """Return the SQL expression that classifies the text of a cell: one bit for each kind, 0 for an empty cell.
+
+    A whole number that DOUBLE cannot hold has the bit `INEXACT` too.
+    """
     whole = f"regexp_full_match({cell}, {quote(WHOLE)})"
+    rounded = f"TRY_CAST(TRY_CAST({cell} AS DOUBLE) AS HUGEINT) IS DISTINCT FROM TRY_CAST({cell} AS HUGEINT)"
+    inexact = f"CASE WHEN length({cell}) > 15 AND {rounded} THEN {INEXACT} ELSE 0 END"
     return (
-        f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 "
-        f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 "
-        f"WHEN TRY_CAST({no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN 8 "
+        f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 + {inexact} "
+        f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 + {inexact} "
+        f"WHEN TRY_CAST({no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN "
+        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} "
+        f"WHEN regexp_matches({cell}, '[nN] *$') THEN {NAN} ELSE 8 END "
         f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
     )
 
@@ -82,12 +112,22 @@ def reads_as(cell: str, kind: str) -> str:
 
 
 def narrowest(bits: int) -> str | None:
-    """Return the narrowest type that holds all kinds of text whose bits (see `bit`) are set."""
+    """Return the narrowest type that holds all kinds of text whose bits (see `bit`) are set.
+
+    Beside whole numbers that DOUBLE cannot hold, nan is a missing value.
+    """
     if bits in (0, 1):
         return "BOOLEAN" if bits else None
     if bits & 17:
         return "VARCHAR"
-    return "DOUBLE" if bits & 8 else HUGE if bits & 4 else "BIGINT"
+    if bits & 8 or (bits & NAN and not bits & INEXACT):
+        return EXACT_TEXT if bits & INEXACT else "DOUBLE"
+    return HUGE if bits & 4 else "BIGINT"
+
+
+def as_stored(kind: str) -> str:
+    """Return the SQL type in which numbers of a type are recorded."""
+    return "DOUBLE" if kind == EXACT_TEXT else kind
 
 
 def common(kinds: Iterable[str | None]) -> str:
@@ -97,4 +137,4 @@ def common(kinds: Iterable[str | None]) -> str:
         return some.pop() if some else "BOOLEAN"
     if not all(map(is_number, some)):
         return "VARCHAR"
-    return "DOUBLE" if "DOUBLE" in some else HUGE
+    return "DOUBLE" if {"DOUBLE", EXACT_TEXT} & some else HUGE

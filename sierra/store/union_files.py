@@ -4,20 +4,38 @@ A column that a file does not have is NULL there. A column that holds numbers in
 others, becomes two columns. The first has the original name and holds the numbers. The second has the suffix `_text` and
 holds the cells of the other files unchanged. A text that reads as a number is in both. A similar split applies to whole
 numbers and decimals that DOUBLE cannot hold exactly, if other files have fractions: the first column has the nearest
-DOUBLE, the second has all digits.
+DOUBLE, the second has all digits. If a file has both, its texts are recorded beside its numbers (see `text_beside`), and are
+the second column. Beside such whole numbers, files with nothing but nan and whole numbers are no reason for a split: the
+column stays whole, and nan is missing.
 
 DuckDB's own union would turn all numbers into texts, true into 1, whole numbers into dates, and decimals into whole numbers.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.sql_result import RawRow
-from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
+from sierra.store.type_inference import (
+    EMPTY,
+    EXACT_TEXT,
+    HUGE,
+    INEXACT,
+    NUMBERS,
+    as_stored,
+    bit,
+    has_fraction,
+    is_inexact,
+    is_number,
+    is_whole,
+    narrowest,
+    reads_as,
+    text_beside,
+)
 from sierra.store.verified_files import verify
 
 Fetch = Callable[[str], list[RawRow]]
@@ -25,8 +43,6 @@ Fetch = Callable[[str], list[RawRow]]
 PLACES = ("filename", "file_row_number")
 """Columns that identify a row's origin; they come after all other columns."""
 TEXT = "_text"
-NUMBERS = 2 | 4 | 8
-"""The bits of `bit` for texts that are numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +58,8 @@ class Relation:
     """The split columns that hold only numbers, some of them with more digits than DOUBLE can hold."""
     spellings: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """The names of the columns that became one because they differ only in upper and lower case, by its name."""
+    nans: frozenset[str] = frozenset()
+    """The columns of whole numbers in which nan of some files is missing."""
 
 
 def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: bool = False) -> Relation:
@@ -54,7 +72,7 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
     names = _names(described)
     types = _by_type(described)
     first = {own: next(iter(types[name])) for name, own in names.items()}
-    several = [name for name in names if len(types[name]) > 1]
+    several = [name for name in names if len(types[name]) > 1 or EXACT_TEXT in types[name]]
     if not several:
         source = read_parquet(files, union=len(described) > 1, rows=rows, check=False)
         return Relation(source, first, spellings=_spellings(described))
@@ -74,6 +92,7 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
         {one.name: one.beside for one in apart},
         frozenset(one.name for one in apart if not one.other),
         _spellings(described),
+        frozenset(one.name for one in mixed.values() if one.no_nan),
     )
 
 
@@ -140,10 +159,14 @@ def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict
             (sorted((own[file] for file in some), key=places.__getitem__) for (some,) in fetch(alike)),
             key=lambda some: places[some[0]],
         )
-    return [
-        (some, {row[0]: row[1] for row in fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1], check=False)}")})
-        for some in groups
-    ]
+    described = (fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1], check=False)}") for some in groups)
+    return [(some, _with_texts({row[0]: row[1] for row in rows})) for some, rows in zip(groups, described, strict=True)]
+
+
+def _with_texts(columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns of a file, of which those with recorded texts beside them have the type `EXACT_TEXT`."""
+    beside = {text: name for name in columns if (text := text_beside(name)) in columns}
+    return {name: EXACT_TEXT if name in beside.values() else kind for name, kind in columns.items() if name not in beside}
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +184,8 @@ class _Mixed:
     """True if some files hold numbers and others hold other values."""
     rounded: bool = False
     """True if DOUBLE cannot hold some of the numbers exactly."""
+    no_nan: bool = False
+    """True if files have whole numbers or nan as DOUBLE, and others have whole numbers that DOUBLE cannot hold."""
 
     @property
     def apart(self) -> bool:
@@ -183,6 +208,10 @@ class _Mixed:
             return self.column
         if is_number(self.type) and not is_number(kind):
             return reads_as(self.column, self.type) if kind == "VARCHAR" else f"NULL::{self.type}"
+        if self.no_nan and kind == "DOUBLE":
+            return f"CASE WHEN NOT isnan({self.column}) THEN TRY_CAST({self.column} AS {self.type}) END"
+        if self.type == "VARCHAR" and _is_instant(kind):
+            return f"CAST({self.column} AT TIME ZONE 'UTC' AS VARCHAR) || '+00'"
         return f"CAST({self.column} AS {self.type})"
 
     def text(self, kind: str) -> str | None:
@@ -191,6 +220,8 @@ class _Mixed:
             return None
         if not is_number(kind):
             return f"CAST({self.column} AS VARCHAR)"
+        if kind == EXACT_TEXT:
+            return identifier(text_beside(self.name))
         return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
 
 
@@ -209,11 +240,16 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     numbers = [kind for kind in kinds if is_number(kind) and (not others or has_values(kind))]
     empty = frozenset(kinds) - {*numbers, *others}
     if not numbers:
-        return _Mixed(name, beside, _common(others), empty)
+        return _Mixed(name, beside, _of_times(others, seen, column) or _common(others), empty)
     texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
-    kind = _widest([*numbers, *([narrowest(texts) or ""] if texts else [])])
-    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT")] if kind == "DOUBLE" else []
+    kind = _widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
+    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
     rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
+    whole = rounded and not texts and all(map(is_whole, exact)) and {*exact, "DOUBLE"} == {*numbers}
+    if whole and not seen("DOUBLE", f"count_if({has_fraction(column)}) > 0"):
+        return _Mixed(name, beside, _widest(exact), empty, bool(others), no_nan=True)
+    if EXACT_TEXT in numbers:
+        rounded |= bool(seen(EXACT_TEXT, f"bit_or({bit(identifier(text_beside(name)))})") & INEXACT)
     return _Mixed(name, beside, kind, empty, bool(others), rounded)
 
 
@@ -221,7 +257,25 @@ def _common(kinds: Sequence[str]) -> str:
     """Return the type that holds these types that are not numbers; empty if DuckDB's own union gives the right type."""
     if len(kinds) < 2:
         return next(iter(kinds), "BOOLEAN")
-    return "" if all(map(_is_time, kinds)) or not any(map(_is_plain, kinds)) else "VARCHAR"
+    return "" if _are_times(kinds) or _are_nested_alike(kinds) else "VARCHAR"
+
+
+def _of_times(kinds: Sequence[str], seen: Callable[[str, str], int], column: str) -> str:
+    """Return VARCHAR for times with nanoseconds and others that these cannot hold, before 1677 or after 2262; else nothing."""
+    exact = next((kind for kind in kinds if kind.endswith("_NS")), "")
+    if not exact or not _are_times(kinds):
+        return ""
+    beyond = f"count_if({column} IS NOT NULL AND TRY_CAST({column} AS {exact}) IS NULL) > 0"
+    return "VARCHAR" if any(seen(kind, beyond) for kind in kinds if kind != exact) else ""
+
+
+def _are_nested_alike(kinds: Sequence[str]) -> bool:
+    """Return whether DuckDB can unite these types: only lists whose items it can unite, only structures, or only maps."""
+    if not all(kind.endswith("]") for kind in kinds):
+        return any(all(kind.startswith(word) and kind.endswith(")") for kind in kinds) for word in ("STRUCT", "MAP", "UNION"))
+    items = sorted({kind[: kind.rindex("[")] for kind in kinds})
+    same = len(items) == 1 or all(map(is_number, items)) or "VARCHAR" in items
+    return same or _are_times(items) or _are_nested_alike(items)
 
 
 def _widest(kinds: Sequence[str]) -> str:
@@ -233,9 +287,12 @@ def _widest(kinds: Sequence[str]) -> str:
     return "DOUBLE"
 
 
-def _is_time(kind: str) -> bool:
-    return kind.startswith(("DATE", "TIMESTAMP"))
+def _are_times(kinds: Sequence[str]) -> bool:
+    """Return whether these are dates and times, all with a time zone, or all without one."""
+    times = all(re.fullmatch(r"DATE|TIMESTAMP\w*( WITH TIME ZONE)?", kind) for kind in kinds)
+    return times and len(set(map(_is_instant, kinds))) == 1
 
 
-def _is_plain(kind: str) -> bool:
-    return not kind.startswith(("STRUCT", "MAP", "UNION")) and not kind.endswith("]")
+def _is_instant(kind: str) -> bool:
+    """Return whether this is a type of times with a time zone."""
+    return kind.startswith("TIMESTAMP") and ("TIME ZONE" in kind or "TZ" in kind)

@@ -257,8 +257,11 @@ class Views:
             column, beside = f"column {sql_names[name]!r} of {table}", repr(sql_names[text])
             split = "numbers in some runs and other values in others; the other values are"
             if name in found.rounded:
-                split = "fractions in some runs and very large whole numbers in others; the exact digits are"
+                split = "fractions and very large whole numbers in different rows; the exact digits are"
             self.notes.append(f"{column} has {split} in {beside}")
+        for name in sorted(found.nans):
+            split = "very large whole numbers, and nan in some runs; nan is NULL"
+            self.notes.append(f"column {sql_names[name]!r} of {table} has {split}")
 
     @property
     def _imported(self) -> bool:
@@ -358,7 +361,7 @@ class Views:
         for needed in ("effective", "origins", "points"):
             self._make(needed)
         files = self._holding(self._outputs[name])
-        found = relation(self._fetch, files, f"execution IN (SELECT execution FROM ({self._counted}))", rows=True)
+        found = relation(self._fetch, files, f"execution IN (SELECT judgement FROM ({self._counted}))", rows=True)
         axes = self.axes()
         theirs = list(found.types)
         free = column_names(theirs, taken=axes)

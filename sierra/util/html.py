@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from sierra.util.text import visible
+from sierra.util.text import DIGITS, digits_apart, short_number, visible
 
 ROWS = 20
 """Maximum number of rows that are shown of a table."""
@@ -20,18 +20,19 @@ def page(
     shown = [tuple(row) for _, row in zip(range(ROWS), rows, strict=False)]
     more = (f"{total} rows, {len(shown)} of them shown",) if total > len(shown) else ()
     head = "".join(f"<th>{_text(column)}</th>" for column in columns)
-    body = "".join(f"<tr>{''.join(f'<td>{_text(value)}</td>' for value in row)}</tr>" for row in shown)
+    digits = [digits_apart(column) for column in zip(*shown, strict=True)]
+    body = "".join(f"<tr>{''.join(f'<td>{_text(*one)}</td>' for one in zip(row, digits, strict=True))}</tr>" for row in shown)
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>" if columns else ""
     lines = "".join(f"<div>{_text(note)}</div>" for note in (*more, *notes))
     return f"<div><strong>{_text(title)}</strong>{table}{lines}</div>"
 
 
-def _text(value: object) -> str:
+def _text(value: object, digits: int = DIGITS) -> str:
     match value:
         case None:
             return ""
         case float():
-            text = f"{value:.6g}"
+            text = short_number(value, digits)
         case _:
             text = str(value)
     return escape(visible(text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…"))

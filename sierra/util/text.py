@@ -51,6 +51,23 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+DIGITS = 6
+"""The digits of numbers that are shown to people, unless different numbers would look alike."""
+
+
+def short_number(value: float, digits: int = DIGITS) -> str:
+    """Return a number with at most this many significant digits; with 17, all that it takes to read the same number again."""
+    return f"{value:.{digits}g}" if digits < 17 else repr(value).removesuffix(".0")
+
+
+def digits_apart(values: Iterable[object], least: int = DIGITS) -> int:
+    """Return the number of digits, at least `least`, with which different fractions among these values look different."""
+    numbers = {value for value in values if isinstance(value, float) and value == value}
+    return next(
+        (digits for digits in range(least, 17) if len({short_number(one, digits) for one in numbers}) == len(numbers)), 17
+    )
+
+
 def verb(count: int, one: str, several: str) -> str:
     """Return the form of a verb for a number of things: `verb(1, "is", "are")` is `is`."""
     return one if count == 1 else several

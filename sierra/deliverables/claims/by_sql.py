@@ -12,7 +12,8 @@ from sierra.store.samples import Frame
 from sierra.store.several_batches import joined
 from sierra.store.sql_result import SqlValue
 from sierra.store.store import Store
-from sierra.util.text import few
+from sierra.util.arrow_columns import rows_of
+from sierra.util.text import DIGITS, digits_apart, few, short_number
 
 SHOWN = 8
 """The largest number of columns in the text."""
@@ -28,11 +29,13 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> F
     if made.table.num_rows != 1:
         raise SierraError(f"{origin}: it has {made.table.num_rows} rows; a claim needs one")
     first, *others = made.table.column_names
-    row: dict[str, SqlValue] = dict(zip(made.table.column_names, made.table.to_pylist()[0].values(), strict=True))
+    row: dict[str, SqlValue] = dict(zip(made.table.column_names, rows_of(made.table)[0].values(), strict=True))
     if (kind := str(made.table.schema.field(0).type)) != "bool":
         raise SierraError(f"{origin}: its first column {first!r} is {kind}, not true or false; write a condition, as in x > 1")
     numbers = {other: row[other] for other in others}
-    text = few([f"{other} = {_shown(value)}" for other, value in numbers.items()], SHOWN) or f"{first} = {_shown(row[first])}"
+    digits = digits_apart(numbers.values())
+    texts = [f"{other} = {_shown(value, digits)}" for other, value in numbers.items()]
+    text = few(texts, SHOWN) or f"{first} = {_shown(row[first])}"
     if row[first] is None:
         return Found(Verdict.cannot_tell, f"the statement yields NULL; {text}", n, numbers=numbers)
     undefined = [other for other, value in numbers.items() if isinstance(value, float) and math.isnan(value)]
@@ -64,5 +67,11 @@ def lost(claim: Claim, n: int, planned: int) -> Found | None:
     return Found(Verdict.cannot_tell, f"{planned - n} of {planned} runs {why}{more}", n)
 
 
-def _shown(value: SqlValue) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+def _shown(value: SqlValue, digits: int = DIGITS) -> str:
+    return (
+        short_number(value, digits)
+        if isinstance(value, float)
+        else str(value).lower()
+        if isinstance(value, bool)
+        else str(value)
+    )

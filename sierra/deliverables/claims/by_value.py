@@ -18,6 +18,7 @@ from sierra.deliverables.run_statistics import statistics, values_of_runs
 from sierra.errors import UsageError
 from sierra.stats.words import named
 from sierra.store.store import Store
+from sierra.util.text import digits_apart, short_number
 
 
 def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue, batches: Mapping[str, str]) -> Found:
@@ -64,7 +65,10 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
             runs=each,
             notes=notes,
         )
-    text = f"{what} = {estimate:.6g}{unit}, 95 % CI [{low:.6g}, {high:.6g}], {expected}"
+    digits = digits_apart([estimate, low, high, value.expected])
+    known, least, most = (short_number(one, digits) for one in (estimate, low, high))
+    expected = f"expected {short_number(value.expected, digits)} ± {short_number(margin)}{unit}"
+    text = f"{what} = {known}{unit}, 95 % CI [{least}, {most}], {expected}"
     verdict = decide(low, high, value.expected - margin, value.expected + margin)
     return Found(verdict, text, n, estimate, low, high, runs=each, notes=notes)
 

@@ -35,6 +35,7 @@ from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
 from sierra.stats import rates, student_t
 from sierra.stats.rates import Interval, square_and_add
+from sierra.util.text import digits_apart, short_number
 
 
 class Change(StrEnum):
@@ -129,7 +130,8 @@ def _by_margin(asked: ClaimedValue, now: Evaluated, before: ClaimInBaseline) -> 
         return Changed(now.name, now.says, Change.cannot_tell, missing, now)
     margin = distance(asked.regression or 0.0, before.value)
     found = change(before, now, asked.statistic)
-    what = f"{now.value:.6g} instead of {before.value:.6g}"
+    digits = digits_apart([now.value, before.value])
+    what = f"{short_number(now.value, digits)} instead of {short_number(before.value, digits)}"
     if found is None:
         return Changed(now.name, now.says, Change.cannot_tell, f"{what}; the runs are too few for an interval", now)
     difference, low, high = found

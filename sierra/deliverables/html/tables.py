@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.deliverables.html.escaping import Data, text
+from sierra.util.arrow_columns import values_of
+from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -37,7 +39,7 @@ class Table:
 def of_arrow(name: str, table: pa.Table, *, most: int, headers: Mapping[str, str] | None = None) -> Table:
     """Return the first `most` rows of a pyarrow table; `headers` has other headers for columns."""
     shown = table.slice(0, most)
-    columns = tuple([_cell(value) for value in column.to_pylist()] for column in shown.columns)
+    columns = tuple([_cell(value) for value in values_of(column)] for column in shown.columns)
     lacking = f"the first {most:,} of {table.num_rows:,} rows" if table.num_rows > most else ""
     return Table(name, tuple((headers or {}).get(name, name) for name in table.column_names), columns, lacking)
 
@@ -65,8 +67,9 @@ def _lines(table: Table, place: int) -> Iterator[str]:
     heads = zip(table.headers, table.columns, strict=True)
     yield f"<thead><tr>{''.join(_head_element(header, column) for header, column in heads)}</tr></thead>"
     yield "<tbody>"
+    digits = [digits_apart(column[:SHOWN]) for column in table.columns]
     for row in zip(*(column[:SHOWN] for column in table.columns), strict=True):
-        yield "<tr>" + "".join(map(_cell_element, row)) + "</tr>"
+        yield "<tr>" + "".join(map(_cell_element, row, digits)) + "</tr>"
     yield "</tbody></table></div></details>"
 
 
@@ -75,17 +78,17 @@ def _head_element(header: str, column: Sequence[Cell]) -> str:
     return f'<th scope="col" dir="auto"{kind}>{text(header)}</th>'
 
 
-def _cell_element(value: Cell) -> str:
+def _cell_element(value: Cell, digits: int) -> str:
     if isinstance(value, str):
         return f'<td dir="auto">{text(value)}</td>'
-    return f'<td class="number">{_number(value)}</td>'
+    return f'<td class="number">{_number(value, digits)}</td>'
 
 
-def _number(value: int | float | None) -> str:
-    """Return a number with at most six significant digits; whole numbers have all of theirs."""
+def _number(value: int | float | None, digits: int) -> str:
+    """Return a number with at most this many significant digits; whole numbers have all of theirs."""
     if value is None:
         return ""
-    return (f"{value:.6g}" if isinstance(value, float) else str(value)).replace("-", "−")
+    return (short_number(value, digits) if isinstance(value, float) else str(value)).replace("-", "−")
 
 
 def exact(value: Cell) -> Cell:

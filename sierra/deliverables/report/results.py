@@ -26,7 +26,7 @@ from sierra.store import deliverable_records
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.util.hashing import short
-from sierra.util.text import few
+from sierra.util.text import digits_apart, few, short_number
 
 WIDTH = re.compile(rb'<svg\b[^>]*? width="([0-9.]+)pt"')
 WIDE = 400.0
@@ -144,15 +144,17 @@ def _value(chart: Chart, row: int) -> str:
     value = columns[chart.y.column][row]
     if not isinstance(value, int | float):
         return ""
-    at = f" at {_short(columns[chart.x.column][row])}" if chart.x.column >= 0 else ""
+    at = f" at {_short(columns[chart.x.column][row], [])}" if chart.x.column >= 0 else ""
     ends = [columns[k][row] for k in (chart.low, chart.high) if k >= 0]
     known = [end for end in ends if isinstance(end, int | float)]
-    interval = f" (interval {_short(known[0])} to {_short(known[1])})" if len(known) == 2 else ""
-    return f"{_short(value)}{interval}{at}"
+    every = [value, *known]
+    interval = f" (interval {_short(known[0], every)} to {_short(known[1], every)})" if len(known) == 2 else ""
+    return f"{_short(value, every)}{interval}{at}"
 
 
-def _short(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def _short(value: object, beside: Sequence[object]) -> str:
+    """Return a value in short, with as many digits as tell it from those beside it."""
+    return short_number(value, digits_apart(beside, 4)) if isinstance(value, float) else str(value)
 
 
 def table_section(state: BatchState, place: Place) -> tuple[Section | None, list[str]]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from sierra.deliverables.html.elements import Markup, element
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, filled_table, note, sql, table
+from sierra.util.text import digits_apart, short_number
 
 ROBOTS = """
 SELECT r.robot, r.robot_group AS part, string_agg(DISTINCT r.machine, ', ') AS machine,
@@ -71,7 +72,11 @@ def lines(state: BatchState, place: Place) -> Iterator[Markup]:
         return
     found = state.store.select(_Robot, ROBOTS, b=state.id)
     yield element(place.inner, "Robots")
-    rows = [tuple(f"{value:.3g}" if isinstance(value, float) else value for value in one) for one in found[:SHOWN]]
+    digits = [digits_apart(column, 3) for column in zip(*found[:SHOWN], strict=True)]
+    rows = [
+        tuple(short_number(value, many) if isinstance(value, float) else value for value, many in zip(one, digits, strict=True))
+        for one in found[:SHOWN]
+    ]
     yield filled_table(HEADERS, rows, "Robots of the executions that count", NUMBERS)
     if len(found) > SHOWN:
         yield note(f"The first {SHOWN} of {len(found)} robots are listed.")

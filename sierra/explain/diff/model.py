@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import TypeAlias
 
 from sierra.util.json_types import Json
-from sierra.util.text import few
+from sierra.util.text import DIGITS, digits_apart, few, short_number
 
 Compared: TypeAlias = "bool | int | float | str | datetime | Sequence[Compared] | Mapping[str, Compared] | None"
 """A value that is compared. JSON texts are compared by their parts."""
@@ -101,17 +101,19 @@ def changed(kind: str, name: str, was: Compared, now: Compared, *, called: str =
     called = called or name
     old, new = _parsed(was), _parsed(now)
     parts = tuple(_parts(old, new))
-    line = "; ".join(parts) if len(parts) == 1 else f"{len(parts)} differ" if parts else f"{shown(old)} {ARROW} {shown(new)}"
+    digits = digits_apart([old, new])
+    pair = f"{shown(old, digits)} {ARROW} {shown(new, digits)}"
+    line = "; ".join(parts) if len(parts) == 1 else f"{len(parts)} differ" if parts else pair
     yield Difference(kind, name, f"{called}: {line}", was, now, parts if len(parts) > 1 else ())
 
 
-def shown(value: object) -> str:
+def shown(value: object, digits: int = DIGITS) -> str:
     """Return a value for a line."""
     match value:
         case None | "":
             return "nothing"
         case float():
-            return f"{value:.6g}"
+            return short_number(value, digits)
         case list() | tuple():
             items = [shown(one) for one in value]
             return few(items, SHOWN if len(items) > MANY else MANY) or "nothing"
@@ -129,7 +131,8 @@ def _parts(was: Compared, now: Compared) -> Iterator[str]:
             old, new = dict(flat(was)), dict(flat(now))
             for key in dict.fromkeys((*old, *new)):
                 if old.get(key) != new.get(key):
-                    yield f"{key} {shown(old.get(key))} {ARROW} {shown(new.get(key))}"
+                    digits = digits_apart([old.get(key), new.get(key)])
+                    yield f"{key} {shown(old.get(key), digits)} {ARROW} {shown(new.get(key), digits)}"
         case list(), list() if len(was) + len(now) > 6:
             more, less = ([one for one in a if one not in b] for a, b in ((now, was), (was, now)))
             items = [*(f"+{shown(one)}" for one in more), *(f"−{shown(one)}" for one in less)]

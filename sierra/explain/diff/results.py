@@ -29,7 +29,7 @@ from sierra.stats.rates import Interval, square_and_add
 from sierra.store.samples import Frame, names_time
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
-from sierra.util.text import counted, few
+from sierra.util.text import counted, digits_apart, few, short_number
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -315,7 +315,9 @@ def _where(side: Side, place: int) -> str:
 
 def _compared(was: Mean, now: Mean, interval: tuple[float, float] | None) -> str:
     spread = f"95 % interval {interval[0]:+.4g} to {interval[1]:+.4g}" if interval else "no interval"
-    return f"{was.mean:.6g} {ARROW} {now.mean:.6g} ({now.mean - was.mean:+.4g}, {spread}, n = {was.n} and {now.n})"
+    digits = digits_apart([was.mean, now.mean])
+    means = f"{short_number(was.mean, digits)} {ARROW} {short_number(now.mean, digits)}"
+    return f"{means} ({now.mean - was.mean:+.4g}, {spread}, n = {was.n} and {now.n})"
 
 
 def newcombe(was: Mean, now: Mean) -> tuple[float, float] | None:

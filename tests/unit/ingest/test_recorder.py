@@ -853,12 +853,13 @@ def all_notes(patch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
 def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     toml = '[outputs.declared]\nfile = "d/*.csv"\n'
     lines = "for folder in ('d', 'logs'): os.mkdir(folder); write(good, folder + '/1.csv'); write(good, folder + '/2.csv')"
-    run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write('', 'a.txt')", toml))
+    run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write(good, 'x_y.tsv'); write('', 'a.txt')", toml))
     assert noted() == [
+        "'x_y.csv' makes the table 'x_y_2', because the table 'x_y' is that of 'x-y'",
         "'logs/1.csv' and 1 others are kept as files: undeclared and in a subfolder "
         '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
-        "'x_y.csv' is kept as a file: undeclared, and another file already makes the table of that name "
-        '([outputs.NAME] file = "x_y.csv" makes it a table)',
+        "'x_y.tsv' is kept as a file: undeclared, and another file already makes the table of that name "
+        '([outputs.NAME] file = "x_y.tsv" makes it a table)',
     ]
 
 
