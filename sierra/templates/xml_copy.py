@@ -54,12 +54,14 @@ class XmlCopy:
         match change:
             case Set():
                 text = view.legal(filled(change.value), change)
-                places = view.places(change)
-                self._check_read(place.element for place in places)
-                for place in places:
-                    was = place.read()
-                    if was is None or not same(was, text):
-                        self._write(place, text)
+                slots = view.slots(change, self._was)
+                self._check_read(slot.places[0].element for slot in slots)
+                for slot in slots:
+                    values = [place.read() for place in slot.places]
+                    if None in values or not same("".join(value or "" for value in values), text):
+                        for place, part in slot.parts(text):
+                            if place.read() != part:
+                                self._write(place, part)
             case Add():
                 parents = view.elements(change)
                 self._check_read(parents)
@@ -84,6 +86,11 @@ class XmlCopy:
                     self._renamed.add(element)
         if not isinstance(change, Set) or change.attribute:
             self._declares = declarations(view.root) != view.namespaces
+
+    def _was(self, place: Place) -> str:
+        """Return the text that a place has in the file."""
+        self._check_read([place.element])
+        return self._scan.was(Place(self._originals[place.element], place.kind))
 
     def _check_read(self, elements: Iterable[Element]) -> None:
         if any(element not in self._originals for element in elements):
