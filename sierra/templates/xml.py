@@ -42,7 +42,6 @@ from sierra.errors import ConfigError, TemplateError
 from sierra.model import Change, Set, Value
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
-from sierra.templates.same_number import same
 from sierra.templates.xml_copy import XmlCopy
 from sierra.templates.xml_scan import Edit, Edits, Scan, Unspliced
 from sierra.templates.xml_view import Place, Slot, View, differ, value_of, who
@@ -246,7 +245,7 @@ class _Made:
 def _written(scan: Scan, slot: Slot, edits: Edits, text: str) -> Iterator[tuple[Place, Edit]]:
     """Yield the places where a new value changes edits; none if the value before spells the same number."""
     values = [edits[place].value for place in slot.places]
-    if None not in values and same("".join(value or "" for value in values), text):
+    if slot.keeps(values, text):
         return
     for place, part in slot.parts(text):
         if edits[place].value != part:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator
 from lxml import etree
 
 from sierra.model import Add, Change, Remove, Rename, Set
-from sierra.templates.same_number import same
 from sierra.templates.xml_markup import attributes, decoded, name_in, tag_end
 from sierra.templates.xml_scan import Edits, Scan, Unspliced, prefix_of
 from sierra.templates.xml_view import XML, Element, Place, View, declarations, is_text, parser, reason
@@ -58,7 +57,7 @@ class XmlCopy:
                 self._check_read(slot.places[0].element for slot in slots)
                 for slot in slots:
                     values = [place.read() for place in slot.places]
-                    if None in values or not same("".join(value or "" for value in values), text):
+                    if not slot.keeps(values, text):
                         for place, part in slot.parts(text):
                             if place.read() != part:
                                 self._write(place, part)

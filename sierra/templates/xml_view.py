@@ -15,6 +15,7 @@ from sierra.errors import TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
+from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
 from sierra.templates.xml_markup import Source
 from sierra.util.text import one_line
@@ -123,6 +124,15 @@ class Slot:
     places: tuple[Place, ...]
     main: int = 0
     """The index of the place where a value is written. The other texts become empty, because readers join all of them."""
+
+    def keeps(self, was: Sequence[str | None], now: str) -> bool:
+        """Return True if a new value spells the number of its places. Raises ValueError if programs would not read a number."""
+        if None in was:
+            return False
+        value = "".join(text or "" for text in was)
+        if why := is_lost(value, now):
+            raise ValueError(f"the number {one_line(value)} cannot become {one_line(now)}; {why}")
+        return same(value, now)
 
     def parts(self, value: str) -> Iterator[tuple[Place, str]]:
         """Yield what each place holds when a value is set."""

@@ -118,6 +118,8 @@ def test_an_invalid_file_is_refused_with_its_place(format: str, text: str, messa
         ("ini", "[s]\na = 1\n", Add("/s", '{"b": [1]}'), "cannot contain a list; INI has texts only"),
         ("ini", "[s]\na = 1\n", Rename("//a", "b=c"), "cannot get the key 'b=c'"),
         ("json", JSON, Set("//nothing", "1"), "is null, which has no type"),
+        ("json", JSON, Add("/robots", '{"x": 1e-400}'), "cannot contain 1e-400; it is too close to 0"),
+        ("json", '{"a": 0.5}', Set("/a", "9" * 350), "cannot become 9999999999999999999999999999999999999999; it is too large"),
     ],
 )
 def test_a_change_that_a_format_cannot_write_is_refused(format: str, text: str, change: Change, message: str) -> None:
@@ -125,6 +127,35 @@ def test_a_change_that_a_format_cannot_write_is_refused(format: str, text: str, 
         make(format, text).changed((change,), {})
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["1e400", "-1e400", "1e-400", "-1e-400", "0." + "0" * 330 + "1"])
+@pytest.mark.parametrize(
+    ("format", "data", "path"),
+    [
+        ("json", '{"a": 0.5, "i": 3}', "/*"),
+        ("yaml", "a: 0.5\ni: 3\n", "/*"),
+        ("toml", "a = 0.5\ni = 0x1e\n", "/*"),
+        ("ini", "[s]\na = 0.5\n", "//a"),
+        ("properties", "a = 0.5\n", "/a"),
+        ("xml", "<r><a b='0.5'/></r>", "//@b"),
+        ("xml", "<r><a>0</a></r>", "//a"),
+        ("xml", "<r><a/></r>", "//a | //@b"),
+    ],
+)
+def test_a_number_that_floats_cannot_represent_is_refused_in_place_of_a_number(
+    format: str, data: str, path: str, text: str
+) -> None:
+    template = make(format, data)
+    if not any(template.find(path)):
+        assert text in rendered(template, Set(path, text)), "a text stays a text"
+        return
+    for change in (Set(path, text), Set(path, "{n}")):
+        with pytest.raises(TemplateError, match=r"too large|too close to 0") as refused:
+            template.changed((), {}).per_run([change])({"n": text})
+        assert "\n" not in str(refused.value)
+        assert text[:30] in str(refused.value)
+    assert rendered(template, Set(path, "1e-310")) == rendered(template, Set(path, "{n}"), n="1e-310")
 
 
 def quoted(key: str) -> str:
