@@ -172,6 +172,8 @@ class _Reader:
             child.key = key.value if key else None
             child.keys = [(key.start, key.end)] if key else []
             child.entries = [(key.start if key else child.start, child.end)]
+            if key and key.value == "<<" and not key.style:
+                _forbid(child, "is merged by <<, where programs may ignore it; write it beside the key <<")
             node.children.append(child)
             size += its_size
         return node, size
@@ -222,6 +224,13 @@ class _Reader:
         place = mark.index if mark is not None else getattr(error, "position", 0)
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or error
         return failure(self._name, self._text, place, f"not YAML: {problem}")
+
+
+def _forbid(node: Node, why: str) -> None:
+    """Forbid changes of a node and all that is in it."""
+    node.why = node.why or why
+    for child in node.children:
+        _forbid(child, why)
 
 
 def _kind(plain: str) -> Kind:
