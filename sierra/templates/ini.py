@@ -173,7 +173,7 @@ class _Reader:
     def _pair(self, section: Node | None, line: str, start: int, end: int) -> None:
         sign = _SIGN.search(line)
         key = line[: sign.start()].strip() if sign else ""
-        if sign is None or not key:
+        if sign is None or not key or (self._sections and key[0] == "["):  # some programs read `[a]=1` as a section
             raise self._wrong(start, "neither a key with a value nor a section")
         if section is None:
             raise self._wrong(start, "a key before the first section; set template_format to properties if there are none")

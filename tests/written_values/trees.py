@@ -42,7 +42,9 @@ WORDS = [
 ]
 NUMBERS = st.integers(-(10**20), 10**20).map(str) | st.floats(allow_nan=False, allow_infinity=False).map(repr)
 VALUES = st.one_of(NUMBERS, NUMBERS, st.sampled_from(WORDS), st.text(max_size=6))
-KEYS = st.sampled_from(["a", "b", "my key", "c.d", "é", "", "1", "true", "x-y", "<<", "#", "a:", "~", '"', "\u2028"])
+KEYS = st.sampled_from(
+    ["a", "b", "0x1", "yes", "null", "my key", "c.d", "é", "", "1", "true", "x-y", "<<", "#", "a:", "~", '"', "\u2028"]
+)
 NEWLINES = st.sampled_from(["\n", "\r\n"])
 MARKS = st.sampled_from([b"", b"", b"\xef\xbb\xbf"])
 
@@ -166,7 +168,7 @@ def in_yaml(draw: st.DrawFn) -> Document:
     wholes = numbered(draw, ["wholeN"])
 
     def key(text: str) -> str:
-        plain = text in ("a", "b", "my key", "c.d", "é", "x-y", "<<")
+        plain = text in ("a", "b", "my key", "c.d", "é", "x-y", "<<", "1", "0x1", "true", "yes", "~", "null")
         return text if plain and draw(st.booleans()) else json.dumps(text, ensure_ascii=False).replace("\u2028", "\\L")
 
     def flow(shape: Any) -> str:
