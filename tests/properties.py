@@ -1,17 +1,20 @@
-"""Properties that few random examples check in the quick tier, and many in the nightly tier."""
+"""Properties that few random examples check in the quick tier, many in the nightly tier, and others in each soak."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, seed, settings
 from hypothesis.strategies import SearchStrategy
 
 QUICK = 20
 NIGHTLY = 500
+ANY_SPEED = (HealthCheck.too_slow,)
+"""Health checks that depend on the load of the machine."""
 
 
 def given_in_tiers(
@@ -21,7 +24,7 @@ def given_in_tiers(
 
     def decorated(test: Callable[..., None]) -> Callable[..., None]:
         def run(examples: int, **others: object) -> None:
-            settings(max_examples=examples)(given(*strategies)(test))(**others)
+            settings(max_examples=examples, suppress_health_check=ANY_SPEED)(given(*strategies)(test))(**others)
 
         run.__name__, run.__doc__, run.__module__ = test.__name__, test.__doc__, test.__module__
         run.pytestmark = list(getattr(test, "pytestmark", []))  # type: ignore[attr-defined]
@@ -34,3 +37,23 @@ def given_in_tiers(
         return marked
 
     return decorated
+
+
+@dataclass(frozen=True, slots=True)
+class Property:
+    """A claim about random values: a test, and one of `tests.soak.properties`."""
+
+    name: str
+    strategies: tuple[SearchStrategy[Any], ...]
+    claim: Callable[..., None]
+
+    def tests(self, quick: int = QUICK) -> Callable[..., None]:
+        """Return the test of the claim in both tiers."""
+        return given_in_tiers(*self.strategies, quick=quick)(self.claim)
+
+    def check(self, chosen: int, examples: int) -> None:
+        """Check examples that follow from a seed alone. Raises the error of the simplest example that fails."""
+        setting = settings(
+            max_examples=examples, database=None, deadline=None, suppress_health_check=ANY_SPEED, derandomize=False
+        )
+        setting(seed(chosen)(given(*self.strategies)(self.claim)))()

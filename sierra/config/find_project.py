@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from sierra.errors import ConfigError, Missing
 from sierra.store.layout import CONFIG, PYPROJECT, STORE
+from sierra.util.float_range import out_of_range
 
 WITHOUT_STORE = (".gitignore", "try")
 """The contents of a store's folder that make no store: `sierra try` leaves them."""
@@ -90,6 +91,13 @@ def content(file: Path) -> bytes:
 
 def _parsed(data: bytes, file: Path) -> dict[str, object]:
     try:
-        return tomllib.loads(data.decode())
+        return tomllib.loads(data.decode(), parse_float=lambda text: _float(text, file))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
+
+
+def _float(text: str, file: Path) -> float:
+    """Return a number of a TOML file. Raises ConfigError for one that would become infinite, or 0."""
+    if why := out_of_range(text):
+        raise ConfigError(f"{file}: the number {text[:40]} is outside the range of floats: {why}")
+    return float(text)

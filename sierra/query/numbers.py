@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import re
 from fractions import Fraction
 
 from sierra.errors import QueryError
+from sierra.util.float_range import out_of_range
 
 DIGITS = 40
 """Maximum number of characters of a number, so that parsing is always fast."""
@@ -18,10 +18,10 @@ _LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
 
 def decimal(word: str) -> float:
     """Return the float nearest to a number. Raises QueryError."""
-    exact, number = fraction(word), float(word)
-    if math.isinf(number) or (exact and not number):
+    fraction(word)
+    if out_of_range(word):
         raise QueryError(f"{word} is outside the range of floats; use a number from 1e-307 to 1e308")
-    return number + 0.0  # -0.0 becomes 0.0
+    return float(word) + 0.0  # -0.0 becomes 0.0
 
 
 def whole(word: str) -> int:

@@ -3,8 +3,9 @@
 A text is literal except for `{expression}`; `{{` and `}}` are literal braces. An expression may contain numbers, the given
 names, `+ - * / // % **`, parentheses, the functions in FUNCTIONS, and `pi` (unless it is a given name). It has the same meaning
 as in Python, with two differences. A division of whole numbers with a whole result is whole (`{8 / 2}` is `4`, `{7 / 2}` is
-`3.5`). No intermediate value may be infinite, not a number, complex, or a whole number of more than MAX_BITS bits. Whole
-numbers are written with all their digits, others as Python's `repr`. A single name may also stand for a text: `{scenario}`.
+`3.5`). No intermediate value may be infinite, not a number, complex, or a whole number of more than MAX_BITS bits. A result
+that is not 0, but too close to 0 for a float, is refused; within `1 + exp(-1000)` it is 0. Whole numbers are written with all
+their digits, others as Python's `repr`. A single name may also stand for a text: `{scenario}`.
 
 Python's `eval` is not used: the syntax tree is walked, and everything that is not listed here is refused.
 """
@@ -23,6 +24,7 @@ from functools import lru_cache
 
 from sierra.errors import ConfigError
 from sierra.model import Value
+from sierra.util.float_range import TOO_LARGE, TOO_SMALL, out_of_range
 
 MAX_LENGTH = 200
 """Maximum number of characters of one expression; this limits its nesting depth."""
@@ -58,8 +60,12 @@ def names(text: str) -> frozenset[str]:
 
 
 def number(expression: str, values: Mapping[str, Value]) -> Number:
-    """Return the value of one expression without braces. Raises ConfigError if it has no finite value."""
-    return _number(_single(expression), values)
+    """Return the value of one expression without braces. Raises ConfigError if it has no finite value.
+
+    A value that is too close to 0 for a float is 0, as a prediction needs it; `fill` refuses it.
+    """
+    result = _number(_single(expression), values)
+    return 0.0 if isinstance(result, _Vanished) else result
 
 
 def names_in(expression: str) -> frozenset[str]:
@@ -110,6 +116,10 @@ def _tree(source: str, shown: str) -> ast.expr:
             f"{shown!r} is not an expression; write one such as {{n * 2}}, or {{{{ and }}}} for braces"
         ) from error
     _allow(tree, shown)
+    for node in ast.walk(tree):
+        literal = ast.get_source_segment(source, node) if isinstance(node, ast.Constant) else None
+        if literal and isinstance(node, ast.Constant) and isinstance(node.value, float) and out_of_range(literal) == TOO_SMALL:
+            raise ConfigError(f"{shown!r} has no value: {literal} is too close to 0")
     return tree
 
 
@@ -147,14 +157,17 @@ def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
         return known
     if type(known) is int and -_PLAIN < known < _PLAIN:  # usually a seed; this fast path matters for 100,000 runs
         return repr(known)
-    return repr(_number(expression, values))
+    result = _number(expression, values)
+    if isinstance(result, _Vanished):
+        raise ConfigError(f"{expression.text!r} has no value: {TOO_SMALL}")
+    return repr(result)
 
 
 def _number(expression: _Expression, values: Mapping[str, Value]) -> Number:
     try:
         return _value(expression.tree, values)
     except ArithmeticError as error:
-        reason = "division by zero" if isinstance(error, ZeroDivisionError) else "it is too large"
+        reason = "division by zero" if isinstance(error, ZeroDivisionError) else TOO_LARGE
         raise ConfigError(f"{expression.text!r} has no value: {reason}") from error
     except (ValueError, TypeError) as error:
         raise ConfigError(f"{expression.text!r} has no value: {error}") from error
@@ -175,12 +188,36 @@ def _value(node: ast.expr, values: Mapping[str, Value]) -> Number:
             return _bounded(number)
         case ast.UnaryOp(op=op):
             inner = _value(node.operand, values)
-            return -inner if isinstance(op, ast.USub) else inner
-        case ast.BinOp():
-            return _bounded(_OPERATORS[type(node.op)](_value(node.left, values), _value(node.right, values)))
+            return inner if isinstance(inner, _Vanished) else -inner if isinstance(op, ast.USub) else inner
+        case ast.BinOp(op=op):
+            left, right = _value(node.left, values), _value(node.right, values)
+            result = _bounded(_OPERATORS[type(op)](left, right))
+            return _Vanished() if result == 0 and _vanishes(op, left, right) else result
         case ast.Call(func=ast.Name(id=name)):
-            return _bounded(FUNCTIONS[name](*[_value(argument, values) for argument in node.args]))
+            arguments = [_value(argument, values) for argument in node.args]
+            result = _bounded(FUNCTIONS[name](*arguments))
+            vanished = name == "exp" or (name in _KEEPING and any(isinstance(one, _Vanished) for one in arguments))
+            return _Vanished() if result == 0 and vanished else result
     raise TypeError(f"{ast.unparse(node)!r} is not allowed")
+
+
+class _Vanished(float):
+    """A 0 in place of a number that is too close to 0 for a float."""
+
+
+_KEEPING = ("abs", "min", "max", "sin", "sqrt")
+"""Functions whose result is 0 only if an argument is."""
+
+
+def _vanishes(op: ast.operator, left: Number, right: Number) -> bool:
+    """Return True if the result 0 of an operation stands for a number that is not 0."""
+    lost = isinstance(left, _Vanished) or isinstance(right, _Vanished)
+    match op:
+        case ast.Mult():
+            return all(value or isinstance(value, _Vanished) for value in (left, right))
+        case ast.Div() | ast.Pow():
+            return bool(left) or isinstance(left, _Vanished)
+    return lost and isinstance(op, ast.Add | ast.Sub)
 
 
 def _named(name: str, values: Mapping[str, Value]) -> Number:

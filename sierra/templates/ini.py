@@ -2,9 +2,10 @@
 
 There is no standard. SIERRA reads what programs read alike: `=` or `:` after a key, comments on lines of their own, values with
 or without quotes. All values are texts. A value that programs read in different ways cannot be set: it continues on the next
-line, may contain a comment, or has escapes.
+line, may contain a comment, or has escapes. White space at the end of a line of properties, which Java reads, is replaced too.
 
-Refused: sections and keys that occur twice, in INI keys before the first section, in properties sections, and other lines.
+Refused: sections and keys that occur twice, in INI keys before the first section, in properties sections, carriage returns that
+are not part of a line end, and other lines.
 """
 
 from __future__ import annotations
@@ -19,6 +20,10 @@ _LINE = re.compile(r"[^\n]*\n?")
 _HEADER = re.compile(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")
 _SIGN = re.compile("[=:]")
 _COMMENT = re.compile(r"(?:^|\s)[#;]")
+_LONE_RETURN = re.compile(r"\r(?!\n)")
+_REFERENCE = re.compile(r"%[%(]")
+"""A `%` that Python's configparser replaces."""
+_BLANKS = " \t\f\r\n"
 _KEY = re.compile(r"[\w.*\[\]-]+")
 
 
@@ -33,7 +38,9 @@ class IniNotation:
         return _Reader(text, name, self.name, sections=self._sections).document()
 
     def text(self, node: Node, text: str) -> str:
-        return self._written(text, node.style)
+        if node.style.endswith(":") and "=" in text:
+            raise Unfit(f"cannot become {text!r} behind a colon; programs would read it in different ways")
+        return self._written(text, node.style.rstrip(":"))
 
     def number(self, node: Node, text: str) -> str:
         return text
@@ -73,7 +80,8 @@ class IniNotation:
 
     def _written(self, text: str, quote: str) -> str:
         """Return a text as a value, if all programs read it alike."""
-        plain = text.isprintable() and not _COMMENT.search(text) and "\\" not in text and (self._sections or text.isascii())
+        plain = text.isprintable() and not _COMMENT.search(text) and "\\" not in text
+        plain = plain and (not _REFERENCE.search(text) if self._sections else text.isascii())
         delimited = quote not in text if quote else text == text.strip() and text[:1] not in ("'", '"')
         if not plain or not delimited:
             raise Unfit(f"cannot become {text!r}; programs would read it in different ways")
@@ -107,10 +115,17 @@ class _Reader:
 
     def document(self) -> Node:
         section = None if self._sections else self._root
+        if alone := _LONE_RETURN.search(self._text):
+            what = "a carriage return, which some programs read as the end of the line; end lines with \\n or \\r\\n"
+            raise self._wrong(alone.start(), what)
         for match in _LINE.finditer(self._text):
             start, end = match.span()
             line = match[0].rstrip()
-            if self._is_filler(line) or self._continues(line, start, end) or line.lstrip()[0] in "#!":
+            if self._is_filler(line) or self._continues(line, start, end):
+                continue
+            if line.lstrip()[0] in "#!":
+                if self._sections:  # some programs read a key, which an indented line continues
+                    self._last, self._indent = Node(Kind.UNTYPED, start, end, entries=[(start, end)]), _indent(line)
                 continue
             if header := _HEADER.fullmatch(line):
                 section = self._section(header, start, end)
@@ -129,7 +144,7 @@ class _Reader:
 
     def _continues(self, line: str, start: int, end: int) -> bool:
         """Note that a line continues the value before it."""
-        last, indent = self._last, len(line) - len(line.lstrip())
+        last, indent = self._last, _indent(line)
         if last is None:
             return False
         if self._sections and indent <= self._indent:
@@ -158,25 +173,46 @@ class _Reader:
     def _pair(self, section: Node | None, line: str, start: int, end: int) -> None:
         sign = _SIGN.search(line)
         key = line[: sign.start()].strip() if sign else ""
-        if sign is None or not key:
+        if sign is None or not key or (self._sections and key[0] == "["):  # some programs read `[a]=1` as a section
             raise self._wrong(start, "neither a key with a value nor a section")
         if section is None:
             raise self._wrong(start, "a key before the first section; set template_format to properties if there are none")
         if (section, key) in self._known:
             raise self._wrong(start, f"the key {key!r} occurs twice")
         self._known.add((section, key))
-        indent, written = len(line) - len(line.lstrip()), line[sign.end() :]
+        indent, written = _indent(line), line[sign.end() :]
         node = _value(written.strip(), start + len(line) - len(written.lstrip()))
-        if sign[0] == ":" and "=" in written:
-            node.why = "has : and =, which programs read in different ways; write it with = alone"
-        if not self._sections and "\\" in written:
-            node.why = "has an escape or continues on the next line; write it in the template without"
+        behind = self._text[start:end].rstrip("\r\n")[len(line) :]
+        node.why = self._doubt(line, key, sign[0], written, behind if node.style else "") or node.why
+        if written.strip() != written.strip(_BLANKS) or behind.strip(_BLANKS):
+            node.why = "has unusual white space around it, which programs read in different ways; use usual blanks"
+        if not self._sections:
+            node.end += len(behind)
+        node.style += ":" if sign[0] == ":" else ""
         node.key, node.keys, node.entries = key, [(start + indent, start + indent + len(key))], [(start, end)]
         section.children.append(node)
         self._last, self._indent = node, indent
 
+    def _doubt(self, line: str, key: str, sign: str, written: str, behind_quotes: str) -> str:
+        """Return why programs read a line in different ways; empty if they do not."""
+        if not self._sections and "\\" in line:
+            return "has an escape or continues on the next line; write it in the template without"
+        if not self._sections and re.search(r"\s", key):
+            return "has white space in its key, where some programs begin the value; write it without"
+        if not self._sections and behind_quotes:
+            return "has white space behind its quotes, which not all programs ignore; write it without"
+        if self._sections and written.endswith("\\"):
+            return "continues on the next line, which not all programs read; write it on one line"
+        if sign == ":" and "=" in written:
+            return "has : and =, which programs read in different ways; write it with = alone"
+        return ""
+
     def _wrong(self, place: int, what: str) -> Exception:
         return failure(self._name, self._text, place, f"not {self._format}: {what}")
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip())
 
 
 def _value(written: str, place: int) -> Node:

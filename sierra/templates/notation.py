@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from sierra.errors import TemplateError
+from sierra.util.float_range import TOO_LARGE, out_of_range
 from sierra.util.text import one_line
 
 Span = tuple[int, int]
@@ -121,7 +121,12 @@ def is_float(text: str) -> bool:
 
 def too_large(number: str) -> bool:
     """Return True for a number that no program reads exactly or as a finite float."""
-    return len(number) > LONGEST or (is_float(number) and math.isinf(float(number)))
+    return unfit_number(number) == TOO_LARGE
+
+
+def unfit_number(number: str) -> str:
+    """Return why programs would not read a new number as it is written; empty if they do."""
+    return TOO_LARGE if len(number) > LONGEST else out_of_range(number) if is_float(number) else ""
 
 
 def decoded(data: bytes, name: str) -> tuple[bytes, str]:

@@ -10,11 +10,14 @@ from __future__ import annotations
 import re
 from fractions import Fraction
 
+from sierra.util.float_range import out_of_range
+
 LONGEST = 60
 """Maximum number of characters of a text that may be a number."""
 _BLANKS = " \t\n\r\f\v"
 """White space that programs skip before a number; they do not skip a no-break space."""
 _NUMBER = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _VERSION = re.compile(r"\.[0-9]*[1-9]0+(?:[eE]|\Z)")
 """Decimals that end with zeros after other digits."""
 
@@ -29,6 +32,12 @@ def same(one: str, other: str) -> bool:
     if not (_is_number(one) and _is_number(other)) or one.startswith("-") != other.startswith("-"):
         return False
     return Fraction(one) == Fraction(other)
+
+
+def is_lost(was: str, now: str) -> str:
+    """Return why programs that read a number would not read the new one as it is written; empty if they do."""
+    old, new = was.strip(_BLANKS), now.strip(_BLANKS)
+    return out_of_range(new) if _is_number(old) and not out_of_range(old) and _DECIMAL.fullmatch(new) else ""
 
 
 def _is_number(text: str) -> bool:

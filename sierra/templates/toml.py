@@ -274,7 +274,7 @@ def _date(node: Node, text: str) -> str:
         old, new = (tomllib.loads(f"x = {written}")["x"] for written in (node.value, text))
     except (ValueError, RecursionError) as error:
         raise Unfit(f"is {node.value}, which cannot become {text!r}; use a date or time of the same kind") from error
-    local = getattr(old, "tzinfo", None) is not None and new.tzinfo is None
+    local = getattr(old, "tzinfo", None) is not None and getattr(new, "tzinfo", None) is None
     if type(old) is not type(new) or local or not _MOMENT.fullmatch(text):
         raise Unfit(f"is {node.value}, which cannot become {text!r}; use a date or time of the same kind")
     return text

@@ -27,8 +27,8 @@ from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
 from sierra.templates.data_view import Scan
 from sierra.templates.nearest_path import nearest
-from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, too_large
-from sierra.templates.same_number import same
+from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, unfit_number
+from sierra.templates.same_number import is_lost, same
 from sierra.util.hashing import sha256
 from sierra.util.text import one_line
 
@@ -171,6 +171,8 @@ class TreeDocument:
                     return current if current.value.lower() == text else Edit(text, text)
                 case Kind.UNTYPED if same(current.value, text):
                     return current
+                case Kind.UNTYPED if why := is_lost(current.value, text):
+                    raise Unfit(f"is the number {current.value}, which cannot become {text}; {why}")
             return Edit(notation.text(node, text), text)
         except Unfit as error:
             raise self._error(change, str(error)) from error
@@ -331,6 +333,8 @@ def _fill_all(node: Node, filled: Callable[[str], str]) -> None:
         node.value = filled(node.value)
         if whole and NUMBER.fullmatch(node.value):
             node.kind = Kind.NUMBER
+    if node.kind is Kind.NUMBER and (why := unfit_number(node.value)):
+        raise Unfit(f"cannot contain {node.value[:40]}; {why}")
     for child in node.children:
         _fill_all(child, filled)
 
@@ -339,9 +343,10 @@ def _number(node: Node, text: str) -> str:
     """Return a number in the type of a node. Raises Unfit."""
     if not NUMBER.fullmatch(text):
         raise Unfit(f"is the number {node.value}, which cannot become {text!r}; use a number")
-    if too_large(text):
-        raise Unfit(f"cannot become {text[:40]}; it is too large")
-    return f"{text}.0" if is_float(node.value) and not is_float(text) else text
+    written = f"{text}.0" if is_float(node.value) and not is_float(text) else text
+    if why := unfit_number(written):
+        raise Unfit(f"cannot become {text[:40]}; {why}")
+    return written
 
 
 def _filled(change: Set, filled: Callable[[str], str]) -> str:

@@ -5,6 +5,10 @@ matches. Every prefix that is declared anywhere in the document can be used (its
 namespace has the prefix `_`, as in `//_:robot/@name`. Content before and after the root element cannot be selected. A text and
 the CDATA sections beside it are one text.
 
+**Texts**: programs read all text of an element, also around comments and processing instructions. A set value takes the place
+of the first of these texts that is not blank, and the others become empty. An element with text beside child elements cannot be
+set, because programs read such a text in different ways; a path may select one of its texts.
+
 **Bytes**: the template is parsed once, with the place of each value. A set value replaces the bytes of its place, and all
 others stay as they are: also quotes, white space within tags, references such as `&#233;`, comments, CDATA and line ends. A
 number that is set to itself in another spelling stays too (see `sierra.templates.same_number`). A new value is written within
@@ -29,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, groupby
 from typing import AnyStr, ClassVar
 
 from sierra.config.field_types import Table
@@ -38,10 +42,9 @@ from sierra.errors import ConfigError, TemplateError
 from sierra.model import Change, Set, Value
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
-from sierra.templates.same_number import same
 from sierra.templates.xml_copy import XmlCopy
 from sierra.templates.xml_scan import Edit, Edits, Scan, Unspliced
-from sierra.templates.xml_view import Place, View, differ, is_text, who
+from sierra.templates.xml_view import Place, Slot, View, differ, value_of, who
 from sierra.util.hashing import sha256
 from sierra.util.text import one_line
 
@@ -61,8 +64,8 @@ class XmlTemplate:
         return XmlTemplate(rendered, name)
 
     def find(self, path: str) -> tuple[str, ...]:
-        """Return the text of each match; for an element, the text before its first child."""
-        return tuple(str(node) if is_text(node) else str(node.text or "") for node in self._document.view.select(path))
+        """Return the text of each match; for an element, the text before its first child element, without comments."""
+        return tuple(map(value_of, self._document.view.select(path)))
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
         return tuple(self._document.view.attributes())
@@ -137,12 +140,11 @@ class XmlDocument:
             for change in sets:
                 with self._told(change):
                     text = scan.view.legal(filled(change.value), change)
-                    for place in scan.view.places(change):
-                        was = edits.get(place) or scan.original(place)
-                        now = _written(scan, was, text)
-                        if now is not was:
-                            edits[place] = now
-                            shown.show(place, text)
+                    for slot in scan.view.slots(change, scan.was):
+                        was = {place: edits.get(place) or scan.original(place) for place in slot.places}
+                        for place, edit in _written(scan, slot, was, text):
+                            edits[place] = edit
+                            shown.show(place, edit.value or "")
         return XmlDocument(scan, edits)
 
     def _restructured(self, changes: Sequence[Change], filled: Callable[[str], str]) -> XmlDocument:
@@ -165,16 +167,16 @@ class XmlDocument:
     def _gapped(self, sets: Sequence[Set]) -> Callable[[Mapping[str, Value]], bytes]:
         """Split the document at the values that differ between runs, so that each run only fills these gaps."""
         scan, begin = self._scan, dict[Place, Edit]()
-        wanted: list[tuple[Set, list[Place]]] = []
+        wanted: list[tuple[Set, list[Slot]]] = []
         with scan.showing(self._edits) as shown:
             for change in sets:
                 with self._told(change):
                     text = scan.view.legal(_unfilled(change.value), change)
-                    places = scan.view.places(change)
-                    wanted.append((change, places))
-                    for place in places:
+                    slots = scan.view.slots(change, scan.was)
+                    wanted.append((change, slots))
+                    for place, part in chain.from_iterable(slot.parts(text) for slot in slots):
                         begin.setdefault(place, self._edits.get(place) or scan.original(place))
-                        shown.show(place, text)  # so that later paths find what it adds
+                        shown.show(place, part)  # so that later paths find what it adds
         every = {**self._edits, **begin}
         gaps, pieces = self._split(every, begin)
         places_changed, source = frozenset(every), scan.source
@@ -182,11 +184,11 @@ class XmlDocument:
 
         def render(values: Mapping[str, Value]) -> bytes:
             current = dict(begin)
-            for change, places in wanted:
+            for change, slots in wanted:
                 with self._told(change):
                     text = scan.view.legal(fill(change.value, values), change)
-                    for place in places:
-                        current[place] = _written(scan, current[place], text)
+                    for slot in slots:
+                        current.update(_written(scan, slot, current, text))
             tokens = [current[gap].token for gap in gaps]
             if source.piecewise:
                 made = source.mark + _joined(encoded, [source.encoded(token) for token in tokens], b"")
@@ -240,11 +242,14 @@ class _Made:
             return False
 
 
-def _written(scan: Scan, was: Edit, text: str) -> Edit:
-    """Return a new value in the place of an edit, or the edit itself if its value spells the same number."""
-    if was.value is not None and same(was.value, text):
-        return was
-    return scan.written(was.spot, text)
+def _written(scan: Scan, slot: Slot, edits: Edits, text: str) -> Iterator[tuple[Place, Edit]]:
+    """Yield the places where a new value changes edits; none if the value before spells the same number."""
+    values = [edits[place].value for place in slot.places]
+    if slot.keeps(values, text):
+        return
+    for place, part in slot.parts(text):
+        if edits[place].value != part:
+            yield place, scan.written(edits[place].spot, part)
 
 
 def _joined(pieces: Sequence[AnyStr], tokens: Sequence[AnyStr], nothing: AnyStr) -> AnyStr:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator
 from lxml import etree
 
 from sierra.model import Add, Change, Remove, Rename, Set
-from sierra.templates.same_number import same
 from sierra.templates.xml_markup import attributes, decoded, name_in, tag_end
 from sierra.templates.xml_scan import Edits, Scan, Unspliced, prefix_of
 from sierra.templates.xml_view import XML, Element, Place, View, declarations, is_text, parser, reason
@@ -54,12 +53,14 @@ class XmlCopy:
         match change:
             case Set():
                 text = view.legal(filled(change.value), change)
-                places = view.places(change)
-                self._check_read(place.element for place in places)
-                for place in places:
-                    was = place.read()
-                    if was is None or not same(was, text):
-                        self._write(place, text)
+                slots = view.slots(change, self._was)
+                self._check_read(slot.places[0].element for slot in slots)
+                for slot in slots:
+                    values = [place.read() for place in slot.places]
+                    if not slot.keeps(values, text):
+                        for place, part in slot.parts(text):
+                            if place.read() != part:
+                                self._write(place, part)
             case Add():
                 parents = view.elements(change)
                 self._check_read(parents)
@@ -84,6 +85,11 @@ class XmlCopy:
                     self._renamed.add(element)
         if not isinstance(change, Set) or change.attribute:
             self._declares = declarations(view.root) != view.namespaces
+
+    def _was(self, place: Place) -> str:
+        """Return the text that a place has in the file."""
+        self._check_read([place.element])
+        return self._scan.was(Place(self._originals[place.element], place.kind))
 
     def _check_read(self, elements: Iterable[Element]) -> None:
         if any(element not in self._originals for element in elements):

@@ -126,6 +126,12 @@ class Scan:
         spot = self._spots.get(place) or self._spots.setdefault(place, self._spot(place))
         return Edit(spot, self.source.text[spot.start : spot.end], place.read())
 
+    def was(self, place: Place) -> str:
+        """Return the text that a place has in the file, whatever the view shows now."""
+        mark = self.marks[place.element]
+        span = (mark.inner, mark.text_end) if place.kind == "text" else (mark.end, mark.tail_end)
+        return decoded(self.source.text[span[0] : span[1]], quoted=False) or ""
+
     def written(self, spot: Spot, value: str) -> Edit:
         """Return a value as it is written in a spot. Raises ValueError."""
         return Edit(spot, spot.before + self.token(value, spot.quote) + spot.after, value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias, TypeGuard
@@ -15,6 +15,7 @@ from sierra.errors import TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
+from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
 from sierra.templates.xml_markup import Source
 from sierra.util.text import one_line
@@ -26,6 +27,7 @@ Node: TypeAlias = Element | Text
 DEFAULT = "_"
 """The prefix that paths give to the document's default namespace."""
 XML = "http://www.w3.org/XML/1998/namespace"
+_BLANKS = " \t\r\n"
 
 
 def parser(encoding: str | None = None) -> etree.XMLParser:
@@ -115,13 +117,69 @@ class Place:
             self.element.set(self.name, text)
 
 
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """The places of one value: an attribute, or the texts that only comments and processing instructions separate."""
+
+    places: tuple[Place, ...]
+    main: int = 0
+    """The index of the place where a value is written. The other texts become empty, because readers join all of them."""
+
+    def keeps(self, was: Sequence[str | None], now: str) -> bool:
+        """Return True if a new value spells the number of its places. Raises ValueError if programs would not read a number."""
+        if None in was:
+            return False
+        value = "".join(text or "" for text in was)
+        if why := is_lost(value, now):
+            raise ValueError(f"the number {one_line(value)} cannot become {one_line(now)}; {why}")
+        return same(value, now)
+
+    def parts(self, value: str) -> Iterator[tuple[Place, str]]:
+        """Yield what each place holds when a value is set."""
+        for index, place in enumerate(self.places):
+            yield place, value if index == self.main else ""
+
+
 def place_of(node: Node) -> Place | None:
-    """Return the place of a selected node's text; None for comments and processing instructions."""
+    """Return the place of a selected node's value; None for comments and processing instructions.
+
+    Texts that only comments and processing instructions separate have one place: that of the first one.
+    """
     if not is_text(node):
         return Place(node, "text") if isinstance(node.tag, str) else None
     if node.is_attribute:
         return Place(node.getparent(), "attribute", node.attrname)
-    return Place(node.getparent(), "tail" if node.is_tail else "text")
+    if not node.is_tail:
+        return Place(node.getparent(), "text")
+    before = node.getparent()
+    while before.tag in _BETWEEN:
+        if before.getprevious() is None:
+            return Place(before.getparent(), "text")
+        before = before.getprevious()
+    return Place(before, "tail")
+
+
+_BETWEEN = (etree.Comment, etree.ProcessingInstruction)
+
+
+def texts_from(place: Place) -> Iterator[Place]:
+    """Yield a place and the places of the texts that only comments and processing instructions separate from it."""
+    yield place
+    if place.kind == "attribute":
+        return
+    node = next(iter(place.element), None) if place.kind == "text" else place.element.getnext()
+    while node is not None and node.tag in _BETWEEN:
+        yield Place(node, "tail")
+        node = node.getnext()
+
+
+def value_of(node: Node) -> str:
+    """Return the text of a selected node; for an element, the text before its first child element, without comments."""
+    if is_text(node):
+        return str(node)
+    if not isinstance(node.tag, str):
+        return str(node.text or "")
+    return "".join(place.read() or "" for place in texts_from(Place(node, "text")))
 
 
 def is_text(node: Node) -> TypeGuard[Text]:
@@ -199,18 +257,39 @@ class View:
         verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename"}[type(change)]
         return self.error(change, f"selects {_kind(node)}", f"; {verb} works on {wanted}")
 
-    def places(self, change: Set) -> list[Place]:
-        """Return the places where a `Set` writes."""
+    def slots(self, change: Set, was: Callable[[Place], str]) -> list[Slot]:
+        """Return the places where a `Set` writes. `was` returns the text that a place has in the file.
+
+        A value takes the place of the first text that is not blank in the file, so that it does not depend on earlier changes.
+        """
         if change.attribute is not None:
             attribute = change.attribute
-            return [Place(e, "attribute", self.clark(attribute, e, change)) for e in self.elements(change)]
-        places = []
+            return [Slot((Place(e, "attribute", self.clark(attribute, e, change)),)) for e in self.elements(change)]
+        slots = []
         for node in self.matches(change):
             place = place_of(node)
             if place is None:
                 raise self.unfit(change, node, "elements, attributes and texts")
-            places.append(place)
-        return places
+            places = tuple(texts_from(place))
+            if place.kind != "attribute":
+                self._check_alone(change, node, places, was)
+            texts = range(len(places)) if len(places) > 1 else ()
+            slots.append(Slot(places, next((index for index in texts if was(places[index]).strip(_BLANKS)), 0)))
+        return slots
+
+    def _check_alone(self, change: Set, node: Node, places: Sequence[Place], was: Callable[[Place], str]) -> None:
+        """Check that no other text or reference belongs to the value of a node."""
+        first, last = places[0].element, places[-1]
+        after = next(iter(first), None) if last == Place(first, "text") else last.element.getnext()
+        if references := [one for one in (first, after) if one is not None and one.tag is etree.Entity]:
+            raise self.error(
+                change, f"has the reference {references[0].text} beside its text", "; write its text there instead"
+            )
+        if not is_text(node) and any(isinstance(child.tag, str) for child in node):
+            texts = (Place(node, "text"), *(Place(child, "tail") for child in node))
+            if any(was(place).strip(_BLANKS) for place in texts):
+                more = "; set an element without child elements, or select one of its texts, as in text()[1]"
+                raise self.error(change, "has text beside child elements", more)
 
     def clark(self, name: str, element: Element, change: Change, namespace: str | None = None) -> str:
         """Return `p:name` or `name` as `{uri}name`. Raises TemplateError for an unknown prefix."""
@@ -241,8 +320,8 @@ class View:
                 continue
             for name, value in element.attrib.items():
                 yield f"{place}/@{self._qualified(name)}", value
-            if not len(element) and (element.text or "").strip():
-                yield place, element.text
+            if all(child.tag in _BETWEEN for child in element) and (value := value_of(element)).strip():
+                yield place, value
 
     def _calls(self, element: Element) -> Sequence[str]:
         """Return the possible names of an element in paths: its tag, with its name, with its id."""

@@ -4,8 +4,9 @@ Programs read YAML by version 1.1 or 1.2, which differ. SIERRA interprets nothin
 if both versions read the old value in the same way, and writes values that both read in the same way. A text that is not quoted
 stays so if it is a plain word; otherwise it gets double quotes.
 
-Refused: several documents, keys that occur twice, keys that are not single values, a document that its aliases expand to more
-than MOST nodes, and an alias within its own anchor. A value cannot be set if an alias repeats it elsewhere, or if it has a tag.
+Refused: several documents, keys that occur twice (also as `1` and `0x1`), keys that are not single values, a document that its
+aliases expand to more than MOST nodes, and an alias within its own anchor. A value cannot be set if an alias repeats it
+elsewhere, if `<<` merges it, or if it has a tag.
 """
 
 from __future__ import annotations
@@ -162,7 +163,7 @@ class _Reader:
         kind = Kind.MAPPING if isinstance(event, yaml.MappingStartEvent) else Kind.LIST
         flow = bool(event.flow_style)
         node = Node(kind, event.end_mark.index - 1 if flow else event.start_mark.index, 0, style="flow" if flow else "block")
-        size, keys = 1, set[str]()
+        size, keys = 1, set[object]()
         for inner in events:
             if isinstance(inner, yaml.MappingEndEvent | yaml.SequenceEndEvent):
                 node.end = inner.end_mark.index if flow else node.children[-1].end
@@ -172,17 +173,20 @@ class _Reader:
             child.key = key.value if key else None
             child.keys = [(key.start, key.end)] if key else []
             child.entries = [(key.start if key else child.start, child.end)]
+            if key and key.value == "<<" and not key.style:
+                _forbid(child, "is merged by <<, where programs may ignore it; write it beside the key <<")
             node.children.append(child)
             size += its_size
         return node, size
 
-    def _key(self, event: yaml.Event, keys: set[str]) -> Node:
+    def _key(self, event: yaml.Event, keys: set[object]) -> Node:
         if not isinstance(event, yaml.ScalarEvent):
             raise self._wrong(event, "a key must be a single value")
         node = self._scalar(event)
-        if node.value in keys:
+        names = {node.value, ("read as", node.value if node.style else _read_as(node.value))}
+        if not keys.isdisjoint(names):
             raise self._wrong(event, f"the key {node.value!r} occurs twice")
-        keys.add(node.value)
+        keys |= names
         return node
 
     def _scalar(self, event: yaml.ScalarEvent) -> Node:
@@ -222,6 +226,23 @@ class _Reader:
         place = mark.index if mark is not None else getattr(error, "position", 0)
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or error
         return failure(self._name, self._text, place, f"not YAML: {problem}")
+
+
+def _read_as(plain: str) -> object:
+    """Return a key without quotes as programs of YAML 1.1 read it: `0x1` is 1, and `yes` is true."""
+    if _kind(plain) is Kind.TEXT:
+        return plain
+    try:
+        return yaml.safe_load(plain)
+    except (yaml.YAMLError, ValueError):
+        return plain
+
+
+def _forbid(node: Node, why: str) -> None:
+    """Forbid changes of a node and all that is in it."""
+    node.why = node.why or why
+    for child in node.children:
+        _forbid(child, why)
 
 
 def _kind(plain: str) -> Kind:

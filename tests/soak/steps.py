@@ -20,6 +20,7 @@ import tests.soak.faults as faults
 from tests import projects
 from tests.soak.faults import Action, Ended, sierra
 from tests.soak.project import NAMES, QUERY, RAW, Differs, Wanted, check, content, left_over, make, recorded
+from tests.soak.properties import EXAMPLES, PROPERTIES
 
 OTHER = ("run", "noise=0.5", "--no-figures")
 CODES = (0, 1, 2, 3, 130)
@@ -249,6 +250,16 @@ def many_at_once(place: Place, wanted: Wanted) -> str:
     return "at once: " + "; ".join(" ".join(words[:2]) for words in called)
 
 
+def random_properties(place: Place, wanted: Wanted) -> str:
+    """Check all properties with random examples; the store of the step is not used."""
+    for one in PROPERTIES:
+        try:
+            one.check(place.chance.getrandbits(32), EXAMPLES)
+        except Exception as error:
+            raise Differs("\n    ".join([f"{one.name}: {error!r}", *getattr(error, "__notes__", [])])) from error
+    return f"{len(PROPERTIES)} properties"
+
+
 def _files_of_segments(root: Path) -> list[Path]:
     """List the files of all segments, in an order that does not depend on the segments' names."""
     folders = sorted((root / ".sierra" / "segments").iterdir(), key=lambda folder: folder.stat().st_mtime_ns)
@@ -265,6 +276,7 @@ STEPS: tuple[Callable[[Place, Wanted], str], ...] = (
     full_disk,
     jumping_clock,
     many_at_once,
+    random_properties,
 )
 
 

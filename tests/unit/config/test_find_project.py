@@ -24,3 +24,16 @@ def test_settings_that_are_not_a_table_are_refused(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text("[tool]\nsierra = 1\n")
     refused = quick(tmp_path, "ls")
     assert (refused.returncode, "tool.sierra must be a table" in refused.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("number", "why"),
+    [("1e400", "it is too large"), ("-1e-400", "it is too close to 0"), ("1_0.5e-40_0", "it is too close to 0")],
+)
+def test_a_number_that_floats_cannot_represent_is_refused(tmp_path: Path, number: str, why: str) -> None:
+    project = make(tmp_path / "project")
+    text = (project / "sierra.toml").read_text()
+    (project / "sierra.toml").write_text(f'{text}\n[scenarios.s]\nchanges = [{{ set = "//@n", value = {number} }}]\n')
+    refused = quick(project, "run", "population_size=1", "-n")
+    [line] = refused.stderr.splitlines()
+    assert line.endswith(f"sierra.toml: the number {number} is outside the range of floats: {why}")

@@ -186,6 +186,51 @@ def test_huge_and_infinite_results_are_refused_quickly(bomb: str) -> None:
     assert is_cheap(refused, 10)
 
 
+@pytest.mark.parametrize(
+    "vanishing",
+    [
+        "1e-400",
+        "-1e-400",
+        "1e-200 * 1e-200",
+        "1e-200 / 1e200",
+        "1 / 10 ** 308 / 10 ** 308",
+        "0.5 ** 2000",
+        "10 ** -400",
+        "exp(-1000)",
+        "-exp(-1000)",
+        "exp(-1000) * 1e300 + 0",
+        "max(0, exp(-1000))",
+        "tiny * tiny",
+    ],
+)
+def test_a_result_that_is_too_close_to_0_is_refused(vanishing: str) -> None:
+    with pytest.raises(ConfigError, match=r"has no value: .*too close to 0$"):
+        fill(f"{{{vanishing}}}", {"tiny": 1e-300})
+
+
+@pytest.mark.parametrize(
+    ("expression", "value"),
+    [
+        ("1 / (1 + exp(-1000))", "1.0"),
+        ("round(exp(-1000), 3)", "0.0"),
+        ("floor(exp(-1000))", "0"),
+        ("exp(-1000) * 0", "0.0"),
+        ("0 * 1e-300", "0.0"),
+        ("0.0 ** 2", "0.0"),
+        ("0 / 5", "0"),
+        ("1.5 - 1.5", "0.0"),
+        ("0e-400", "0.0"),
+        ("2e-310", "2e-310"),
+    ],
+)
+def test_a_result_that_is_0_or_not_affected_by_a_tiny_value_stays(expression: str, value: str) -> None:
+    assert fill(f"{{{expression}}}", {}) == value
+
+
+def test_a_prediction_that_is_too_close_to_0_is_0() -> None:
+    assert number("exp(-t)", {"t": 1000}) == 0.0
+
+
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 2**2000])
 def test_a_value_that_is_not_finite_is_refused(value: float) -> None:
     with pytest.raises(ConfigError):

@@ -73,6 +73,13 @@ def test_values_of_properties_with_escapes_are_not_set() -> None:
         make("properties", "a = 1\n").changed((Set("/a", "ü"),), {})
 
 
+def test_white_space_behind_a_value_of_properties_is_replaced_with_it() -> None:
+    """Java reads it as part of the value."""
+    before = "a = 1 \t\r\nb=2\r\n"
+    assert rendered(make("properties", before), Set("/a", "1")) == before
+    assert rendered(make("properties", before), Set("/a", "3")) == "a = 3\r\nb=2\r\n"
+
+
 @given(st.text(max_size=12))
 def test_the_parser_of_python_reads_the_value_that_was_set(text: str) -> None:
     value = text.replace("{", "{{").replace("}", "}}")

@@ -38,6 +38,9 @@ from tests.trees import DATA, JSON, leaves, make, rendered
         ("yaml", "", "t:1:1: not YAML: the document is empty"),
         ("yaml", "a: 1\n---\nb: 2\n", "t:2:1: not a YAML template: a second document begins there"),
         ("yaml", "a: 1\na: 2\n", "t:2:1: not a YAML template: the key 'a' occurs twice"),
+        ("yaml", "1: a\n0x1: b\n", "t:2:1: not a YAML template: the key '0x1' occurs twice"),
+        ("yaml", "true: a\nyes: b\n", "t:2:1: not a YAML template: the key 'yes' occurs twice"),
+        ("yaml", "~: a\nnull: b\n", "t:2:1: not a YAML template: the key 'null' occurs twice"),
         ("yaml", "? [a]\n: 1\n", "a key must be a single value"),
         ("yaml", "a: &x [*x]\n", "t:1:8: not a YAML template: the alias *x is part of its own anchor"),
         ("yaml", "a: *x\n", "t:1:4: not a YAML template: the alias *x has no anchor before it"),
@@ -66,8 +69,11 @@ from tests.trees import DATA, JSON, leaves, make, rendered
         ("ini", "[s]\na = 1\na = 2\n", "^t:3:1: not INI: the key 'a' occurs twice$"),
         ("ini", "[s]\n[t]\n[s]\n", "^t:3:1: not INI: the section [s] occurs twice$"),
         ("ini", "[s]\nwords\n", "^t:2:1: not INI: neither a key with a value nor a section$"),
+        ("ini", "[s]\n[t]=1\n", "^t:2:1: not INI: neither a key with a value nor a section$"),
         ("ini", "[s\n", "^t:1:1: not INI: neither a key with a value nor a section$"),
         ("ini", "", "^t:1:1: not INI: there are no keys$"),
+        ("ini", "[s]\na = 1\rb = 2\n", "t:2:6: not INI: a carriage return, which some programs read as the end of the line"),
+        ("properties", "a = 1\r", "^t:1:6: not properties: a carriage return, which some programs read as the end of the line"),
         ("properties", "[s]\n", "^t:1:1: not properties: properties have no sections; set template_format to ini$"),
         ("properties", "a b\n", "^t:1:1: not properties: neither a key with a value nor a section$"),
     ],
@@ -117,7 +123,22 @@ def test_an_invalid_file_is_refused_with_its_place(format: str, text: str, messa
         ("ini", "[s]\na = 1\n", Add("/", '{"b": 1}'), "has sections; add keys to one of them"),
         ("ini", "[s]\na = 1\n", Add("/s", '{"b": [1]}'), "cannot contain a list; INI has texts only"),
         ("ini", "[s]\na = 1\n", Rename("//a", "b=c"), "cannot get the key 'b=c'"),
+        ("toml", "k = 1979-05-27T07:32:00Z\n", Set("/k", "1979-05-27"), "use a date or time of the same kind"),
+        ("toml", "k = 1979-05-27T07:32:00Z\n", Set("/k", "5"), "use a date or time of the same kind"),
+        ("yaml", "<<: {k: 1}\nk: 2\n", Set("/key/k", "3"), "is merged by <<, where programs may ignore it; write it beside"),
+        ("ini", "[s]\na = 1\\\n", Set("//a", "2"), "continues on the next line"),
+        ("ini", "[s]\na: 1\n", Set("//a", "b=c"), "cannot become 'b=c' behind a colon"),
+        ("ini", "[s]\na = 1\n", Set("//a", "50%%"), "cannot become '50%%'; programs would read it in different ways"),
+        ("ini", "[s]\na = 1\n", Set("//a", "%(b)s"), "cannot become '%(b)s'"),
+        ("ini", "[s]\na = \u00a01\n", Set("//a", "2"), "has unusual white space around it"),
+        ("ini", "[s]\na = 1\u3000\n", Set("//a", "2"), "has unusual white space around it"),
+        ("ini", "[s]\n! b = 1\n  a = 2\n", Set("//a", "2"), "matches nothing"),
+        ("properties", "a\\=b = 1\n", Set("/*", "2"), "has an escape"),
+        ("properties", "a b = 1\n", Set("/*", "2"), "has white space in its key, where some programs begin the value"),
+        ("properties", "a = '1' \n", Set("/a", "2"), "has white space behind its quotes"),
         ("json", JSON, Set("//nothing", "1"), "is null, which has no type"),
+        ("json", JSON, Add("/robots", '{"x": 1e-400}'), "cannot contain 1e-400; it is too close to 0"),
+        ("json", '{"a": 0.5}', Set("/a", "9" * 350), "cannot become 9999999999999999999999999999999999999999; it is too large"),
     ],
 )
 def test_a_change_that_a_format_cannot_write_is_refused(format: str, text: str, change: Change, message: str) -> None:
@@ -125,6 +146,35 @@ def test_a_change_that_a_format_cannot_write_is_refused(format: str, text: str, 
         make(format, text).changed((change,), {})
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["1e400", "-1e400", "1e-400", "-1e-400", "0." + "0" * 330 + "1"])
+@pytest.mark.parametrize(
+    ("format", "data", "path"),
+    [
+        ("json", '{"a": 0.5, "i": 3}', "/*"),
+        ("yaml", "a: 0.5\ni: 3\n", "/*"),
+        ("toml", "a = 0.5\ni = 0x1e\n", "/*"),
+        ("ini", "[s]\na = 0.5\n", "//a"),
+        ("properties", "a = 0.5\n", "/a"),
+        ("xml", "<r><a b='0.5'/></r>", "//@b"),
+        ("xml", "<r><a>0</a></r>", "//a"),
+        ("xml", "<r><a/></r>", "//a | //@b"),
+    ],
+)
+def test_a_number_that_floats_cannot_represent_is_refused_in_place_of_a_number(
+    format: str, data: str, path: str, text: str
+) -> None:
+    template = make(format, data)
+    if not any(template.find(path)):
+        assert text in rendered(template, Set(path, text)), "a text stays a text"
+        return
+    for change in (Set(path, text), Set(path, "{n}")):
+        with pytest.raises(TemplateError, match=r"too large|too close to 0") as refused:
+            template.changed((), {}).per_run([change])({"n": text})
+        assert "\n" not in str(refused.value)
+        assert text[:30] in str(refused.value)
+    assert rendered(template, Set(path, "1e-310")) == rendered(template, Set(path, "{n}"), n="1e-310")
 
 
 def quoted(key: str) -> str:

@@ -49,3 +49,10 @@ def test_changes_of_toml_keep_its_layout() -> None:
 def test_a_value_of_toml_is_written_in_its_type(old: str, value: str, new: str) -> None:
     template = make("toml", f"k = {old}# c\nz.y = 1")
     assert rendered(template, Set("/k", value), Set("/z/y", "2")) == f"k = {new}# c\nz.y = 2"
+
+
+def test_a_hexadecimal_number_with_the_digit_e_is_read() -> None:
+    template = make("toml", "a = 0x1e\nb = 0xE\n")
+    assert (template.find("/a"), template.find("/b")) == (("30",), ("14",))
+    assert rendered(template, Set("/a", "30")) == "a = 0x1e\nb = 0xE\n"
+    assert rendered(template, Set("/b", "5")) == "a = 0x1e\nb = 5\n"

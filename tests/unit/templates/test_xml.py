@@ -251,7 +251,7 @@ def test_characters_that_the_encoding_changes_become_references() -> None:
 def test_a_value_is_read_back_or_refused_in_all_ways_of_changing(encoding: str) -> None:
     """Libraries read some bytes of these encodings differently."""
     made = template(f'<?xml version="1.0" encoding="{encoding}"?>\n<r a="x">y<b/></r>'.encode())
-    sets = [Set("/r/@a", "{value}"), Set("/r", "{value}"), Set("//b", "{value}", attribute="c")]
+    sets = [Set("/r/@a", "{value}"), Set("/r/text()", "{value}"), Set("//b", "{value}", attribute="c")]
     per_run = made.changed((), {}).per_run(sets)
     per_run({"value": "first"})
     for character in "\\~¥‾\uff5e∥￣￢갂ḿあé€":
@@ -449,8 +449,45 @@ def test_set_changes_all_matches() -> None:
 
 
 def test_set_keeps_the_children_of_an_element() -> None:
-    assert changed("<r>a<b/>c<!-- d -->e</r>", Set("/r", "x")) == "<r>x<b/>c<!-- d -->e</r>"
-    assert changed("<r>a<b/>c<!-- d -->e</r>", Set("/r/text()[2]", "x")) == "<r>a<b/>x<!-- d -->e</r>"
+    assert changed("<r>\n <b/></r>", Set("/r", "x")) == "<r>x<b/></r>"
+    assert changed("<r>a<b/>c</r>", Set("/r/text()[2]", "x")) == "<r>a<b/>x</r>"
+    for text in ("<r>a<b/></r>", "<r><b/>c</r>", "<r><!-- d -->a<b/></r>"):
+        message = refused(text, Set("/r", "x", why="variable 'v'"))
+        assert message.startswith("variable 'v': /r has text beside child elements in template.xml; set an element without")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("<!-- robots -->5", "<!-- robots -->2"),
+        ("5<!-- robots -->", "2<!-- robots -->"),
+        ("<!-- robots -->", "2<!-- robots -->"),
+        (" <!-- a -->\n <?b c?> 5 ", "<!-- a --><?b c?>2"),
+        ("4<!-- a --> <?b c?>5\n", "2<!-- a --><?b c?>"),
+        ("<!-- <count>1</count> --><![CDATA[5]]><!-- b -->6&#55;", "<!-- <count>1</count> -->2<!-- b -->"),
+    ],
+)
+def test_a_value_takes_the_place_of_all_text_around_comments(before: str, after: str) -> None:
+    text = f"<r>\n <count>{before}</count>\n <b/></r>"
+    written = f"<r>\n <count>{after}</count>\n <b/></r>"
+    for path in ("//count", "//count/text()", "//count/node()[self::text()]"):
+        if "text" not in path or XmlTemplate(text.encode(), "t").find(path):
+            assert changed(text, Set(path, "2", expect=1)) == written
+            assert per_run_made(template(text), [Set(path, "7"), Set(path, "2")], {}) == written.encode()
+            assert (
+                changed(text, Set(path, "7"), Set("//b", "1", attribute="c"), Set(path, "2")).replace(' c="1"', "") == written
+            )
+    assert XmlTemplate(written.encode(), "t").find("//count") == ("2",)
+    assert ("//count", "2") in XmlTemplate(written.encode(), "t").attributes()
+    again = template(text).find("//count")[0]
+    assert changed(text, Set("//count", again.replace("{", "{{"))) == text, "set to itself"
+
+
+def test_a_text_beside_a_reference_cannot_be_set() -> None:
+    for text in ("<r>&u;5</r>", "<r>5<!-- c -->&u;</r>", "<r>&u;</r>"):
+        message = refused(f'<!DOCTYPE r SYSTEM "r.dtd">{text}', Set("/r", "2"))
+        assert message == "/r has the reference &u; beside its text in template.xml; write its text there instead"
+    assert 'a="2"' in changed('<!DOCTYPE r SYSTEM "r.dtd"><r a="&u;"/>', Set("/r/@a", "2"))
 
 
 def test_set_with_attribute_adds_missing_attributes() -> None:
@@ -634,11 +671,11 @@ def test_a_text_with_cdata_sections_is_one_match() -> None:
 
 
 def test_a_number_in_cdata_sections_that_is_set_to_itself_stays() -> None:
-    text = "<r><![CDATA[.]]><![CDATA[0]]><b/></r>"
+    text = "<r><![CDATA[.]]><![CDATA[0]]><!-- b --></r>"
     for path in ("/r", "//text()[1]"):
         assert changed(text, Set(path, "0")) == text, ".0 is 0"
-        assert changed(text, Set(path, "1")) == "<r>1<b/></r>"
-        assert changed(text.replace("[0]", "[5]"), Set(path, "0")) == "<r>0<b/></r>"
+        assert changed(text, Set(path, "1")) == "<r>1<!-- b --></r>"
+        assert changed(text.replace("[0]", "[5]"), Set(path, "0")) == "<r>0<!-- b --></r>"
 
 
 def test_a_text_that_is_empty_is_no_match() -> None:
