@@ -13,8 +13,8 @@ set, because programs read such a text in different ways; a path may select one 
 others stay as they are: also quotes, white space within tags, references such as `&#233;`, comments, CDATA and line ends. A
 number that is set to itself in another spelling stays too (see `sierra.templates.same_number`). A new value is written within
 the quotes of its place, with CRLF if all lines end so. It has the document's encoding; a character that this encoding lacks, or
-reads back as another one, is written as a reference, for example `&#8364;`. CDATA that is set becomes a usual text. A doctype
-keeps the root's old name if the root is renamed.
+reads back as another one, is written as a reference, for example `&#8364;`. CDATA that is set becomes a usual text, but stays
+CDATA beside comments. A doctype keeps the root's old name if the root is renamed.
 
 An added, removed or renamed part is written into a copy of the document, which is read again (`xml_copy`).
 
@@ -140,7 +140,7 @@ class XmlDocument:
             for change in sets:
                 with self._told(change):
                     text = scan.view.legal(filled(change.value), change)
-                    for slot in scan.view.slots(change, scan.was):
+                    for slot in scan.view.slots(change, scan.raw):
                         was = {place: edits.get(place) or scan.original(place) for place in slot.places}
                         for place, edit in _written(scan, slot, was, text):
                             edits[place] = edit
@@ -172,7 +172,7 @@ class XmlDocument:
             for change in sets:
                 with self._told(change):
                     text = scan.view.legal(_unfilled(change.value), change)
-                    slots = scan.view.slots(change, scan.was)
+                    slots = scan.view.slots(change, scan.raw)
                     wanted.append((change, slots))
                     for place, part in chain.from_iterable(slot.parts(text) for slot in slots):
                         begin.setdefault(place, self._edits.get(place) or scan.original(place))
@@ -249,7 +249,7 @@ def _written(scan: Scan, slot: Slot, edits: Edits, text: str) -> Iterator[tuple[
         return
     for place, part in slot.parts(text):
         if edits[place].value != part:
-            yield place, scan.written(edits[place].spot, part)
+            yield place, scan.written(edits[place].spot, part, section=place in slot.sections)
 
 
 def _joined(pieces: Sequence[AnyStr], tokens: Sequence[AnyStr], nothing: AnyStr) -> AnyStr:

@@ -18,6 +18,7 @@ from sierra.templates.xml_view import XML, Element, Place, View, declarations, i
 
 _ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
 """A tag such as `{controller}`; any other `{…}` in a tag is a namespace."""
+_SECTION = "<![CDATA["
 Prefixes = dict[str | None, str | None]
 
 
@@ -39,7 +40,11 @@ class XmlCopy:
         """True if a change has added or removed declarations of namespaces, whose prefixes are known when they are written."""
         copies = dict(zip(scan.nodes, self._nodes, strict=True)) if edits else {}
         for place, edit in edits.items():
-            self._write(Place(copies[place.element], place.kind, place.name), edit.value or "")
+            copied = Place(copies[place.element], place.kind, place.name)
+            if edit.token.startswith(_SECTION):
+                self._put(copied, edit.value or "", edit.token)
+            else:
+                self._write(copied, edit.value or "")
 
     def make(self, change: Change, filled: Callable[[str], str]) -> None:
         """Make a change. Raises TemplateError, ConfigError, and ValueError for an invalid name.
@@ -53,13 +58,15 @@ class XmlCopy:
         match change:
             case Set():
                 text = view.legal(filled(change.value), change)
-                slots = view.slots(change, self._was)
+                slots = view.slots(change, self._raw_in_file)
                 self._check_read(slot.places[0].element for slot in slots)
                 for slot in slots:
                     values = [place.read() for place in slot.places]
                     if not slot.keeps(values, text):
                         for place, part in slot.parts(text):
-                            if place.read() != part:
+                            if place.read() != part and place in slot.sections:
+                                self._put(place, part, self._scan.section(part))
+                            elif place.read() != part:
                                 self._write(place, part)
             case Add():
                 parents = view.elements(change)
@@ -86,10 +93,10 @@ class XmlCopy:
         if not isinstance(change, Set) or change.attribute:
             self._declares = declarations(view.root) != view.namespaces
 
-    def _was(self, place: Place) -> str:
-        """Return the text that a place has in the file."""
+    def _raw_in_file(self, place: Place) -> str:
+        """Return a text as it is written in the file."""
         self._check_read([place.element])
-        return self._scan.was(Place(self._originals[place.element], place.kind))
+        return self._scan.raw(Place(self._originals[place.element], place.kind))
 
     def _check_read(self, elements: Iterable[Element]) -> None:
         if any(element not in self._originals for element in elements):

@@ -126,14 +126,16 @@ class Scan:
         spot = self._spots.get(place) or self._spots.setdefault(place, self._spot(place))
         return Edit(spot, self.source.text[spot.start : spot.end], place.read())
 
-    def was(self, place: Place) -> str:
-        """Return the text that a place has in the file, whatever the view shows now."""
+    def raw(self, place: Place) -> str:
+        """Return a text as it is written in the file, whatever the view shows now."""
         mark = self.marks[place.element]
         span = (mark.inner, mark.text_end) if place.kind == "text" else (mark.end, mark.tail_end)
-        return decoded(self.source.text[span[0] : span[1]], quoted=False) or ""
+        return self.source.text[span[0] : span[1]]
 
-    def written(self, spot: Spot, value: str) -> Edit:
-        """Return a value as it is written in a spot. Raises ValueError."""
+    def written(self, spot: Spot, value: str, *, section: bool = False) -> Edit:
+        """Return a value as it is written in a spot, or in a CDATA section there. Raises ValueError."""
+        if section:
+            return Edit(spot, self.section(value), value)
         return Edit(spot, spot.before + self.token(value, spot.quote) + spot.after, value)
 
     def token(self, value: str, quote: str = "") -> str:
@@ -142,6 +144,12 @@ class Scan:
         if not _PLAIN.fullmatch(value) and self._read(token, quote) != value:
             raise ValueError(f"{value[:40]!r} would be read as another text; save the template as UTF-8")
         return token
+
+    def section(self, value: str) -> str:
+        """Return a text as a CDATA section, or as a usual text if the section would be read as another text."""
+        section = f"<![CDATA[{self.source.with_line_ends(value)}]]>"
+        fits = "]]>" not in value and not self.source.lacks(value) and self._read(section, "") == value
+        return section if fits else self.token(value)
 
     def _read(self, token: str, quote: str) -> str | None:
         """Return the value that lxml reads where a token is written; None if it reads none."""

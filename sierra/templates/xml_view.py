@@ -17,7 +17,7 @@ from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
-from sierra.templates.xml_markup import Source
+from sierra.templates.xml_markup import Source, decoded
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element
@@ -28,6 +28,8 @@ DEFAULT = "_"
 """The prefix that paths give to the document's default namespace."""
 XML = "http://www.w3.org/XML/1998/namespace"
 _BLANKS = " \t\r\n"
+_SECTION = re.compile(r"\s*<!\[CDATA\[(?:(?!\]\]>).)*+\]\]>\s*", re.DOTALL)
+"""A text that is one CDATA section."""
 
 
 def parser(encoding: str | None = None) -> etree.XMLParser:
@@ -124,6 +126,8 @@ class Slot:
     places: tuple[Place, ...]
     main: int = 0
     """The index of the place where a value is written. The other texts become empty, because readers join all of them."""
+    sections: frozenset[Place] = frozenset()
+    """The places that keep their CDATA marks."""
 
     def keeps(self, was: Sequence[str | None], now: str) -> bool:
         """Return True if a new value spells the number of its places. Raises ValueError if programs would not read a number."""
@@ -171,6 +175,17 @@ def texts_from(place: Place) -> Iterator[Place]:
     while node is not None and node.tag in _BETWEEN:
         yield Place(node, "tail")
         node = node.getnext()
+
+
+def _slot(places: tuple[Place, ...], written: Sequence[str]) -> Slot:
+    """Return the texts of one value, as they are written in the file; the main one is the first that is not blank."""
+    main = next((index for index, text in enumerate(written) if not _is_blank(text)), 0)
+    sections = (place for place, text in zip(places, written, strict=True) if _SECTION.fullmatch(text))
+    return Slot(places, main, frozenset(sections))
+
+
+def _is_blank(written: str) -> bool:
+    return not (decoded(written, quoted=False) or "").strip(_BLANKS)
 
 
 def value_of(node: Node) -> str:
@@ -257,8 +272,8 @@ class View:
         verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename"}[type(change)]
         return self.error(change, f"selects {_kind(node)}", f"; {verb} works on {wanted}")
 
-    def slots(self, change: Set, was: Callable[[Place], str]) -> list[Slot]:
-        """Return the places where a `Set` writes. `was` returns the text that a place has in the file.
+    def slots(self, change: Set, raw: Callable[[Place], str]) -> list[Slot]:
+        """Return the places where a `Set` writes. `raw` returns the text of a place as it is written in the file.
 
         A value takes the place of the first text that is not blank in the file, so that it does not depend on earlier changes.
         """
@@ -272,12 +287,11 @@ class View:
                 raise self.unfit(change, node, "elements, attributes and texts")
             places = tuple(texts_from(place))
             if place.kind != "attribute":
-                self._check_alone(change, node, places, was)
-            texts = range(len(places)) if len(places) > 1 else ()
-            slots.append(Slot(places, next((index for index in texts if was(places[index]).strip(_BLANKS)), 0)))
+                self._check_alone(change, node, places, raw)
+            slots.append(_slot(places, [raw(one) for one in places]) if len(places) > 1 else Slot(places))
         return slots
 
-    def _check_alone(self, change: Set, node: Node, places: Sequence[Place], was: Callable[[Place], str]) -> None:
+    def _check_alone(self, change: Set, node: Node, places: Sequence[Place], raw: Callable[[Place], str]) -> None:
         """Check that no other text or reference belongs to the value of a node."""
         first, last = places[0].element, places[-1]
         after = next(iter(first), None) if last == Place(first, "text") else last.element.getnext()
@@ -287,7 +301,7 @@ class View:
             )
         if not is_text(node) and any(isinstance(child.tag, str) for child in node):
             texts = (Place(node, "text"), *(Place(child, "tail") for child in node))
-            if any(was(place).strip(_BLANKS) for place in texts):
+            if not all(_is_blank(raw(place)) for place in texts):
                 more = "; set an element without child elements, or select one of its texts, as in text()[1]"
                 raise self.error(change, "has text beside child elements", more)
 

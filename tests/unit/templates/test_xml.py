@@ -464,7 +464,8 @@ def test_set_keeps_the_children_of_an_element() -> None:
         ("<!-- robots -->", "2<!-- robots -->"),
         (" <!-- a -->\n <?b c?> 5 ", "<!-- a --><?b c?>2"),
         ("4<!-- a --> <?b c?>5\n", "2<!-- a --><?b c?>"),
-        ("<!-- <count>1</count> --><![CDATA[5]]><!-- b -->6&#55;", "<!-- <count>1</count> -->2<!-- b -->"),
+        ("<!-- <count>1</count> --><![CDATA[5]]><!-- b -->6&#55;", "<!-- <count>1</count> --><![CDATA[2]]><!-- b -->"),
+        ("5<!-- a -->\n<![CDATA[6]]><?b?><![CDATA[7]]>8", "2<!-- a --><![CDATA[]]><?b?>"),
     ],
 )
 def test_a_value_takes_the_place_of_all_text_around_comments(before: str, after: str) -> None:
@@ -481,6 +482,21 @@ def test_a_value_takes_the_place_of_all_text_around_comments(before: str, after:
     assert ("//count", "2") in XmlTemplate(written.encode(), "t").attributes()
     again = template(text).find("//count")[0]
     assert changed(text, Set("//count", again.replace("{", "{{"))) == text, "set to itself"
+
+
+def test_a_value_that_cdata_cannot_hold_becomes_a_usual_text() -> None:
+    data = '<?xml version="1.0" encoding="ISO-8859-1"?><r><!-- a --><![CDATA[x]]></r>'.encode("latin-1")
+    for value, written in (
+        ("<&", "<![CDATA[<&]]>"),
+        ("]]>", "]]&gt;"),
+        ("a\rb", "a&#13;b"),
+        ("€", "&#8364;"),
+        ("", "<![CDATA[]]>"),
+    ):
+        made = changes_made(template(data), [Set("/r", value)], {})
+        assert made.decode("latin-1").endswith(f"<r><!-- a -->{written}</r>")
+        assert made == per_run_made(template(data), [Set("/r", "{v}")], {"v": value})
+        assert template(made).find("/r") == (value,)
 
 
 def test_a_text_beside_a_reference_cannot_be_set() -> None:
