@@ -17,7 +17,6 @@ import atexit
 import contextlib
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -99,6 +98,8 @@ def _verify(files: Iterable[str]) -> None:
     if len(new) == 1:
         _note(new, map(_hashed, new))
     else:
+        from concurrent.futures import ThreadPoolExecutor  # takes longer to load than verified files to look up
+
         with ThreadPoolExecutor(THREADS) as pool:
             _note(new, pool.map(_hashed, new))
     for store in {file.store for file in new}:
