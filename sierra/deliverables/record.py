@@ -234,7 +234,7 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
             return f"{file} is not the file that SIERRA made (SHA-256 {found[:10]} instead of {recorded[:10]})"
     try:
         now = again(row)
-    except (Damaged, Missing):
+    except Missing:
         raise
     except SierraError as error:
         return f"it can no longer be made: {error}"
