@@ -19,7 +19,7 @@ from sierra.config.deliverable_tables import Comparison, Figure, TableForPaper
 from sierra.config.field_types import Table
 from sierra.config.validate import options
 from sierra.config.video_table import Video
-from sierra.errors import ConfigError, Damaged, Missing, NotFound, SierraError
+from sierra.errors import ConfigError, Damaged, DamagedFile, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records, unfinished_files
 from sierra.store.deliverable_records import Source
@@ -234,7 +234,7 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
             return f"{file} is not the file that SIERRA made (SHA-256 {found[:10]} instead of {recorded[:10]})"
     try:
         now = again(row)
-    except Missing:
+    except (DamagedFile, Missing):
         raise
     except SierraError as error:
         return f"it can no longer be made: {error}"
