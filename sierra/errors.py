@@ -68,3 +68,7 @@ class Full(Missing):
 
 class Damaged(SierraError):
     """A record that differs from what was recorded."""
+
+
+class DamagedFile(Damaged):
+    """A file of the store that is not the one that SIERRA wrote: no answer may leave it out."""

@@ -22,7 +22,7 @@ from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather
 from sierra.deliverables.models.models_of_batch import Models
-from sierra.errors import Damaged, NotFound, SierraError, UsageError
+from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
@@ -202,7 +202,7 @@ class Gallery:
                 notes += suggest_tables.notes(self.frame, output)
             try:
                 self._coverage(output)
-            except Damaged:
+            except DamagedFile:
                 raise
             except SierraError as error:
                 if output.name in filmed:

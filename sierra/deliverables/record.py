@@ -19,7 +19,7 @@ from sierra.config.deliverable_tables import Comparison, Figure, TableForPaper
 from sierra.config.field_types import Table
 from sierra.config.validate import options
 from sierra.config.video_table import Video
-from sierra.errors import ConfigError, Damaged, Missing, NotFound, SierraError
+from sierra.errors import ConfigError, Damaged, DamagedFile, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.stats.comparison.model import VERSION
 from sierra.store import deliverable_records, unfinished_files
@@ -248,7 +248,7 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
         return other
     try:
         now = again(row)
-    except (Damaged, Missing):
+    except (DamagedFile, Missing):
         raise
     except SierraError as error:
         return f"it can no longer be made: {error}"

@@ -20,7 +20,7 @@ from sierra.deliverables import declared_tables, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
-from sierra.errors import Damaged, Missing, NotInstalled, SierraError
+from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
@@ -77,7 +77,7 @@ def _write_tables(
             own = called if len(batches) == 1 else overlay.name_of(called, batches)
             made = declared_tables.make(project, store, own, declared, batches)
             written += drawer.keep(made.content(), made.write)
-        except (Damaged, Missing):
+        except (DamagedFile, Missing):
             raise
         except SierraError as error:
             if name is not None:
@@ -103,7 +103,7 @@ def _draw_each(
         try:
             drawn += drawer.draw(drawing(name, figure))
         except SierraError as error:
-            if strict or isinstance(error, Damaged) or (isinstance(error, Missing) and not isinstance(error, NotInstalled)):
+            if strict or isinstance(error, DamagedFile) or (isinstance(error, Missing) and not isinstance(error, NotInstalled)):
                 raise
             failed.append(f"figure {name}: {error}")
     return drawn, failed

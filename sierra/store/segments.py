@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.errors import Damaged, Missing
+from sierra.errors import DamagedFile, Missing
 from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
@@ -92,7 +92,7 @@ def is_whole(segment: Segment, folder: Path) -> bool:
     for name in segment.missing:
         if name not in NOTICED:
             path = folder / segment.name / name
-            raise Damaged(changed(str(path)) if path.exists() else f"{path} is missing: run sierra fsck --repair")
+            raise DamagedFile(changed(str(path)) if path.exists() else f"{path} is missing: run sierra fsck --repair")
     return True
 
 

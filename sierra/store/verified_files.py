@@ -17,11 +17,10 @@ import atexit
 import contextlib
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.errors import Damaged
+from sierra.errors import DamagedFile
 from sierra.store.layout import user_verified
 from sierra.util.cache import Cache
 from sierra.util.fs import RACY_NS, state
@@ -78,7 +77,7 @@ def verify(files: Iterable[str]) -> None:
     """
     try:
         _verify(files)
-    except Damaged as error:
+    except DamagedFile as error:
         damage[str(error)] = None
         raise
 
@@ -87,7 +86,7 @@ def is_sound(path: str) -> bool:
     """Check that a file of a segment has the bytes that were recorded, for a caller that reports it."""
     try:
         _verify([path])
-    except Damaged:
+    except DamagedFile:
         return False
     return True
 
@@ -99,6 +98,8 @@ def _verify(files: Iterable[str]) -> None:
     if len(new) == 1:
         _note(new, map(_hashed, new))
     else:
+        from concurrent.futures import ThreadPoolExecutor  # takes longer to load than verified files to look up
+
         with ThreadPoolExecutor(THREADS) as pool:
             _note(new, pool.map(_hashed, new))
     for store in {file.store for file in new}:
@@ -146,11 +147,11 @@ def _hashed(file: _File) -> list[int] | None:
     except FileNotFoundError:
         if not Path(file.path).exists():  # another process removed the segment meanwhile
             return None
-        raise Damaged(f"{Path(file.path).with_name(MANIFEST)} is missing: run sierra fsck --repair") from None
+        raise DamagedFile(f"{Path(file.path).with_name(MANIFEST)} is missing: run sierra fsck --repair") from None
     except OSError as error:
-        raise Damaged(f"{file.path} cannot be read: {error.strerror} ({_batch(file.path)}): run sierra fsck") from error
+        raise DamagedFile(f"{file.path} cannot be read: {error.strerror} ({_batch(file.path)}): run sierra fsck") from error
     if digest != recorded:
-        raise Damaged(changed(file.path))
+        raise DamagedFile(changed(file.path))
     return after if after == before and after[-1] < began - RACY_NS else None
 
 
@@ -159,12 +160,12 @@ def _recorded(file: _File) -> str:
     path = Path(file.path).with_name(MANIFEST)
     text = path.read_bytes()
     if sha256(text)[:16] != file.segment.rpartition("-")[2]:
-        raise Damaged(changed(str(path)))
+        raise DamagedFile(changed(str(path)))
     for line in text.decode("utf-8", "replace").splitlines():
         digest, _, name = line.partition("  ")
         if name == file.name:
             return digest
-    raise Damaged(f"{file.path} is not listed in the segment's MANIFEST ({_batch(file.path)}): run sierra fsck")
+    raise DamagedFile(f"{file.path} is not listed in the segment's MANIFEST ({_batch(file.path)}): run sierra fsck")
 
 
 def _save(store: str) -> None:

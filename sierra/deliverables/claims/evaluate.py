@@ -16,7 +16,7 @@ from sierra.deliverables.claims import by_sql, by_test, by_value
 from sierra.deliverables.claims.by_test import Tested
 from sierra.deliverables.claims.model import Evaluated, Found, Ground, Verdict
 from sierra.deliverables.claims.rests_on import BatchesOfClaims
-from sierra.errors import Damaged, NotFound, SierraError, UsageError
+from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.text import like, one_line
@@ -94,7 +94,7 @@ def _find(
         if claim.tested:
             return by_test.test(project, store, claim, claim.tested, own, tests)
         raise UsageError(f"[claims.{name}] says not how it is decided")  # the model of the table refuses that
-    except Damaged:
+    except DamagedFile:
         raise
     except SierraError as error:
         return Found(Verdict.cannot_tell, one_line(error))

@@ -14,7 +14,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.models import deviation
 from sierra.deliverables.models.predicted import Predicted
 from sierra.deliverables.models.predictions import NotVaried
-from sierra.errors import Damaged, Missing, NotFound, SierraError
+from sierra.errors import DamagedFile, Missing, NotFound, SierraError
 from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import NOTE, Store
@@ -51,7 +51,7 @@ def errors(project: LoadedProject, store: Store, batch: str, name: str | None = 
         for called in models if name is None else [name]:
             try:
                 drawing = _drawing(gallery, called)
-            except (Damaged, Missing):
+            except (DamagedFile, Missing):
                 raise
             except SierraError as error:
                 if name is not None:

@@ -18,7 +18,7 @@ from sierra.deliverables.models.predicted import Predicted
 from sierra.deliverables.models.predictions import Listed, NotVaried, Prediction
 from sierra.deliverables.models.values_in_figure import over_time, predicted
 from sierra.design.factorial_design import GROUPED
-from sierra.errors import Damaged, Missing, SierraError, UsageError
+from sierra.errors import DamagedFile, Missing, SierraError, UsageError
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.text import like
@@ -89,7 +89,7 @@ class Models:
                 if not self._joins(called, model, name, drawing, data):
                     continue
                 found.append(self._predicted(called, model, drawing, data))
-            except (Damaged, Missing):
+            except (DamagedFile, Missing):
                 raise
             except SierraError as error:
                 self._notes[f"model {called} is left out: {error}"] = None

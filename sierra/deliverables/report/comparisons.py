@@ -15,7 +15,7 @@ from sierra.deliverables.comparison_text import paper_table
 from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report.parts import Place, Section, auto, code, details, note, picture
 from sierra.deliverables.report.results import paper_table as as_element
-from sierra.errors import Damaged, Missing, SierraError, UsageError
+from sierra.errors import DamagedFile, Missing, SierraError, UsageError
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -55,7 +55,7 @@ def find(
     for name, made in _possible(project, store, batches, declared_between):
         try:
             one = made()
-        except (Damaged, Missing):
+        except (DamagedFile, Missing):
             raise
         except SierraError as error:
             notes.append(f"comparison {name} could not be made: {error}")

@@ -21,7 +21,7 @@ from sierra.deliverables.record import origin_of
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.films import Films
 from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
-from sierra.errors import Damaged, Missing, NotInstalled, SierraError
+from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
@@ -73,7 +73,7 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
                 contents.append(_content(*explorable(gallery.drawing(name, figure))))
                 libraries.update(made_by(figure.kind))
             except SierraError as error:
-                if isinstance(error, Damaged | Missing) and not isinstance(error, NotInstalled):
+                if isinstance(error, DamagedFile | Missing) and not isinstance(error, NotInstalled):
                     raise
                 failed.append(f"figure {name} could not be drawn: {error}")
         more = (*gallery.declared_notes, *gallery.time_notes.values(), *gallery.models.notes([*wanted]))
@@ -164,7 +164,7 @@ def table_section(state: BatchState, place: Place) -> tuple[Section | None, list
     for name, declared in state.project.config.paper_tables.items():
         try:
             made = declared_tables.make(state.project, state.store, name, declared, {state.short: state.id})
-        except (Damaged, Missing):
+        except (DamagedFile, Missing):
             raise
         except SierraError as error:
             failed.append(f"table {name} could not be made: {error}")

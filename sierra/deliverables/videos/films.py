@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.video_table import Video
-from sierra.errors import Damaged, NotFound, SierraError
+from sierra.errors import DamagedFile, NotFound, SierraError
 from sierra.model import Axis, Value
 from sierra.query import condition
 from sierra.store.samples import ChosenRun
@@ -95,7 +95,7 @@ def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[s
         called = name if alone else f"{name}_experiment{experiment}"
         try:
             made.append(film_of(called, video, members, experiment))
-        except Damaged:
+        except DamagedFile:
             raise
         except SierraError as error:
             failed.append(f"video {called}: {error}")

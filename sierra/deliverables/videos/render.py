@@ -17,7 +17,7 @@ from sierra.deliverables.videos import encode
 from sierra.deliverables.videos.draw import write
 from sierra.deliverables.videos.prepare import prepare
 from sierra.deliverables.videos.progress import Progress, no_progress
-from sierra.errors import Damaged, Missing, NotFound, NotInstalled, SierraError
+from sierra.errors import DamagedFile, Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
@@ -71,7 +71,7 @@ def videos(
                     prepared = prepare(name, video, galleries, progress)
                     files = write(prepared, folder, jobs, progress)
                 except SierraError as error:
-                    if isinstance(error, Damaged | Missing) and not isinstance(error, NotInstalled):
+                    if isinstance(error, DamagedFile | Missing) and not isinstance(error, NotInstalled):
                         raise
                     if names:
                         raise type(error)(f"video {name}: {error}") from error

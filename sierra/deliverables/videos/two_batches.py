@@ -15,7 +15,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos.films import Film, Members, Panel, film_of
 from sierra.deliverables.videos.subjects import Subject, subjects
 from sierra.deliverables.videos.survey import Survey
-from sierra.errors import Damaged, SierraError, UsageError
+from sierra.errors import DamagedFile, SierraError, UsageError
 
 if TYPE_CHECKING:
     from sierra.deliverables.videos.scene import Painter
@@ -76,7 +76,7 @@ def films_of_two(
         called = name if len(a.cells) == 1 else f"{name}_experiment{first}"
         try:
             sides = film_of(called, video, a, first), film_of(called, video, b, second)
-        except Damaged:
+        except DamagedFile:
             raise
         except SierraError as error:
             failed.append(f"video {called}: {error}")

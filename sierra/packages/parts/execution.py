@@ -14,7 +14,7 @@ from typing import Any
 
 from sierra.containers.engines.apptainer import SCRIPT
 from sierra.containers.images.image import AnyImage, Image
-from sierra.errors import Damaged, Missing, SierraError
+from sierra.errors import DamagedFile, Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
 from sierra.execution.plan_from_record import LAST, Last, Recalled
 from sierra.packages import execute_runs
@@ -62,7 +62,7 @@ class _Batch:
         self.plan: dict[str, Any] = {"batch": batch, "obstacle": ""}
         try:
             self._make(batch)
-        except Damaged:
+        except DamagedFile:
             raise
         except SierraError as error:
             self.members = []

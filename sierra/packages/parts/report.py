@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from sierra.deliverables.report import make, recorded
 from sierra.deliverables.report.films import Read
 from sierra.deliverables.report.reproduce import Received
-from sierra.errors import Damaged, SierraError
+from sierra.errors import DamagedFile, SierraError
 from sierra.packages.layout import REPORT, drawn
 from sierra.packages.subject import Made, Member, Subject
 
@@ -24,7 +24,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     source = make.Source(subject.project, subject.store, received=received, read=_from_members(found))
     try:
         made = make.of_batches(source, subject.batches, every=package.title or f"{len(subject.batches)} batches")
-    except Damaged:
+    except DamagedFile:
         raise
     except SierraError as error:
         return Made((), notes=(f"no report is packed: {error}",))
