@@ -24,6 +24,7 @@ from sierra.model import Axis
 from sierra.stats import aggregate as stats
 from sierra.stats import student_t
 from sierra.stats.selection import Selection
+from tests import random_times
 from tests.samples import Memory, samples
 
 AXIS = (Axis("size", (1, 2)),)
@@ -326,13 +327,7 @@ def test_the_mean_over_time_weights_each_value_by_its_time() -> None:
     assert of_rows("time_mean", [(0, math.nan)])["mean"] is None
 
 
-@given(st.lists(st.floats(-1e300, 1e300), min_size=2, max_size=30), st.integers(0, 2**32))
-def test_the_mean_over_time_is_that_of_numpy(values: list[float], seed: int) -> None:
-    times = np.cumsum(np.random.default_rng(seed).uniform(0.01, 10, len(values)))
-    expected = np.trapezoid(np.array(values) / (times[-1] - times[0]), times)
-    found = of_rows("time_mean", list(zip(times.tolist(), values, strict=True)))["mean"]
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * max(map(abs, values)))
-    assert min(values) <= found <= max(values)
+test_the_mean_over_time_is_that_of_numpy = random_times.INTEGRAL.tests()
 
 
 @pytest.mark.parametrize(("times", "uneven"), [((0, 1, 2, 3), False), ((0, 1, 2, 3.02), True), ((0, 0.1, 0.2, 0.3), False)])

@@ -9,23 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from sierra.store.rounded_times import PART, same
+from sierra.store.rounded_times import PART
+from tests import random_times
 from tests.projects import SIMULATOR, make, quick, sql
-
-
-def shown(*runs: list[float]) -> list[list[float]]:
-    """Return the times of runs as statistics show them."""
-    steps: dict[float, float] = {}
-    for run in runs:
-        smallest = min(np.diff(run), default=np.nan)
-        for time in run:
-            steps[time] = float(np.fmin(steps.get(time, np.nan), smallest))
-    times = sorted(steps)
-    one = dict(same(np.array(times), np.array([steps[time] for time in times])))
-    return [[one.get(time, time) for time in run] for run in runs]
+from tests.random_times import shown
 
 
 def summed(step: float, count: int) -> list[float]:
@@ -60,23 +48,8 @@ def test_runs_of_a_single_time_have_no_step_and_stay_as_they_are() -> None:
     assert shown([12.5], [12.5000001]) == [[12.5], [12.5000001]]
 
 
-@given(st.lists(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=8, unique=True).map(sorted), min_size=1, max_size=5))
-def test_no_two_times_of_a_run_become_one_and_none_moves_far(runs: list[list[float]]) -> None:
-    for run, seen in zip(runs, shown(*runs), strict=True):
-        assert len(set(seen)) == len(run)
-        assert seen == sorted(seen)
-        step = min(np.diff(run), default=np.inf)
-        assert all(abs(time - was) <= PART * step for time, was in zip(seen, run, strict=True))
-
-
-@given(st.integers(0, 2**32))
-def test_shared_times_with_random_errors_of_rounding_become_one(seed: int) -> None:
-    chance = np.random.default_rng(seed)
-    step, count = float(chance.choice([0.02, 0.1, 1.0, 60.0])), int(chance.integers(2, 60))
-    nominal = np.arange(count) * step
-    runs = [(nominal + chance.uniform(-PART / 3, PART / 3, count) * step).tolist() for _ in range(3)]
-    first, *others = shown(*runs)
-    assert all(other == first for other in others)
+test_no_two_times_of_a_run_become_one_and_none_moves_far = random_times.APART.tests()
+test_shared_times_with_random_errors_of_rounding_become_one = random_times.TOGETHER.tests()
 
 
 ADDS = SIMULATOR.replace(
