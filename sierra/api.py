@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 from sierra.config import find_project
 from sierra.errors import Missing, NotFound, UsageError
+from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 from sierra.util import processors
@@ -1204,8 +1205,9 @@ class Project:
         plug-ins; for `time_to` also `km_median` and `restricted_mean`, in which runs that never reach the threshold count as
         censored. Each has the columns `NAME`, `NAME_low`, `NAME_high` and `NAME_interval`, the method of its 95 % interval.
 
-        First, `measure` reduces each run to one value: `final`, `mean` or `time_to` a `threshold`; `auto` is `final`, or `mean`
-        in a table of events: without a time column, and with different numbers of rows. With `measure=None`,
+        First, `measure` reduces each run to one value: `final`, `mean` of its rows, `time_mean` (by trapezoids, or by
+        steps with `times="carry"`), or `time_to` a `threshold`; `auto` is `final`, or `mean` in a table of events: without a
+        time column, and with different numbers of rows. With `measure=None`,
         there is a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values
         carried forward, `linear`: interpolated). With `measure="time_to"` and `times="own"`, there is a row for each step of
         the Kaplan-Meier curves: the part of the runs that has not reached the threshold at `t` (`remaining`), its interval, and
@@ -1245,7 +1247,7 @@ class Project:
         groups: Sequence[str] = (),
         column: str = "",
         table: str = "",
-        measure: Literal["final", "mean", "time_to"] | None = None,
+        measure: Measure | None = None,
         threshold: float | None = None,
         over_time: bool = False,
         method: str = "auto",
@@ -1444,7 +1446,7 @@ class Project:
         half_width: float,
         column: str = "",
         table: str = "",
-        measure: Literal["final", "mean", "time_to"] | None = None,
+        measure: Measure | None = None,
         threshold: float | None = None,
     ) -> RunsNeeded:
         """Return how many runs each experiment needs for a 95 % interval of mean ± `half_width`, with a batch as the pilot.
@@ -1469,7 +1471,7 @@ class Project:
         groups: Sequence[str] = (),
         column: str = "",
         table: str = "",
-        measure: Literal["final", "mean", "time_to"] | None = None,
+        measure: Measure | None = None,
         threshold: float | None = None,
         paired: bool | Literal["auto"] = "auto",
         alpha: float = 0.05,

@@ -30,7 +30,10 @@ class Memory:
                 "run": pa.array([f"{e}-{n}" for e, n, *_ in rows], pa.string()),
                 "number": pa.array(columns[1], pa.int32()),
                 "t": pa.array(columns[2], pa.float64()),
+                "shared_t": pa.array(columns[2], pa.float64()),
                 "value": pa.array(columns[3], pa.float64(), from_pandas=False),
+                "file": pa.nulls(len(rows), pa.string()),
+                "place": pa.nulls(len(rows), pa.int64()),
             }
         )
         self.connection = database(threads).cursor()

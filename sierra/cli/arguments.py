@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
+
+if TYPE_CHECKING:
+    from sierra.model import Measure as MeasureName
 
 
 class Measure(StrEnum):
@@ -15,12 +18,14 @@ class Measure(StrEnum):
 
     final = "final"
     mean = "mean"
+    time_mean = "time_mean"
     time_to = "time_to"
 
 
-MEASURES: dict[Measure, Literal["final", "mean", "time_to"]] = {
+MEASURES: dict[Measure, MeasureName] = {
     Measure.final: "final",
     Measure.mean: "mean",
+    Measure.time_mean: "time_mean",
     Measure.time_to: "time_to",
 }
 """The measures as the Python API names them."""
@@ -115,6 +120,11 @@ OneOutput = Annotated[
 ]
 MeasureOfRun = Annotated[
     Measure | None,
-    typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
+    typer.Option(
+        "--measure",
+        "-m",
+        help="Value of a run: final, its last value; mean of its rows; time_mean over time; time_to a threshold "
+        "(default: final; in a table of events, mean).",
+    ),
 ]
 Threshold = Annotated[float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")]

@@ -62,7 +62,7 @@ def compare(
     measure: MeasureOfRun = None,
     threshold: Threshold = None,
     over_time: Annotated[
-        bool, typer.Option("--over-time", help="Draw the difference over time; test the mean of each run over time.")
+        bool, typer.Option("--over-time", help="Draw the difference over time; test the mean of each run's rows.")
     ] = False,
     method: Annotated[
         str | None,

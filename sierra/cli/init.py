@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from sierra.setup.init.write import Guess
 
 T = TypeVar("T")
+LONG_S = 60.0
+"""If a run takes longer than this, `sierra init` does not try another seed."""
 
 
 def init(
@@ -80,8 +82,8 @@ def init(
     Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
     may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. A program that reads only arguments needs
     no file: give the command with all arguments. Files that the input file names become further templates, or lie beside the
-    inputs of runs. One run is tried before anything is written, as sierra try does; if it fails, nothing is written. An
-    existing sierra.toml is never overwritten.
+    inputs of runs. One run is tried before anything is written, as sierra try does; if it fails, nothing is written. Another
+    run shows whether the seed has an effect. An existing sierra.toml is never overwritten.
 
     \b
     Examples:
@@ -137,7 +139,24 @@ def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> tuple[Guess
         if not isinstance(again, str) and again is not None and again.status is not Status.FAILED:
             guess, found = more, again
     _check_tried(guess, found, ask=ask)
-    return guess, found
+    return _tried_again(folder, guess, found, quiet=quiet), found
+
+
+def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Guess:
+    """Execute a run with another seed; return the guess with what both runs have shown: rates, and a seed without effect."""
+    from sierra.execution.trial import SAME_TABLES
+    from sierra.model import Status
+    from sierra.setup.init import wizard
+
+    if first.status is not Status.OK or not guess.seeded or (first.wall_s or 0) > LONG_S:
+        return guess
+    if not quiet:
+        print("trying another seed")
+    second = wizard.try_run(folder, guess, lambda log, content: None, seed=first.seed + 1)
+    if second is None or isinstance(second, str) or second.status is not Status.OK:
+        return guess
+    same = tuple(text for text in second.notes if text.startswith(SAME_TABLES))
+    return replace(guess, notes=(*guess.notes, *same), rates=wizard.rates(first, second))
 
 
 def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:

@@ -120,13 +120,14 @@ def plan_n(
 def _conclusion(found: RunsNeeded | RunsForPower) -> str:
     """Return the answer in one line."""
     from sierra.deliverables.sample_size import RunsNeeded
+    from sierra.stats.words import of_run
 
     if isinstance(found, RunsNeeded):
         enough = "more than ten million" if found.runs is None else found.runs
-        return f"for {found.measure} {found.column} ± {found.half_width:g}: --runs {enough}"
+        return f"for {of_run(found.measure, found.column)} ± {found.half_width:g}: --runs {enough}"
     enough = "more than 2000" if found.runs is None else found.runs
     lowest = min((one.power_with for one in found.comparisons if one.power_with is not None), default=None)
     with_runs = ""
     if lowest is not None:
         with_runs = f"; with {found.asked} runs, it is {'above 0.999' if lowest > 0.999 else f'{lowest:.3g} or more'}"
-    return f"for a power of {found.wanted:g}, {found.measure} {found.column}: --runs {enough}{with_runs}"
+    return f"for a power of {found.wanted:g}, {of_run(found.measure, found.column)}: --runs {enough}{with_runs}"

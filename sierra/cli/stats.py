@@ -39,6 +39,10 @@ PAPER = (Shown.markdown, Shown.latex, Shown.html)
 """The formats of tables for papers."""
 
 
+WITH_TIMES = ((Measure.time_to, Times.own), (Measure.time_mean, Times.carry), (Measure.time_mean, Times.linear))
+"""The measures that can be used with times: a survival curve, and a mean by steps or by trapezoids."""
+
+
 def named(words: Sequence[str]) -> tuple[str, ...]:
     """Return the names in words that separate them by commas."""
     names = tuple(name.strip() for word in words for name in word.split(","))
@@ -124,7 +128,7 @@ def stats(
 
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X must be used together")
-    if times and measure and (measure, times) != (Measure.time_to, Times.own):
+    if times and measure and (measure, times) not in WITH_TIMES:
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = measure.value if measure else None if times else "auto"
     format = Shown.json if as_json else format

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
 
 from sierra.config.deliverable_tables import ListOfWords, known_method
-from sierra.config.field_types import Finite, Line, Positive, Table, Words
+from sierra.config.field_types import OF_RUN, Finite, Line, Positive, Table, Words
+from sierra.model import Measure
 
 DECISIONS = ("sql", "value", "order", "equivalence")
 """The ways to decide a claim."""
@@ -42,10 +43,9 @@ class Measured(Table):
 
     table: str = Field("", description="name of the output or derived table; may be omitted if only one has the column")
     column: str = Field("", description="column; may be omitted if there is only one")
-    measure: Literal["final", "mean", "time_to"] | None = Field(
+    measure: Measure | None = Field(
         None,
-        description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`; "
-        "default: `final`, or `mean` in a table of events",
+        description=f"how a run is reduced to one number: {OF_RUN}; default: `final`, or `mean` in a table of events",
     )
     threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
     where: str = Field("", description="rows that count, as an SQL condition on columns of the output; default: all rows")

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from sierra.config.field_types import Finite, InProject, Positive, RawTable, Table, Words
+from sierra.config.field_types import OF_RUN, Finite, InProject, Positive, RawTable, Table, Words
 from sierra.config.field_types import Size as SizeInBytes
+from sierra.model import Measure
 from sierra.util.text import like
 
 CHOSEN = frozenset(
@@ -106,9 +107,9 @@ class Figure(Table):
         description="times of values drawn over time: `own`: each run's own times; `carry`, `linear`: common times, with the "
         "last values carried forward or linear interpolation; default: `own`, or `carry` if most times differ between runs",
     )
-    measure: Literal["final", "mean", "time_to"] = Field(
+    measure: Measure = Field(
         "final",
-        description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`",
+        description=f"how a run is reduced to one number: {OF_RUN}",
     )
     threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
@@ -212,7 +213,7 @@ class TableForPaper(Table):
     statistics: ListOfWords = Field(
         ("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`"
     )
-    measure: Literal["final", "mean", "time_to"] | None = Field(
+    measure: Measure | None = Field(
         None, description="how a run is reduced to one number; default: `final`, or `mean` in a table of events"
     )
     threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
@@ -273,10 +274,9 @@ class Comparison(Table):
     )
     table: str = Field("", description="name of the output; may be omitted if only one has the column")
     column: str = Field("", description="column; may be omitted if there is only one")
-    measure: Literal["final", "mean", "time_to"] | None = Field(
+    measure: Measure | None = Field(
         None,
-        description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`; "
-        "default: `final`, or `mean` in a table of events",
+        description=f"how a run is reduced to one number: {OF_RUN}; default: `final`, or `mean` in a table of events",
     )
     threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
@@ -288,7 +288,7 @@ class Comparison(Table):
     over_time: bool = Field(
         False,
         description="draw the difference over time, with its interval at each time, which is no test; what is tested is "
-        "the mean of each run over time",
+        "the mean of each run's rows, or its `time_mean`",
     )
     method: Annotated[str, Field(min_length=1), AfterValidator(known_method)] = Field(
         "auto",
@@ -313,8 +313,8 @@ class Comparison(Table):
     def _fitting(self) -> Comparison:
         if (self.measure == "time_to") != (self.threshold is not None):
             raise ValueError('measure "time_to" and "threshold" must be used together')
-        if self.over_time and self.measure not in (None, "mean"):
-            raise ValueError(f'"over_time" tests the mean over time, not measure {self.measure!r}')
+        if self.over_time and self.measure not in (None, "mean", "time_mean"):
+            raise ValueError(f'"over_time" tests the measure "mean" or "time_mean", not {self.measure!r}')
         if self.over_time and self.where:
             raise ValueError('"where" chooses rows, so it cannot be used with "over_time"')
         return self

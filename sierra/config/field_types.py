@@ -51,6 +51,8 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 RawTable = targets.RawTable
+OF_RUN = "its last value, the mean of its rows, its mean over time (`time_mean`), or the time until `threshold`"
+"""What the measures are, in the descriptions of keys."""
 
 
 def as_words(value: object) -> object:

@@ -27,7 +27,8 @@ def complaint(figure: Figure) -> str:
     for key in figure.own:
         if key not in kind.Options.model_fields:
             return f"unknown key {key!r}{_nearest(key, sorted(shared | kind.Options.model_fields.keys()), figure.kind)}"
-    for key in sorted(CHOSEN & figure.model_fields_set - kind.uses):
+    uses = kind.uses | ({"times"} if figure.measure == "time_mean" else set())
+    for key in sorted(CHOSEN & figure.model_fields_set - uses):
         return f'"{key}" needs kind {_having(key)}, not {figure.kind!r}'
     try:
         options(kind.Options, figure.own, f"kind {figure.kind!r}")

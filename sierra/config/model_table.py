@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from sierra.config.field_types import Argv, Finite, InProject, Positive, Table, Words
+from sierra.config.field_types import OF_RUN, Argv, Finite, InProject, Positive, Table, Words
+from sierra.model import Measure
 
 SOURCES = ("expression", "sql", "file", "command")
 
@@ -31,10 +32,10 @@ class Model(Table):
     wall: Positive = Field(60.0, description="time limit of the command, in seconds")
     column: Annotated[str, Field(min_length=1)] = Field(description="the predicted column")
     table: str = Field("", description="name of its output or derived table; may be omitted if only one has the column")
-    measure: Literal["final", "mean", "time_to"] | None = Field(
+    measure: Measure | None = Field(
         None,
-        description="the predicted number, if it is not predicted over time: the last value of a run, its mean over time, or "
-        "the time until `threshold`; default: `final`, or `mean` in a table of events",
+        description=f"the predicted number of a run, if it is not predicted over time: {OF_RUN}; default: `final`, or `mean` "
+        "in a table of events",
     )
     threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"

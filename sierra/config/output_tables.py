@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveInt, StringConstraints, WithJsonSchema, model_validator
 
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table
+from sierra.model import Measure
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
@@ -37,7 +38,7 @@ BAG_ENDINGS = ("bag", "mcap", "db3")
 BAG_COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 ROS_VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
-LATER_KEYS = tuple(KEYS_OF_FORMATS)
+LATER_KEYS = (*KEYS_OF_FORMATS, "time_order")
 """Keys of `[outputs.NAME]` that were added after rules had been recorded."""
 Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
 
@@ -144,6 +145,11 @@ class Output(Table):
         "bag; a run with fewer fails",
     )
     time: str = Field("", description="column that is the time axis; default: the row number")
+    time_order: Literal["ascending", "any"] = Field(
+        "ascending",
+        description="if the time goes back within the rows of one file and robot: `ascending` fails the run, `any` takes the "
+        "rows in the order of their times",
+    )
     ticks_per_second: Positive | Annotated[str, Field(min_length=1)] | None = Field(
         None,
         description="ticks per second, if the time column counts ticks: a number, or the XPath of one in the runs' inputs; "
@@ -261,6 +267,11 @@ def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
     return outputs
 
 
+def volatile(outputs: Mapping[str, Output]) -> dict[str, tuple[str, ...]]:
+    """Return the volatile columns of the outputs that have some, by the name of the output."""
+    return {name: output.volatile for name, output in outputs.items() if output.volatile}
+
+
 class Success(Table):
     """Conditions for a successful run, in addition to its required outputs."""
 
@@ -274,9 +285,7 @@ class Equivalence(Table):
 
     table: str = Field(description="name of the output or derived table")
     column: str = Field(description="column of the table")
-    measure: Literal["final", "mean", "time_to"] = Field(
-        "final", description="how a run is reduced to one number, as in figures"
-    )
+    measure: Measure = Field("final", description="how a run is reduced to one number, as in figures")
     threshold: Finite | None = Field(None, description="for `time_to`, as in figures")
     margin: Positive | None = Field(
         None, description="maximum difference between means that are still equivalent, in the column's unit"

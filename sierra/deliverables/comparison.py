@@ -21,6 +21,7 @@ from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
 from sierra.model import Value
 from sierra.stats.comparison.model import Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
+from sierra.stats.words import of_run
 from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
@@ -165,7 +166,7 @@ def gather_cells(
     """
     if len(batches) > 1 and asked.by:
         raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
-    measure = "mean" if asked.over_time else asked.measure
+    measure = asked.measure or ("mean" if asked.over_time else None)
     found = {
         group: values_of_runs(
             project, stores[group], batch, asked.table, asked.column, measure, asked.threshold, asked.where
@@ -234,8 +235,9 @@ def _subject(runs: RunTable) -> str:
     unit = f" [{runs.unit}]" if runs.unit not in ("", "1") else ""
     if runs.threshold is not None:
         return f"the time{unit} until {runs.column} reaches {runs.threshold:g}"
-    words = {"final": "final value of", "mean": "mean of"}
-    return f"the {words.get(runs.measure, runs.measure)} {runs.column}{unit}"
+    if runs.measure == "final":
+        return f"the final value of {runs.column}{unit}"
+    return f"the {of_run(runs.measure, runs.column)}{unit}"
 
 
 def _cells_of_batches(found: Mapping[str, RunTable]) -> tuple[list[Cell], tuple[str, ...]]:

@@ -17,6 +17,7 @@ from sierra.deliverables.paper_tables import FORMATS, Cell, PaperTable, as_markd
 from sierra.stats.comparison.model import Effect, Omnibus, Pair
 from sierra.stats.comparison.wording import number, p_value
 from sierra.stats.rounding import Rounded, rounded
+from sierra.stats.words import of_run
 
 SUFFIXES = {"latex": ".pdf", "markdown": ".png", "html": ".svg"}
 """The files of figures that each format can show."""
@@ -92,7 +93,9 @@ def _caption(compared: Compared) -> str:
     """Return the small print: what is compared, and how the numbers were computed."""
     threshold = compared.asked.threshold
     what = (
-        f"{compared.measure} {compared.column}" if threshold is None else f"time until {compared.column} reaches {threshold:g}"
+        of_run(compared.measure, compared.column)
+        if threshold is None
+        else f"time until {compared.column} reaches {threshold:g}"
     )
     return f"{what}: {caption_of(compared)}"
 

@@ -6,15 +6,16 @@ The project adds labels and units to what SQL computes.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import SEVERAL_TABLES, Output
+from sierra.config.output_tables import SEVERAL_TABLES, Output, volatile
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -25,12 +26,13 @@ from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
+from sierra.store import equal_runs
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
-from sierra.util.text import like
+from sierra.util.text import counted, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -99,7 +101,7 @@ class _Output:
         return replace(stats.coverage(self.samples(column), several=True), selected=True)
 
     def rows(self, statement: str) -> pa.Table:
-        self.frame.data(self.output.name, self.time, self.condition)
+        self.frame.data(self.output.name, self.time, self.condition, timed='"# t"' in statement)
         return self.frame.sql(statement)
 
     def seeds(self) -> Mapping[tuple[int, str], int]:
@@ -143,8 +145,8 @@ class Gallery:
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
-        self.robot_notes: dict[str, str] = {}
-        """Notes by output that the robots of a run wrote together: how they become one value."""
+        self.row_notes: dict[str, list[str]] = {}
+        """Notes by output on how the rows of a run become its values; captions have them too."""
         self.time_notes: dict[str, str] = {}
         """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
 
@@ -202,7 +204,8 @@ class Gallery:
             except SierraError as error:
                 if output.name in filmed:
                     continue
-                doubled = type(error) is UsageError and output.files < 2 and self._topics(output) < 2
+                doubled = output.name in self._seen and self._seen[output.name].doubled
+                doubled = doubled and output.files < 2 and self._topics(output) < 2
                 hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue
@@ -224,7 +227,12 @@ class Gallery:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the reader on the target, the declarations and the times that are used."""
-        return (*self.target_notes, *self.declared_notes, *self.robot_notes.values(), *self.time_notes.values())
+        return (
+            *self.target_notes,
+            *self.declared_notes,
+            *dict.fromkeys(chain.from_iterable(self.row_notes.values())),
+            *self.time_notes.values(),
+        )
 
     def only_column(self, output: OutputTable) -> str:
         """Return the only numeric column of an output that is not its time. Raises UsageError if there are several."""
@@ -269,7 +277,7 @@ class Gallery:
         source.check(figure.columns, numeric=True)
         seen = self._coverage(output, several=bool(figure.where))
         if figure.where:
-            seen = source.coverage(column)
+            seen = self._in_order(output, source.coverage(column))
             stats.check_times(seen)
         return stats.Samples(source.samples(column), seen, column in self.rates(output))
 
@@ -281,6 +289,38 @@ class Gallery:
             where = f"[outputs.{output.name}] rates"
             raise NotFound(f"{where}: no column {unknown[0]!r}; {like(unknown[0], output.all_columns)}")
         return (*output.flags, *rates)
+
+    def key_of_rates(self, output: str, column: str) -> str:
+        """Return what to declare so that the values 0 and 1 of a column are a rate."""
+        if output in self.frame.written:
+            return f'set rates = ["{column}"] in [outputs.{output}]'
+        return f"let the SQL of [tables.{output}] return {column} as true and false"
+
+    def about_rates(self, samples: stats.Samples, table: pa.Table, measure: str | None) -> list[str]:
+        """Return a note on the interval of the mean in computed statistics, if the values are 0 and 1, or should be."""
+        if not isinstance(samples.frame, Column) or not (methods := stats.methods_of_mean(table)):
+            return []
+        column, output = samples.frame.column, samples.frame.table
+        if stats.is_rate(table):
+            return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
+        if measure == "time_to" or "t" not in methods:
+            return []
+        if samples.rate:
+            return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
+        if not stats.may_be_rate(samples.frame, measure):
+            return []
+        return [
+            f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
+            f" (for the interval of a rate, {self.key_of_rates(output, column)})"
+        ]
+
+    def _rates_in(self, made: Drawing, source: _Output, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
+        """Yield notes on the intervals of means in a figure whose values are 0 and 1, but no declared rate."""
+        for column, table in made.tables.items():
+            timed = "t" in table.column_names
+            if column not in rates:
+                samples = stats.Samples(source.samples(column), seen)
+                yield from self.about_rates(samples, table, None if timed else made.figure.measure)
 
     def drawing(self, name: str, figure: Figure, *, model: str = "") -> Drawing:
         """Return the computed content of a figure, with the models that join it, or with one model."""
@@ -301,11 +341,14 @@ class Gallery:
         if source.condition:
             asked = self.frame.experiments_with(output.name, source.condition)
             failed = asked.difference(seen.runs)
-            seen = replace(source.coverage(columns[0]), selected=seen.selected or bool(figure.where))
+            chosen = self._in_order(output, source.coverage(columns[0]))
+            seen = replace(chosen, selected=seen.selected or bool(figure.where))
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
-        made = gather(name, figure, columns, batch, source, seen, self.rates(output), self._config.statistics)
+        rates = self.rates(output)
+        made = gather(name, figure, columns, batch, source, seen, rates, self._config.statistics)
+        of_rates = tuple(self._rates_in(made, source, seen, rates))
         made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
         units = self.units(output)
         tables, models, note = made.tables, made.models, made.note
@@ -317,7 +360,7 @@ class Gallery:
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
-        note = "; ".join(filter(None, (*self.target_notes, self.robot_notes.get(output.name), note)))
+        note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_rates)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
@@ -387,10 +430,12 @@ class Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            if note := self.frame.robots_note(output.name, time):
-                self.robot_notes[output.name] = note
+            robots = self.frame.robots_note(output.name, time)
             read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
             seen = self.frame.once(("coverage", output.name, column, time), read)
+            equal = equal_runs.note(self.frame, volatile(self._config.outputs))
+            self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
+            seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled
             self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)
         if not several and (topics := self._topics(output)) > 1:
@@ -408,6 +453,24 @@ class Gallery:
                     f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
                 ) from error
         return self._seen[output.name]
+
+    def _any_order(self, output: OutputTable) -> bool:
+        """Return whether the time of an output may go back within a run."""
+        declared = self._config.declared(output.name)
+        return isinstance(declared, Output) and declared.time_order == "any"
+
+    def _in_order(self, output: OutputTable, seen: stats.Coverage) -> stats.Coverage:
+        """Return the coverage of an output without the runs whose time may go back."""
+        return replace(seen, backward=0) if self._any_order(output) else seen
+
+    def _order_note(self, output: OutputTable, seen: stats.Coverage) -> str:
+        """Return a note on the runs whose time goes back, if it may; else ""."""
+        if not (seen.backward and self._any_order(output)):
+            return ""
+        return (
+            f"the time of output {output.name!r} goes back in {counted(seen.backward, 'run')}: rows are taken in the order of "
+            "their times, and final is the row of the greatest time"
+        )
 
     def _topics(self, output: OutputTable) -> int:
         """Return the largest number of topics of a run in a table that is made from bags; 1 for other tables."""

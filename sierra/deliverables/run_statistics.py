@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
     from sierra.stats.comparison.rank_distributions import Floats
 
-MEASURES = ("final", "mean", "time_to")
+MEASURES = ("final", "mean", "time_mean", "time_to")
+WITH_TIMES = (("time_to", "own"), ("time_mean", "carry"), ("time_mean", "linear"))
+"""The measures that can be used with times: a survival curve, and a mean by steps or by trapezoids."""
 AUTO = "auto"
 """Stands for `final`, and for `mean` in tables of events, whose last rows say nothing about the others."""
 
@@ -78,7 +80,8 @@ def statistics(
         elif measure is None:
             table, text, notes = samples.at_times(times or "own", wanted)
         else:
-            table, text = samples.by_experiment(measure, wanted, threshold)
+            table, text = samples.by_experiment(measure, wanted, threshold, steps=times == "carry")
+            notes += samples.about(measure)
         if curves and times is None:
             table = survival.with_statistics(table, curves, of_times)
             notes += _about_times(curves, of_times, others=bool(others) or not chosen)
@@ -91,7 +94,7 @@ def statistics(
         if selection:
             notes += selection.notes(shown)
         if not selection or "mean" in chosen:
-            notes += _about_rates(shown, column, output, asked=samples.rate and measure != "time_to")
+            notes += gallery.about_rates(samples, shown, measure)
         notes = [
             *gallery.notes,
             *stats.left_out([] if "remaining" in table.column_names else [shown], coverage, planned, threshold),
@@ -198,7 +201,11 @@ def values_of_runs(
             if value is not None and isfinite(value):
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
-        untimed = stats.left_out((), samples.coverage)
+        notes = [*stats.left_out((), samples.coverage), *samples.about(measure)]
+        if not samples.rate and measure != "time_to" and stats.may_be_rate(samples.frame, measure):
+            notes.append(
+                f"all values of {chosen} are 0 or 1 (to compare them as rates, {gallery.key_of_rates(found.name, chosen)})"
+            )
         return RunTable(
             output=found.name,
             column=chosen,
@@ -210,7 +217,7 @@ def values_of_runs(
             labelled=gallery.cells,
             values={ordinal: tuple(runs) for ordinal, runs in values.items()},
             planned=gallery.planned,
-            notes=(*gallery.notes, *untimed),
+            notes=(*gallery.notes, *notes),
             rate=samples.rate and measure != "time_to",
         )
 
@@ -266,20 +273,6 @@ def _about_times(curves: Mapping[int, Sequence[survival.Step]], of_times: Sequen
     return notes
 
 
-def _about_rates(table: pa.Table, column: str, output: str, *, asked: bool) -> list[str]:
-    """Return notes on the kind of interval if the values are 0 and 1. `asked`: whether the column is one of a rate."""
-    if stats.is_rate(table):
-        return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
-    if asked and any(n > 1 for n in table.column("n").to_pylist()):
-        return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
-    if not stats.may_be_rate(table):
-        return []
-    return [
-        f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
-        f' (for the interval of a rate, set rates = ["{column}"] in [outputs.{output}])'
-    ]
-
-
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
     if measure is not None and measure not in MEASURES:
         raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for statistics at each time")
@@ -287,7 +280,7 @@ def _check_reduction(measure: str | None, threshold: float | None, times: str | 
         raise UsageError("measure 'time_to' needs a threshold, for example threshold = 0.9; no other measure has one")
     if threshold is not None and not isfinite(threshold):
         raise UsageError(f"a threshold must be a finite number, not {threshold}")
-    if measure is not None and times is not None and (measure, times) != ("time_to", "own"):
+    if measure is not None and times is not None and (measure, times) not in WITH_TIMES:
         raise UsageError(
             f"times {times!r} needs statistics at each time, but a measure ({measure!r}) gives one value for all times"
         )

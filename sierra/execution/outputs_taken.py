@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -13,12 +14,16 @@ from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_
 from sierra.ingest import robot_files
 from sierra.store.samples import ON_ROBOTS, names_time
 from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_result import NUMBER as NUMBER_TYPE
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.util.text import counted
 
 OWN = ("run", "execution", "file")
+ONLY_0_AND_1 = "min({column}) = 0 AND max({column}) = 1 AND coalesce(bool_and({column} IN (0, 1)), false)"
+"""True if a column has only the numbers 0 and 1, and both of them."""
+RATES = "SELECT {tests} FROM {table} WHERE execution IN (FROM mine)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,8 @@ class TakenTable:
     units_row: bool
     """True if a line with units follows the column names."""
     declared: bool
+    rates: tuple[str, ...] = ()
+    """The columns, as the file names them, that are 0 in some runs and 1 in others, if each run has one row."""
 
     @property
     def rows(self) -> str:
@@ -230,7 +237,23 @@ def _table(snapshot: Snapshot, layouts: list[_Layout], size: _Rows, declared: Ou
         time=next((column.name for original, column in columns if original == time), time),
         units_row=bool(declared and declared.units_row),
         declared=declared is not None,
+        rates=tuple(_rates(snapshot, size, columns)),
     )
+
+
+def _rates(snapshot: Snapshot, size: _Rows, columns: Sequence[tuple[str, TakenColumn]]) -> Iterator[str]:
+    """Yield the columns whose only numbers are 0 and 1, if each run has one row."""
+    stored = column_names([original for original, _ in columns])
+    numbers = [
+        (original, column.name)
+        for (original, column), name in zip(columns, stored, strict=True)
+        if original == name and re.fullmatch(NUMBER_TYPE, column.type)
+    ]
+    if size.runs < 2 or (size.least, size.most) != (1, 1) or not numbers:
+        return
+    tests = ", ".join(ONLY_0_AND_1.format(column=identifier(name)) for _, name in numbers)
+    [found] = snapshot.run(RATES.format(tests=tests, table=identifier(size.output)))
+    yield from (original for (original, _), is_rate in zip(numbers, found, strict=True) if is_rate)
 
 
 def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | None) -> Iterator[tuple[str, TakenColumn]]:
@@ -265,6 +288,7 @@ def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
         if not table.declared and table.format != FILE_FORMAT:
             tables[table.name] = {"file": table.file}
             tables[table.name] |= {} if table.runs == found.runs else {"required": False}
+            tables[table.name] |= {"rates": list(table.rates)} if table.rates else {}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
 
 

@@ -7,10 +7,11 @@ wants to know is read from it, and then it is removed. Only the run's folder is 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sierra import runners
@@ -29,8 +30,9 @@ from sierra.model import IN_PROJECT, Experiment, Run, Status, Value
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
 from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import disk_errors
+from sierra.store.sql_names import identifier
 from sierra.store.store import GITIGNORE, Store
-from sierra.store.table_layout import TableLayout
+from sierra.store.table_layout import Columns, TableLayout
 from sierra.templates.base import Files
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
@@ -39,6 +41,7 @@ from sierra.worker import worker
 UNCHANGED = "montecarlo.C1"
 """The query for the template as it is, with a seed."""
 MARK = "made by sierra try\n"
+SAME_TABLES = "this run has the same tables as the one with seed "
 CHUNK = 1 << 16
 LOGS = (RUN_STDOUT, RUN_STDERR)
 
@@ -57,6 +60,10 @@ class TriedFile:
     rows: int | None
     columns: Mapping[str, str]
     """The kind of values in each column, as the reader sees them."""
+    sha256: str = ""
+    """The hash of the file."""
+    flags: Mapping[str, int] = field(default_factory=dict)
+    """The columns of numbers that are 0 or 1, in a table of one row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +161,8 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         if run.id not in tally.statuses:
             return Trial(values, run.id, run.seed, Status.INTERRUPTED, "was interrupted", folder=folder, notes=notes)
         found = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
+        if found.status is Status.OK and (same := _same_as_last(place, plan, found)):
+            notes = (*notes, same)
     if found.status is not Status.OK:
         notes += tuple(out_of_reach(plan, None))
         return replace(found, notes=tuple(dict.fromkeys(notes)))
@@ -161,6 +170,22 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
     written = folder and folder / RUN_OUTPUT
     unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables, written)
     return replace(found, notes=tuple(dict.fromkeys(notes)), unread=unread)
+
+
+def _same_as_last(place: TrialPaths, plan: Plan, found: Trial) -> str | None:
+    """Return a note if the last run that was tried had another seed and the same tables; remember this run for the next one."""
+    tables = {one.path: one.sha256 for one in found.files if one.table and one.rows}
+    this = {"spec": plan.batch.spec_id, "values": dict(found.values), "tables": tables}
+    last: dict[str, object] = {}
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        last = dict(json.loads(place.last.read_bytes()))
+    write_whole(place.last, json.dumps({**this, "seed": found.seed}).encode())
+    seed = last.pop("seed", found.seed)
+    if not tables or seed == found.seed or last != json.loads(json.dumps(this)):
+        return None
+    return (
+        f"{SAME_TABLES}{seed}, which was tried before: does the program use its seed? (equal runs are not independent samples)"
+    )
 
 
 def _alone(plan: Plan, run: Run) -> Plan:
@@ -288,14 +313,26 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
         signal=row.signal,
         wall_s=row.wall_s,
         folder=folder,
-        files=tuple(sorted((_file(one) for one in shown.artifacts if one.kind != "log"), key=lambda one: one.table is None)),
+        files=tuple(
+            sorted((_file(store, one) for one in shown.artifacts if one.kind != "log"), key=lambda one: one.table is None)
+        ),
         logs={name: one.size for name in LOGS for one in shown.artifacts if (one.kind, one.path) == ("log", name)},
         elsewhere=tuple(store.values(str, WRITTEN, e=execution)),
         used=used,
     )
 
 
-def _file(one: ArtifactRow) -> TriedFile:
+def _file(store: Store, one: ArtifactRow) -> TriedFile:
     if one.kind != "table":
-        return TriedFile(one.path, one.size, None, None, {})
-    return TriedFile(one.path, one.size, one.output, one.rows, TableLayout.load(one.table_layout).columns)
+        return TriedFile(one.path, one.size, None, None, {}, one.sha256)
+    columns = TableLayout.load(one.table_layout).columns
+    flags = _flags(store, one, columns) if one.rows == 1 and one.output else {}
+    return TriedFile(one.path, one.size, one.output, one.rows, columns, one.sha256, flags)
+
+
+def _flags(store: Store, one: ArtifactRow, columns: Columns) -> dict[str, int]:
+    """Return the columns of numbers that are 0 or 1 in the only row of a table."""
+    with store.snapshot() as snapshot:
+        rows = snapshot.rows(f"FROM {identifier(str(one.output))} WHERE execution = $e", e=one.execution)
+    values = rows[0] if len(rows) == 1 else {}
+    return {name: int(values[name] == 1) for name, kind in columns.items() if kind == "number" and values.get(name) in (0, 1)}

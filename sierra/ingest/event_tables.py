@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from sierra.store.rounded_times import PART
 from sierra.store.sql_names import identifier
 from sierra.store.sql_result import NUMBER
 from sierra.store.store import Snapshot, Store
@@ -67,7 +68,9 @@ def _is_series(snapshot: Snapshot, output: str, batch: str) -> bool:
     order = ", ".join(identifier(name) for name, *_ in described if name in ("file", "row"))
     placed = PLACED.format(output=identifier(output), order=order)
     [(shared,)] = snapshot.run(SHARED.format(placed=placed), {"batch": batch})
-    return not shared or any(snapshot.run(SERIES.format(placed=placed, column=column), {"batch": batch}) for column in numeric)
+    return not shared or any(
+        snapshot.run(SERIES.format(placed=placed, column=column, part=PART), {"batch": batch}) for column in numeric
+    )
 
 
 PLACED = """
@@ -83,8 +86,10 @@ WITH moments AS (
     SELECT *, lag(least) OVER (PARTITION BY ordinal ORDER BY place) AS before FROM moments
 )
 SELECT 1 FROM steps
-HAVING bool_and(complete AND least = most AND (before IS NULL OR least >= before)) AND max(least) > min(least)
+HAVING bool_and(complete AND (before IS NULL OR least >= before)) AND max(least) > min(least)
+    AND max(most - least) <= {part} * min(least - before) FILTER (least > before)
 """
+"""True for a column whose values are the same in all runs, or differ by rounding only."""
 
 
 def short(sizes: Iterable[TableSize]) -> Iterator[tuple[TableSize, int, int]]:

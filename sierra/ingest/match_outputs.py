@@ -74,7 +74,7 @@ class OutputMatcher:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
                 for name in owners if kind in SEVERAL_TABLES else owners[:1]:
-                    yield name, self._shape(self._outputs[name]), file
+                    yield name, self._shape(name, self._outputs[name]), file
             elif result.robots and robot_files.place_of(file.path) is not None:
                 of_robots.setdefault(file.path.partition("/")[2], []).append(file)
             elif "/" in file.path:
@@ -93,7 +93,8 @@ class OutputMatcher:
                     self._keep(TAKEN, file)
                 continue
             taken.add(table.lower())
-            shape = Shape(kind, many=True, ticks=(robot_files.COLUMN,)) if several else Shape(kind)
+            ticks = (robot_files.COLUMN,) if several else ()
+            shape = Shape(kind, many=several, ticks=ticks, name=table)
             yield from ((table, shape, file) for file in files)
 
     def _name(self, path: str) -> str | None:
@@ -123,12 +124,23 @@ class OutputMatcher:
                 self._names.setdefault(_stem(own), name)
         return self._names
 
-    def _shape(self, output: Output) -> Shape:
+    def _shape(self, name: str, output: Output) -> Shape:
         many = bool(output.ticks) or any(c in output.file for c in "*?[")
         reader = self._readers.get(output.kind, "")
         form = Form(**{field.name: getattr(output, field.name) for field in fields(Form)})
         return Shape(
-            output.kind, output.delimiter, output.header, output.columns, many, reader=reader, form=form, ticks=output.ticks
+            output.kind,
+            output.delimiter,
+            output.header,
+            output.columns,
+            many,
+            reader=reader,
+            form=form,
+            ticks=output.ticks,
+            name=name,
+            declared=True,
+            time=output.time,
+            any_order=output.time_order == "any",
         )
 
     def _keep(self, why: str, file: OutputFile) -> None:

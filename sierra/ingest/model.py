@@ -90,6 +90,14 @@ class Shape:
     """The columns that have only the number of the items of a list, as found in earlier files."""
     nans: tuple[str, ...] = ()
     """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
+    name: str = ""
+    """The name of the table."""
+    declared: bool = False
+    """True if the project declares the output."""
+    time: str = ""
+    """The declared time column; "" if none is declared."""
+    any_order: bool = False
+    """True if the time may go back within a file."""
 
 
 Group = Hashable

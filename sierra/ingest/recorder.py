@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.config.output_tables import volatile
 from sierra.containers import engines
 from sierra.ingest import astray, compare_observations, compare_robots
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
@@ -25,6 +26,7 @@ from sierra.ingest.success import Doubt, Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import LateFiles, OutputFile, Result, Status
 from sierra.provenance.hash_cache import HashCache
+from sierra.store import equal_runs
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, FileWrittenRow, IngestRulesRow
@@ -260,6 +262,7 @@ class Recorder:
             *self._assigning.renamed.values(),
             *as_files(kept),
             *remarks.all(),
+            *equal_runs.of_batch(self._store, self.context.batch, volatile(self.context.outputs)),
         ]
 
     def _twice(self) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import ClassVar
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.errors import Missing
-from sierra.ingest import robot_files
+from sierra.ingest import robot_files, time_order
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.connections import Database
@@ -178,6 +179,20 @@ class TableReader:
             key = file.execution, file.name
             if not self.rows[key]:
                 self.columns[key] = dict.fromkeys(self.columns[key], "empty")
+        self._check_time(target, files)
+
+    def _check_time(self, target: Path, files: Sequence[Written]) -> None:
+        """Mark the files in `target` as faulty whose time goes back."""
+        if self.shape.any_order or "# t" in self.part.names:
+            return
+        hidden = ("run", "execution", *(["file"] if self.shape.many else ()), *column_names(self.shape.ticks))
+        only = self._names(files)
+        by_key = {(file.execution, file.name): file for file in files}
+        for back in time_order.gone_back(self.sql, target, self.shape.time, hidden):
+            file = by_key[back.execution, only[back.execution, back.file]]
+            keys = "" if self.shape.declared else f"file = {json.dumps(file.name, ensure_ascii=False)}, "
+            cure = f'to take rows in the order of their times, set {keys}time_order = "any" in [outputs.{self.shape.name}]'
+            self.fault(file, f"{back.message} ({cure})")
 
     def _lacking(self, target: Path) -> set[str]:
         """Return the columns of a Parquet file that have no value in some row."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import DerivedTable
@@ -62,15 +62,16 @@ def values(
         for name, metric in metrics.items():
             table = declared.get(metric.table)
             column = Column(frame, metric.table, metric.column, table.time if table else "")
-            rows = _reduced(column, metric).to_pylist()
+            any_order = isinstance(table, Output) and table.time_order == "any"
+            rows = _reduced(column, metric, any_order=any_order).to_pylist()
             found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
     return found
 
 
-def _reduced(column: Column, metric: Equivalence) -> pa.Table:
+def _reduced(column: Column, metric: Equivalence, *, any_order: bool) -> pa.Table:
     """Return the values of the runs. Raises NotFound."""
     try:
-        _check_single(column)
+        _check_single(column, any_order=any_order)
         return stats.reduced(column, metric.measure, metric.threshold)
     except (NotFound, Missing, Damaged):
         raise
@@ -78,10 +79,11 @@ def _reduced(column: Column, metric: Equivalence) -> pa.Table:
         raise NotFound(str(error)) from error
 
 
-def _check_single(column: Column) -> None:
-    """Check that no run has several rows at one time. Raises NotFound."""
+def _check_single(column: Column, *, any_order: bool) -> None:
+    """Check that no run has several rows at one time, and that no time goes back, except in `any_order`. Raises NotFound."""
     try:
-        stats.coverage(column)
+        seen = stats.coverage(column, several=True)
+        stats.check_times(replace(seen, backward=0) if any_order else seen)
     except NotFound:
         raise
     except UsageError as error:

@@ -14,14 +14,18 @@ never reached a threshold. One run has a mean but no interval.
 
 The statements run on a `Frame`, which has one relation. The store makes it from one column of one output of one batch:
 
-    samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, value DOUBLE)
+    samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, shared_t DOUBLE, value DOUBLE,
+            file VARCHAR, place BIGINT)
+
+`shared_t` is the time that a row shares with rows of other runs: times that differ by rounding only are one.
+`place` is the place of a row in its file, or NULL if the rows have no order.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from statistics import NormalDist
@@ -36,9 +40,11 @@ from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.text import counted, n_of
+from sierra.util.text import counted, n_of, verb
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
     import pyarrow as pa
 
     from sierra.stats.selection import Selection
@@ -46,6 +52,8 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 GRID = 500
 """The largest number of points of a common time axis, used if the runs' own times differ."""
+MEANS = ("mean", "time_mean")
+"""The measures that are means of a run's values."""
 TIMES = ("own", "carry", "linear")
 """The times at which statistics are computed: the runs' own times, or common ones by one of two methods."""
 
@@ -73,9 +81,11 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
 USUAL = tuple(name for name in STATISTICS if name != "mad")
 """The statistics of `sierra stats` if none are chosen; `mad` would sort all values once more."""
 
-ROWS = "SELECT experiment, t, value FROM samples"
+ROWS = "SELECT experiment, shared_t AS t, value FROM samples"
 LIST = "coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x"
 """The sorted values of a group, for statistics that need each value; sorted, so that the order of rows has no effect."""
+BOTH = "coalesce(bool_and(value IN (0, 1)), false) AND min(value) = 0 AND max(value) = 1"
+"""True if values are 0 or 1 and both occur, in SQL."""
 STEP = r" AS (_\w+|x\b)"
 """Intermediate steps in SQL, as a regular expression."""
 
@@ -109,6 +119,21 @@ class Coverage:
     """True if a condition or a statement chose the rows, so that a successful run may have none."""
     doubled: int = 0
     """The number of runs with more than one row at the same time, for which statistics over runs are not defined."""
+    backward: int = 0
+    """The number of runs whose time goes back from one row to the next."""
+    ends: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    """The times at which the first and the last of an experiment's runs end, by experiment."""
+
+    def about_ends(self) -> list[str]:
+        """Return a note if runs of an experiment end at different times."""
+        rounding = 1e-3 * (self.last - self.first) / max(1, self.most - 1)
+        apart = [ends for ends in self.ends.values() if ends[1] - ends[0] > rounding]
+        if not apart:
+            return []
+        first, last = min(first for first, _ in apart), max(last for _, last in apart)
+        return [
+            f"runs of an experiment end at different times, from {first:.12g} to {last:.12g}: final has each at its own end"
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +154,7 @@ class Computed:
 def coverage(frame: Frame, *, several: bool = False) -> Coverage:
     """Return the amount of data. Raises SierraError if there is none.
 
-    Raises UsageError for several rows at the same time of a run, unless `several`.
+    Raises UsageError for several rows at the same time of a run and for a time that goes back, unless `several`.
     """
     rows = frame.sql(_file("coverage")).to_pylist()
     if not rows or all(row["first"] is None for row in rows):
@@ -143,19 +168,31 @@ def coverage(frame: Frame, *, several: bool = False) -> Coverage:
         first=min(row["first"] for row in timed),
         last=max(row["last"] for row in timed),
         untimed=sum(row["untimed"] for row in rows),
-        doubled=0 if ascending else int(frame.sql(_file("doubled")).column("doubled")[0].as_py()),
+        doubled=0 if ascending else _number_of(frame, "doubled"),
+        backward=0 if ascending else _number_of(frame, "backward"),
+        ends={row["experiment"]: (row["earliest"], row["last"]) for row in timed},
     )
     if not several:
         check_times(found)
     return found
 
 
+def _number_of(frame: Frame, name: str) -> int:
+    """Return the one number of a statement that counts runs."""
+    return int(frame.sql(_file(name)).column(name)[0].as_py())
+
+
 def check_times(seen: Coverage) -> None:
-    """Raise UsageError for several rows at the same time of a run."""
+    """Raise UsageError for several rows at the same time of a run, and for a time that goes back."""
     if seen.doubled:
         raise UsageError(
             f"{counted(seen.doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
             " per run and time: name the right column as `time`, or let the run write its own mean"
+        )
+    if seen.backward:
+        raise UsageError(
+            f"{counted(seen.backward, 'run')} whose time goes back, as after a restart from a checkpoint: name the right column"
+            ' as `time`, or set time_order = "any" to take the rows in the order of their times'
         )
 
 
@@ -186,12 +223,14 @@ def compute(
             table, text, how = samples.at_times(figure.times, statistics)
             notes |= dict.fromkeys(how)
         else:
-            table, text = samples.by_experiment(figure.measure, statistics, figure.threshold)
+            table, text = samples.by_experiment(figure.measure, statistics, figure.threshold, steps=figure.times == "carry")
         tables[column] = table
         texts.append(text)
     if not any(_total(table, "n") for table in tables.values()):
         raise SierraError(_nothing(figure, tables, seen))
     runs = _values(frames, figure) if needs.runs else None
+    if needs.over != "time" or needs.runs:
+        notes |= dict.fromkeys(samples.about(figure.measure))
     shown = _note(figure, needs, tables.values(), seen, planned)
     return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*shown, *notes]))
 
@@ -216,14 +255,29 @@ class Samples:
     rate: bool = False
     """True if the column has flags, or is declared as a rate; if all values are 0 or 1, their mean is a rate."""
 
-    def by_experiment(self, measure: str, statistics: Wanted, threshold: float | None = None) -> Statistics:
-        """Return statistics of each experiment, each run reduced by `measure`."""
+    def by_experiment(
+        self, measure: str, statistics: Wanted, threshold: float | None = None, *, steps: bool = False
+    ) -> Statistics:
+        """Return statistics of each experiment, each run reduced by `measure`; `steps`: `time_mean` without trapezoids."""
         text = statement(_file(f"measures/{measure}"), "group_by_experiment", statistics)
-        return self._run(text, statistics, rate=self._remains_rate(measure), threshold=threshold)
+        return self._run(text, statistics, rate=self._remains_rate(measure), threshold=threshold, steps=steps)
 
     def _remains_rate(self, measure: str) -> bool:
         """Return whether the reduced values of a rate are still 0 or 1; the mean of several rows is a fraction."""
-        return self.rate and (measure == "final" or (measure == "mean" and self.coverage.most == 1))
+        return self.rate and (measure == "final" or (measure in MEANS and self.coverage.most == 1))
+
+    def about(self, measure: str) -> list[str]:
+        """Return notes on what a measure makes of runs that end at different times, or whose steps differ."""
+        if self.coverage.most < 2:
+            return []
+        if measure == "final":
+            return self.coverage.about_ends()
+        if measure == "mean" and (uneven := _number_of(self.frame, "uneven")):
+            return [
+                f"the steps of time differ by more than 1 % in {counted(uneven, 'run')}, and mean is the mean of the rows: "
+                "time_mean is the mean over time"
+            ]
+        return []
 
     def by_time(self, statistics: Wanted) -> Statistics:
         """Return statistics of each experiment at each of its runs' times."""
@@ -244,7 +298,7 @@ class Samples:
             runs = self.coverage.runs.values()
             differ = max(runs) > 1 and self.coverage.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
             if times == "own" or not differ:
-                return table, text, ["times differ: each run has its own times"] if differ else []
+                return table, text, ["times differ: each run has its own times"] if differ else _of_fewer_runs(table)
         grid = self._common_times()
         table, text = self.resampled(grid, statistics, linear=times == "linear")
         how = "interpolated linearly" if times == "linear" else "last values carried forward"
@@ -258,26 +312,38 @@ class Samples:
     def runs_over_time(self, grid: Sequence[float] | None = None) -> tuple[pa.Table, list[float]]:
         """Return the runs' values at common times, and these times: `experiment`, `run`, `number`, `t`, `value`.
 
-        Last values are carried forward. The times are those of `grid`, or those of `at_times`.
+        Last values are carried forward. The times are those of `grid`, or those of `at_times`. A time of another batch in
+        `grid` that differs from a run's own time by rounding only is replaced by that time.
         """
-        times = list(grid or self._common_times())
+        times = self._near_own(grid) if grid else self._common_times()
         return self.frame.sql(_file("resample") + "\nORDER BY ALL", grid=times, linear=False), times
 
     def _common_times(self) -> list[float]:
-        """Return the times of a common axis, in ascending order.
+        """Return the times of a common axis, in ascending order."""
+        import numpy as np
+
+        first, last = self.coverage.first, self.coverage.last
+        even = np.linspace(first, last, max(2, min(self.coverage.most, GRID)))
+        return sorted(set(self._close_to_own(even, 1e-9 * (last - first))))
+
+    def _near_own(self, grid: Sequence[float]) -> list[float]:
+        """Return the times of another batch, but with the own times of runs where they differ by rounding only."""
+        import numpy as np
+
+        return self._close_to_own(np.array(grid), 1e-3 * float(np.diff(grid).min(initial=0.0 if len(grid) < 2 else np.inf)))
+
+    def _close_to_own(self, even: npt.NDArray[np.float64], limit: float) -> list[float]:
+        """Return times, replaced by a run's own time if they differ from it by `limit` at most.
 
         If rounding put a time just before a run's own time, it would show the value of the previous row.
         """
         import numpy as np
 
-        first, last = self.coverage.first, self.coverage.last
-        even = np.linspace(first, last, max(2, min(self.coverage.most, GRID)))
-        own = numpy_of(self.frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
+        own = numpy_of(self.frame.sql("SELECT DISTINCT shared_t AS t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
         after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
         near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
-        close = np.abs(near - even) <= 1e-9 * (last - first)
-        grid: list[float] = np.unique(np.where(close, near, even)).tolist()
-        return grid
+        found: list[float] = np.where(np.abs(near - even) <= limit, near, even).tolist()
+        return found
 
     def _run(self, text: str, statistics: Wanted, *, rate: bool, **params: Parameter) -> Statistics:
         most = max(self.coverage.runs.values())
@@ -292,19 +358,35 @@ class Samples:
         return (selection.complete(table), selection.documented() + explained) if selection else (table, explained)
 
 
-def values_of_runs(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
+def _of_fewer_runs(table: pa.Table) -> list[str]:
+    """Return a note if statistics at some times are those of fewer runs than at other times of the same experiment."""
+    import numpy as np
+
+    experiments = numpy_of(table.column("experiment"))
+    runs = sum(numpy_of(table.column(name)).astype(np.int64) for name in ("n", "missing", "infinite"))
+    most = np.zeros(experiments.max() + 1 if len(experiments) else 0, np.int64)
+    np.maximum.at(most, experiments, runs)
+    times = numpy_of(table.column("t"))
+    fewer = np.unique(times[runs < most[experiments]])
+    if not len(fewer):
+        return []
+    every = counted(len(np.unique(times)), "time")
+    return [f"{len(fewer)} of {every} {verb(len(fewer), 'has', 'have')} fewer runs than others, from {fewer[0]:.12g} on"]
+
+
+def values_of_runs(frame: Frame, measure: str, threshold: float | None = None, *, steps: bool = False) -> pa.Table:
     """Return a value for each run: `experiment`, `run`, `value` (NULL: none), `never`, `last` (the time of its last value)."""
     text = f"WITH observations AS (\n{_file(f'measures/{measure}')})\n{_file('values_of_runs')}"
-    return frame.sql(text, **_used(text, threshold=threshold))
+    return frame.sql(text, **_used(text, threshold=threshold, steps=steps))
 
 
-def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
+def reduced(frame: Frame, measure: str, threshold: float | None = None, *, steps: bool = False) -> pa.Table:
     """Return the finite values that the runs are reduced to: `experiment`, `run`, `value`."""
     text = (
         f"WITH observations AS (\n{_file(f'measures/{measure}')})\n"
         "SELECT experiment, run, value FROM observations WHERE isfinite(value) ORDER BY experiment, value, run"
     )
-    return frame.sql(text, **_used(text, threshold=threshold))
+    return frame.sql(text, **_used(text, threshold=threshold, steps=steps))
 
 
 def statement(observations: str, grouping: str, statistics: Wanted) -> str:
@@ -418,7 +500,8 @@ def _check(figure: Figure, needs: Needs, frames: Mapping[str, Frame]) -> None:
 
 def _values(frames: Mapping[str, Frame], figure: Figure) -> pa.Table:
     """Return the finite values of runs: `experiment`, `run`, `value`, and for further columns `value_2` and so on."""
-    first, *others = (reduced(frame, figure.measure, figure.threshold) for frame in frames.values())
+    steps = figure.times == "carry"
+    first, *others = (reduced(frame, figure.measure, figure.threshold, steps=steps) for frame in frames.values())
     for place, table in enumerate(others, 2):
         keys = ["experiment", "run"]
         first = first.join(table.rename_columns([*keys, f"value_{place}"]), keys, join_type="inner")
@@ -475,28 +558,20 @@ def _nothing(figure: Figure, tables: Mapping[str, pa.Table], seen: Coverage) -> 
 
 def is_rate(table: pa.Table) -> bool:
     """Return whether the intervals of computed statistics are those of a rate."""
+    return words.WILSON in methods_of_mean(table)
+
+
+def methods_of_mean(table: pa.Table) -> set[str]:
+    """Return the methods of the intervals of the mean in computed statistics."""
     names = {"interval", "mean_interval"} & set(table.column_names)
-    return any("Wilson" in table.column(name).to_pylist() for name in names)
+    return {method for name in names for method in table.column(name).to_pylist() if method}
 
 
-def may_be_rate(table: pa.Table) -> bool:
-    """Return whether all values of a column without the interval of a rate are 0 or 1, and both occur.
-
-    Numbers from 0 to 1 are all 0 or 1 exactly if the mean of their squares is their mean, which means that
-    sd² = mean · (1 − mean) · n / (n − 1).
-    """
-    import numpy as np
-
-    if is_rate(table) or not {"mean", "sd", "min", "max"} <= set(table.column_names):
-        return False
-    n, mean, sd, low, high = (
-        numpy_of(table.column(name)).astype(float)[numpy_of(table.column("n")) > 0]
-        for name in ("n", "mean", "sd", "min", "max")
-    )
-    if not len(n) or low.min() != 0 or high.max() != 1:
-        return False
-    expected = mean * (1 - mean) * n / np.maximum(n - 1, 1)
-    return bool(np.all(np.where(n > 1, np.abs(np.nan_to_num(sd) ** 2 - expected) < 1e-9, (mean == 0) | (mean == 1))))
+def may_be_rate(frame: Frame, measure: str | None) -> bool:
+    """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows."""
+    observations = ROWS if measure is None else _file(f"measures/{measure}")
+    text = f"SELECT {BOTH} AS both FROM (\n{observations}\n) WHERE isfinite(value)"  # noqa: S608 - own statements
+    return bool(frame.sql(text, **_used(text, steps=False)).column("both")[0].as_py())
 
 
 def _shown(needs: Needs, tables: Sequence[pa.Table]) -> str:

@@ -1,7 +1,8 @@
--- coverage, per experiment: the number of runs, the largest number of rows of a run, the first and the last time, the number
--- of rows without a finite time (no statistic uses them), and whether the times of each run ascend. To know that, nothing is sorted: the
--- rows are cut, as they are read, into pieces that have rows of one run; in each piece, times must ascend, and the pieces of a run must
--- not overlap. If so, no run has two rows at the same time; if not, `doubled.sql` has to count.
+-- coverage, per experiment: the number of runs, the largest number of rows of a run, the first and the last time, the time
+-- at which the first run ends (earliest), the number of rows without a finite time (no statistic uses them), and whether the
+-- times of each run ascend. To know that, nothing is sorted: the rows are cut, as they are read, into pieces that have rows of one run; in each piece, times must ascend, and the pieces of a run must
+-- not overlap. If so, no run has two rows at the same time, and no time goes back; if not, `doubled.sql` and `backward.sql`
+-- have to count.
 SELECT
   experiment,
   count(*) AS runs,
@@ -9,6 +10,7 @@ SELECT
   max(rows) AS most,
   min(first) AS first,
   max(last) AS last,
+  min(last) AS earliest,
   sum(untimed)::BIGINT AS untimed,
   bool_and(ascending) AS ascending
 FROM (

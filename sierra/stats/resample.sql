@@ -12,12 +12,12 @@ SELECT
   END AS value
 FROM (
   SELECT experiment, run, number, last, unnest($grid::DOUBLE[]) AS t
-  FROM (SELECT experiment, run, number, max(t) AS last FROM samples WHERE isfinite(t) GROUP BY experiment, run, number)
+  FROM (SELECT experiment, run, number, max(shared_t) AS last FROM samples WHERE isfinite(t) GROUP BY experiment, run, number)
 ) AS points
 ASOF JOIN (
-  SELECT experiment, run, t, value, lead(t) OVER following AS next_t, lead(value) OVER following AS next_value
+  SELECT experiment, run, shared_t AS t, value, lead(shared_t) OVER following AS next_t, lead(value) OVER following AS next_value
   FROM samples
   WHERE isfinite(t)
-  WINDOW following AS (PARTITION BY experiment, run ORDER BY t)
+  WINDOW following AS (PARTITION BY experiment, run ORDER BY shared_t)
 ) AS pieces ON points.experiment = pieces.experiment AND points.run = pieces.run AND points.t >= pieces.t
 WHERE points.t <= points.last

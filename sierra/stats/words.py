@@ -12,6 +12,7 @@ NAMES = {
     "iqr": "interquartile range",
     "mad": "median absolute deviation",
 }
+MEASURES = {"mean": "mean of the rows of", "time_mean": "mean over time of"}
 METHODS = {"t": "Student's t", "trimmed t": "t of a trimmed mean"}
 WILSON = "Wilson"
 
@@ -20,6 +21,11 @@ def named(statistic: str) -> str:
     """Return the name of a statistic, as in `interquartile mean` and `90 % quantile`."""
     of_quantile = percent(statistic)
     return NAMES.get(statistic, statistic) if of_quantile is None else f"{of_quantile:g} % quantile"
+
+
+def of_run(measure: str, column: str) -> str:
+    """Return the words for the value of a run, as in `final coverage` and `mean of the rows of coverage`."""
+    return f"{MEASURES.get(measure, measure)} {column}"
 
 
 def plural(statistic: str) -> str:

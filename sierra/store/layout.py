@@ -194,6 +194,8 @@ class TrialPaths:
     """The folder to which the run's folder is moved first."""
     run = _Below("run")
     """The folder of the last run."""
+    last = _Below("last.json")
+    """The seed of the last run that succeeded, and the hashes of its tables."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,9 @@ time or more."""
 MEAN = "CASE WHEN bool_and(coalesce(isfinite(value), false)) THEN list_sum(list(value ORDER BY robot)) / count(*) END AS value"
 """Added in the order of the robots, so that the order of rows has no effect on the last digits."""
 
-SAME_TIMES = f"SELECT experiment, run, number, t, {MEAN} FROM ({{rows}}) GROUP BY experiment, run, number, t"
+PLACE = "NULL::VARCHAR AS file, NULL::BIGINT AS place"
+"""Means are not rows of a file."""
+SAME_TIMES = f"SELECT experiment, run, number, t, {MEAN}, {PLACE} FROM ({{rows}}) GROUP BY experiment, run, number, t"
 
 OTHER_TIMES = f"""
 WITH rows AS (SELECT * FROM ({{rows}}) WHERE isfinite(t)),
@@ -59,11 +61,11 @@ points AS (
     SELECT experiment, run, number, robot, t FROM times JOIN robots USING (experiment, run, number)
     WHERE t BETWEEN first AND last
 )
-SELECT p.experiment, p.run, p.number, p.t, {MEAN} FROM (
+SELECT p.experiment, p.run, p.number, p.t, {MEAN}, {PLACE} FROM (
     SELECT p.*, r.value FROM points p ASOF JOIN rows r
     ON p.experiment = r.experiment AND p.run = r.run AND p.robot = r.robot AND p.t >= r.t
 ) p GROUP BY p.experiment, p.run, p.number, p.t
-UNION ALL SELECT experiment, run, number, t, value FROM ({{rows}}) WHERE NOT coalesce(isfinite(t), false)
+UNION ALL SELECT experiment, run, number, t, value, {PLACE} FROM ({{rows}}) WHERE NOT coalesce(isfinite(t), false)
 """
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
-from sierra.store import captures, robot_means
+from sierra.store import captures, robot_means, rounded_times
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
@@ -31,6 +31,7 @@ from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.views import files_with, recording
+from sierra.util.arrow_columns import numpy_of
 from sierra.util.scratch import scratch
 from sierra.util.text import like
 
@@ -105,6 +106,8 @@ class Frame:
         self._relations: dict[str, Relation] = {}
         self._robots: dict[str, str] = {}
         """The columns with the places of robots, by table; "" if there is none."""
+        self._times: dict[tuple[str, str], str] = {}
+        """The SQL expressions for times, by table and name of the time."""
         self._aligned: dict[tuple[str, str, str], bool | None] = {}
         """By table, time and condition: true if robots of each run have the same times; None if some have two rows at one."""
         self._computed: dict[Hashable, object] = {}
@@ -409,9 +412,12 @@ class Frame:
         if robot := self.column_of_robots(table):  # each robot has a time of its own; the first one's rows follow each other
             data = f"(SELECT * FROM {data} WHERE {robot} = (SELECT min({robot}) FROM {data}))"
         grows = [column for column in columns if column in self._growing(data, columns)]
-        return next(
-            (column for column in grows if self._snapshot.run(ALIKE.format(column=identifier(column), data=data))), None
-        )
+        return next((column for column in grows if self._alike(data, identifier(column))), None)
+
+    def _alike(self, data: str, column: str) -> bool:
+        """Return whether a column has the same values in all runs, except for rounding."""
+        part = rounded_times.PART
+        return any(self._snapshot.run(text.format(column=column, data=data, part=part)) for text in (ALIKE, NEARLY_ALIKE))
 
     def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
         """Return the columns that increase from row to row in the longest run."""
@@ -445,10 +451,11 @@ class Frame:
         known = zip(columns, found, strict=True)  # the variance of very large numbers is not finite
         return {column: share if share is not None and isfinite(share) else 0.0 for column, share in known}
 
-    def samples(self, table: str, column: str, time: str = "", where: str = "") -> None:
+    def samples(self, table: str, column: str, time: str = "", where: str = "", *, shared: bool = False) -> None:
         """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column.
 
-        `where` is a condition on the columns of the output and on variables; rows without it do not count.
+        `where` is a condition on the columns of the output and on variables; rows without it do not count. `shared`: the
+        column `shared_t` has the times that rows share with other runs, if they differ by rounding only.
         """
         data = self._data(table)
         if column in _mixed(self._relation(table, self._files[table])):
@@ -460,26 +467,68 @@ class Frame:
             raise NotFound(
                 f"output {table!r} has no column {time!r} for its time ([outputs.{table}] time); {like(time, known)}"
             )
-        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
+        t = self._time(table, time, shared=False)
+        shared_t = self._time(table, time) if shared else t
         self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
-            self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, t, where)}")
+            self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, (t, shared_t), where)}")
         except Damaged:
             raise
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
 
-    def _values(self, table: str, column: str, time: str, t: str, where: str) -> str:
-        """Return the query for the values of a column: those of each row, or the means of the robots of a run."""
+    def _values(self, table: str, column: str, time: str, times: tuple[str, str], where: str) -> str:
+        """Return the query for the values of a column: those of each row, or the means of the robots of a run.
+
+        `times` are the expressions for a row's own time, and for the time that it shares with rows of other runs.
+        """
         value, data = identifier(column), self._rows(table, where)
         robot = self.column_of_robots(table)
+        t, shared_t = times if not robot else (self._time(table, time), "t")
         aligned = self._same_times(table, robot, time, t, where) if robot else None
         if aligned is None:
             own = '"# experiment" AS experiment, run, "# number" AS number'
-            return f"SELECT {own}, {t} AS t, {value}::DOUBLE AS value FROM {data}"
+            order = self._order(table)
+            return f"SELECT {own}, {t} AS t, {shared_t} AS shared_t, {value}::DOUBLE AS value, {order} FROM {data}"
         template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
-        return template.format(rows=robot_means.rows(data, robot, value, t))
+        return f"SELECT *, t AS shared_t FROM ({template.format(rows=robot_means.rows(data, robot, value, t))})"
+
+    def _time(self, table: str, time: str, *, shared: bool = True) -> str:
+        """Return the SQL expression for the time of a row. If `shared`, times that differ by rounding only are one."""
+        if not time:
+            return '"# place"::DOUBLE'
+        if not shared:
+            return f"{identifier(time)}::DOUBLE"
+        if (table, time) not in self._times:
+            self._times[table, time] = self._one_time(table, f"{identifier(time)}::DOUBLE")
+        return self._times[table, time]
+
+    def _one_time(self, table: str, time: str) -> str:
+        """Return `time`, or an expression that looks it up in a table of the times that differ by rounding only."""
+        data, robot = self._data(table), self.column_of_robots(table)
+        rows = rounded_times.rows(data, time, robot)
+        try:
+            if self._snapshot.run(rounded_times.SHARED.format(rows=rows))[0][0] in (True, None):
+                return time
+            found = self._snapshot.connection.sql(rounded_times.STEPS.format(rows=rows)).to_arrow_table()
+        except Damaged:
+            raise
+        except Exception as error:
+            raise NotFound(f"output {table!r}, time {time}: {explain(error)}") from error
+        same = dict(rounded_times.same(numpy_of(found.column("t")), numpy_of(found.column("step"))))
+        if not same:
+            return time
+        name = f"times {len(self._times)}"
+        self._snapshot.add_table(name, own=same, shown=same.values())
+        return f"coalesce((SELECT shown FROM {identifier(name)} WHERE own = {time}), {time})"
+
+    def _order(self, table: str) -> str:
+        """Return the columns that say where a row is: its file, and its place there; NULL in derived tables."""
+        if not self._files[table]:
+            return "NULL::VARCHAR AS file, NULL::BIGINT AS place"
+        file = "file" if "file" in self._relation(table, self._files[table]).types else "NULL::VARCHAR"
+        return f'{file} AS file, "# place" AS place'
 
     def column_of_robots(self, table: str) -> str:
         """Return the column with the robot's place, if the robots of each run write a table together; "" if not."""
@@ -498,7 +547,7 @@ class Frame:
         """Return a note about the statistics of a table; "" if robots did not write it together."""
         if not (robot := self.column_of_robots(table)):
             return ""
-        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
+        t = self._time(table, time)
         aligned = self._same_times(table, robot, time, t, "")
         if aligned is None:
             return ""
@@ -515,16 +564,15 @@ class Frame:
             self._aligned[key] = None if doubled else same
         return self._aligned[key]
 
-    def data(self, table: str, time: str = "", where: str = "") -> None:
+    def data(self, table: str, time: str = "", where: str = "", *, timed: bool = True) -> None:
         """Create the view `data` of all rows of one output, with all columns. Raises NotFound for an unknown output.
 
         It also has the number of the experiment `"# experiment"`, of the run `"# number"`, of the row in its run `"# place"`,
-        and the time `"# t"`.
+        and the time `"# t"`, in which times that differ by rounding only are one if `timed`.
         """
-        rows = self._rows(table, where)
-        t = identifier(time) if time else '"# place"'
+        rows, t = self._rows(table, where), self._time(table, time, shared=timed)
         self._snapshot.run("DROP VIEW IF EXISTS data")
-        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {rows}')
+        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t} AS "# t" FROM {rows}')
 
     def experiments_with(self, table: str, where: str) -> set[int]:
         """Return the positions of the experiments that a condition does not exclude by the values of their variables.
@@ -679,6 +727,18 @@ SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AN
     HAVING min({column}) <> max({column}) OR count({column}) < count(*)
 )
 """
+NEARLY_ALIKE = """
+SELECT 1 FROM (
+    SELECT max("# apart") AS "# apart", bool_and("# complete") AS "# complete" FROM (
+        SELECT max({column}) - min({column}) AS "# apart", count({column}) = count(*) AS "# complete"
+        FROM {data} GROUP BY "# place"
+    )
+) WHERE "# complete" AND (SELECT count(DISTINCT run) FROM {data}) > 1 AND "# apart" <= {part} * (
+    SELECT min("# step") FROM (
+        SELECT {column} - lag({column}) OVER (PARTITION BY run, "# experiment" ORDER BY "# place") AS "# step" FROM {data}
+    )
+)
+"""
 
 
 def _renaming(names: Mapping[str, str]) -> str:
@@ -703,7 +763,7 @@ class Column:
     where: str = ""
 
     def sql(self, text: str, /, **parameters: object) -> pa.Table:
-        self.frame.samples(self.table, self.column, self.time, self.where)
+        self.frame.samples(self.table, self.column, self.time, self.where, shared="shared_t" in text)
         return self.frame.sql(text, **parameters)
 
 

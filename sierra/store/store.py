@@ -51,6 +51,8 @@ GITIGNORE = b"*\n"
 UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
 """The name prefixes of unfinished files while a store is created."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
+KINDS = {int: "BIGINT", float: "DOUBLE"}
+"""The SQL types of the numbers in temporary tables."""
 
 
 Converted = TypeVar("Converted")
@@ -490,10 +492,10 @@ class Snapshot:
         """Check whether the store has any record of a table; much faster than a query."""
         return any(table in segment.files for segment in self.segments)
 
-    def add_table(self, name: str, **columns: Iterable[str | int | None]) -> None:
-        """Make a temporary table on this connection from columns of texts or of whole numbers."""
+    def add_table(self, name: str, **columns: Iterable[str | int | float | None]) -> None:
+        """Make a temporary table on this connection from columns of texts, of whole numbers or of fractions."""
         values = {column: list(given) for column, given in columns.items()}
-        kinds = {column: "BIGINT" if given and isinstance(given[0], int) else "VARCHAR" for column, given in values.items()}
+        kinds = {column: KINDS.get(type(given[0]), "VARCHAR") if given else "VARCHAR" for column, given in values.items()}
         self.connection.execute(f"CREATE OR REPLACE TEMP TABLE {identifier(name)} AS {unnested(kinds)}", [*values.values()])
 
     def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:

@@ -62,7 +62,8 @@ def see(project: LoadedProject, store: Store, batch: str, rule: Rule, level: flo
             selection = Selection.of([condition.statistic], project.config.statistics, level)
             table, _ = samples.by_experiment(measure, selection)
             intervals += _rows(condition, table, sorted(gallery.planned))
-            notes.update(dict.fromkeys((*gallery.declared_notes, *gallery.time_notes.values())))
+            of_rates = gallery.about_rates(samples, table, measure)
+            notes.update(dict.fromkeys((*gallery.notes, *of_rates, *samples.about(measure))))
     return Seen(tuple(intervals), tuple(notes))
 
 

@@ -143,7 +143,8 @@ class _Samples:
 
     def sql(self, text: str, /, **parameters: Parameter) -> pa.Table:
         number = f"TRY_CAST({identifier(self.column)} AS DOUBLE) AS value"
-        keys = '"# experiment" AS experiment, run, "# number" AS number, "# t" AS t'
+        keys = '"# experiment" AS experiment, run, "# number" AS number, "# t" AS t, "# t" AS shared_t'
+        keys += ", NULL::VARCHAR AS file, NULL::BIGINT AS place"
         self.connection.sql(f"SELECT {keys}, {number} FROM data").create_view("samples")  # noqa: S608 - quoted names only
         return self.connection.sql(text, params=parameters).to_arrow_table()
 

@@ -73,9 +73,13 @@ class _Frame:
 
     def __init__(self, connection: Database, rows: Sequence[tuple[int, int, float]]) -> None:
         self._connection = connection
-        connection.execute("CREATE TABLE samples (experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, value DOUBLE)")
+        connection.execute(
+            "CREATE TABLE samples (experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, shared_t DOUBLE, value DOUBLE, "
+            "file VARCHAR, place BIGINT)"
+        )
         connection.executemany(
-            "INSERT INTO samples VALUES (?, ?, ?, 0, ?)", [(e, f"{e}-{run}", run, value) for e, run, value in rows]
+            "INSERT INTO samples VALUES (?, ?, ?, 0, 0, ?, NULL, NULL)",
+            [(e, f"{e}-{run}", run, value) for e, run, value in rows],
         )
 
     def sql(self, text: str, /, **params: Parameter) -> pa.Table:

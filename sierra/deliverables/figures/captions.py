@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sierra.deliverables.paper_tables import escaped
+from sierra.stats.words import of_run
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -39,8 +40,8 @@ def shown(drawing: Drawing) -> str:
     if len(tables) == 1:
         values = style.value_label(drawing)
     else:
-        measure = f"{figure.measure} " if tables and not timed else ""
-        names = (style.label(f"{measure}{name}", drawing.units.get(name, "")) for name in figure.columns)
+        told = {name: of_run(figure.measure, name) if tables and not timed else name for name in figure.columns}
+        names = (style.label(words, drawing.units.get(name, "")) for name, words in told.items())
         values = ", ".join(names)
     over = f" over {style.time_label(drawing)}" if timed else ""
     variables = ", ".join(map(style.axis_label, drawing.axes))

@@ -14,6 +14,7 @@ from sierra.deliverables.figures import style
 from sierra.deliverables.figures.facets import MOST
 from sierra.errors import UsageError
 from sierra.stats.comparison.model import Effect, Pair, Verdict
+from sierra.stats.words import of_run
 
 if TYPE_CHECKING:
     from sierra.deliverables.comparison import Compared
@@ -45,7 +46,7 @@ def forest(compared: Compared) -> Figure:
     for place, pair in enumerate(pairs):
         _mark(plot, place, pair)
     unit = f" [{compared.unit}]" if compared.unit else ""
-    plot.set_xlabel(style.shortened(f"difference of {compared.measure} {compared.column}{unit}", 48), loc="right")
+    plot.set_xlabel(style.shortened(f"difference of {of_run(compared.measure, compared.column)}{unit}", 48), loc="right")
     return figure
 
 

@@ -18,6 +18,7 @@ from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.stats import student_t
+from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[in
 def _frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
     first, second = drawing.tables
     measure = drawing.figure.measure
-    names = [style.label(f"{measure} {column}", drawing.units.get(column, "")) for column in (first, second)]
+    names = [style.label(of_run(measure, column), drawing.units.get(column, "")) for column in (first, second)]
     style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
     entries = style.names(within.groups.values)
     marks = [look | Look(linestyle="none") if "marker" in look else look for look in looks]

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from sierra.deliverables.figures import bands, style
 from sierra.errors import UsageError
 from sierra.stats.comparison.block_ranks import Ranking, Test, ranking
+from sierra.stats.words import of_run
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def _axis(plot: Axes, drawing: Drawing) -> None:
     plot.set_yticks([])
     plot.grid(visible=False)
     (column,) = drawing.tables
-    measure = style.value_label(drawing) if drawing.figure.measure == "time_to" else f"{drawing.figure.measure} {column}"
+    measure = style.value_label(drawing) if drawing.figure.measure == "time_to" else of_run(drawing.figure.measure, column)
     name = style.label(drawing.axes[0].name, given=drawing.axes[0].label)
     plot.set_xlabel(style.shortened(f"mean rank of {name} by {measure} (1: best)", 52))
 

@@ -39,6 +39,7 @@ from sierra.config.deliverable_tables import Figure as FigureTable
 from sierra.deliverables.figures import font, text_layouts
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
+from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.text import visible
 
@@ -338,7 +339,7 @@ def value_label(drawing: Drawing) -> str:
     if drawing.figure.measure == "time_to":
         threshold = number(drawing.figure.threshold or 0.0)
         return label(f"{drawing.time} until {column} ≥ {threshold}", drawing.units.get(drawing.time, ""))
-    return label(f"{drawing.figure.measure} {column}", drawing.units.get(column, ""))
+    return label(of_run(drawing.figure.measure, column), drawing.units.get(column, ""))
 
 
 def time_label(drawing: Drawing) -> str:

@@ -33,10 +33,12 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         seed = variables.choose_seed(seeds, options.seed, ask, check_seed, "XPath of the attribute or element")
     elsewhere = bool(by_platform) or seed is not None or options.seed is not None
     started, more = _with_arguments(started, seeded=elsewhere)
-    named = variables.named({path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria())
     per_run = (*by_platform, *([Set(seed, "{seed}")] if seed else []))
+    set_by_seed = variables.seeded(content, per_run, numbers)
+    free = {path: value for path, value in numbers.items() if path not in (*set_by_seed, *seeds)}
+    named = variables.named(free, platform.criteria())
     likely = {} if platform.criteria() else dict(list(named.items())[:1])
-    unset = [path for path in variables.unset(content) if path not in (seed, *(change.path for change in by_platform))]
+    unset = [path for path in variables.unset(content) if path not in set_by_seed]
     if unset:  # a placeholder without a value is an error
         likely = {name: path for name, path in named.items() if path in unset}
     chosen = variables.choose(named, likely, options.variables, ask, partial(variables.check, content, per_run))
@@ -63,7 +65,7 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         notes=(
             *wrong,
             *variables.with_comments(content, referenced_files.text(root / template)),
-            *variables.doubts(seed, seeds, elsewhere=seeded),
+            *variables.doubts(seed, [path for path in seeds if path not in set_by_seed], elsewhere=seeded),
             *folder.doubts(root),
         ),
     )

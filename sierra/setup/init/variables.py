@@ -10,9 +10,11 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from functools import partial
+from itertools import count
 from typing import TypeVar
 
 from sierra.design.factorial_design import GROUPED
+from sierra.design.overwritten import SOME_SEED
 from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
 from sierra.platforms.base import Platform
@@ -173,12 +175,25 @@ def choose(
 
 
 def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterator[str]:
-    """Yield warnings about `seeds`, the paths of numbers called so. `elsewhere`: whether runs get seeds without a path."""
+    """Yield warnings about `seeds`, the paths of numbers called so that no run's seed reaches.
+
+    `elsewhere`: whether runs get seeds without a path.
+    """
     if seed is None and not elsewhere:
         yield 'all runs of an experiment are the same until they use the seed: set seed = "XPATH", or use {seed} in the command'
-    others = [path for path in seeds if path != seed]
-    if seed is not None and others:
-        yield f"these seeds keep the template's value in all runs: {', '.join(others)}"
+    if seed is not None and seeds:
+        yield f"these seeds keep the template's value in all runs: {', '.join(seeds)}"
+
+
+def seeded(template: Template, changes: Sequence[Change], found: Iterable[str]) -> set[str]:
+    """Return the paths among `found` whose value changes with the seed: a path can be written in several ways."""
+    before = {path: template.find(path) for path in found}
+    seed = next(number for number in count(SOME_SEED) if all((str(number),) != texts for texts in before.values()))
+    try:
+        after = template.reread(template.changed(changes, {"seed": seed}).render(), "template")
+    except SierraError:  # a platform's changes of the seed may need its other changes
+        return {change.path for change in changes if isinstance(change, Set) and change.path in before}
+    return {path for path, texts in before.items() if after.find(path) != texts}
 
 
 def check_seed(template: Template, text: str) -> str | None:

@@ -23,7 +23,7 @@ from sierra.util.text import few
 if TYPE_CHECKING:
     from sierra.execution.trial import Show, Trial
 
-__all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "try_run", "with_lacking", "write"]
+__all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "rates", "try_run", "with_lacking", "write"]
 
 LOGS = (RUN_STDERR, RUN_STDOUT)
 LAST = 1 << 14
@@ -48,8 +48,8 @@ def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
     return of_template.guess(root, *found, options, ask) if found else of_arguments.guess(root, options, ask)
 
 
-def try_run(root: Path, guess: Guess, show: Show) -> Trial | str | None:
-    """Execute one run with the guessed settings before they are written; nothing is recorded.
+def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) -> Trial | str | None:
+    """Execute one run with the guessed settings before they are written, with this seed; nothing is recorded.
 
     Returns the trial; or why no run can be tried; or None if the command is doubtful. Raises KeyboardInterrupt.
     """
@@ -66,10 +66,21 @@ def try_run(root: Path, guess: Guess, show: Show) -> Trial | str | None:
     project = LoadedProject(root, root / CONFIG, parsed(root, guess))
     try:
         plan = resolve_plan.plan(project, query_request.request(list(guess.tried) or [trial.UNCHANGED], runs=1))
-        run, files = trial.choose(plan, 0, None)
+        run, files = trial.choose(plan, 0, seed)
         return trial.attempt(plan, run, files, StorePaths(ProjectPaths(root).store), Observer(), show)
     except SierraError as error:
         return f"no run was tried: {error}"
+
+
+def rates(first: Trial, second: Trial) -> dict[str, tuple[str, ...]]:
+    """Return the columns of tables of one row that are 0 in one of two runs and 1 in the other, by table."""
+    before = {one.table: one.flags for one in first.files if one.table}
+    found = {
+        one.table: tuple(name for name, value in one.flags.items() if before.get(one.table, {}).get(name) == 1 - value)
+        for one in second.files
+        if one.table
+    }
+    return {table: columns for table, columns in found.items() if columns}
 
 
 def with_lacking(root: Path, guess: Guess, tried: Trial) -> Guess | None:

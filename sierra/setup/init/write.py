@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from json import dumps
@@ -66,6 +66,13 @@ class Guess:
     """Several templates by name, with their paths."""
     files: tuple[str, ...] = ()
     """Files that lie beside the inputs of runs."""
+    rates: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """The columns of 0 and 1 by table, as two runs with different seeds have shown."""
+
+    @property
+    def seeded(self) -> bool:
+        """Return True if runs get seeds: by a path, by their command, or by the platform."""
+        return bool(self.seed) or self.platform != "command" or "{seed}" in (self.command or "")
 
     @property
     def can_be_tried(self) -> bool:
@@ -95,7 +102,7 @@ def parsed(root: Path, guess: Guess) -> project_file.Project:
 
 def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, project_file.Project]:
     path = root / CONFIG
-    text = "\n".join((*_lines(root, guess), *_outputs(tried))) + "\n"
+    text = "\n".join((*_lines(root, guess), *_outputs(tried, guess.rates))) + "\n"
     try:
         return text.encode(), project_file.parse(tomllib.loads(text), str(path))
     except (UnicodeEncodeError, tomllib.TOMLDecodeError) as error:
@@ -104,8 +111,8 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
         ) from error
 
 
-def _outputs(tried: Trial | None) -> Iterator[str]:
-    """Yield comments on the files of a run, and the declaration of its first table."""
+def _outputs(tried: Trial | None, rates: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield comments on the files of a run, the declaration of its first table, and those of tables with rates."""
     if tried is None or not tried.files:
         return
     yield "\n# A run wrote:"
@@ -130,6 +137,11 @@ def _outputs(tried: Trial | None) -> Iterator[str]:
         yield f"# [outputs.{first.table}]"
         yield f"# file = {quoted(one_line(first.path))}"
         yield f"# time = {quoted(time)}" if time else '# units = { distance = "m" }'
+    for one in tried.files:
+        if one.table and (columns := rates.get(one.table)):
+            yield f"\n[outputs.{one.table}]"
+            yield f"file = {quoted(one_line(one.path))}"
+            yield f"rates = {quoted(list(columns))}  # columns of 0 and 1 whose mean is a rate; remove those that are counts"
 
 
 def _time(table: TriedFile) -> str | None:

@@ -2,7 +2,7 @@
 
 The interval is Student's: of the differences of pairs, or of two samples with unequal variances (Welch 1947, Biometrika 34:
 28-35). It holds at each time by itself. At 500 times, some of these intervals miss zero although there is no difference. They
-are no tests. The test of a comparison over time is that of each run's mean over time.
+are no tests. The test of a comparison over time is that of the mean of each run's rows, or of its time mean.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
--- mean over time = (v₁ + … + v_k) / k over the run's k finite values: each row has the same weight. If the sum of huge
+-- mean of the rows = (v₁ + … + v_k) / k over the run's k finite values: each row has the same weight. If the sum of huge
 -- values overflows: v₁ / k + … + v_k / k. The sum is in sorted order, so that the order in which threads deliver rows has no effect.
 SELECT
   experiment,

@@ -12,6 +12,7 @@ from tests import projects
 from tests.projects import quick
 
 TIMESTEP = projects.SIMULATOR.replace("tick,coverage", "timestep,coverage").replace("print(tick, ", "print(tick * 10, ")
+LENGTHS = projects.SIMULATOR.replace("range(5)", "range(20 + seed % 50)").replace("tick,coverage", "timestep,coverage")
 TAKEN = "'timestep' is used as the time of output 'swarm', because it increases equally in all runs"
 
 
@@ -88,3 +89,22 @@ def test_no_column_is_chosen_as_the_time_for_a_single_run(tmp_path: Path) -> Non
     projects.make(tmp_path, simulator=TIMESTEP)
     assert quick(tmp_path, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     assert "is used as" not in times(tmp_path)[1]
+
+
+@pytest.mark.integration
+def test_column_that_differs_by_rounding_only_between_runs_is_the_time(tmp_path: Path) -> None:
+    simulator = TIMESTEP.replace("print(tick * 10, ", "print(sum([0.1] * tick) if seed % 2 else tick * 0.1, ")
+    simulator = simulator.replace("range(5)", "range(12)")
+    found, told = times(asked(tmp_path, simulator, runs=6))
+    assert TAKEN in told
+    assert len(found) == 12
+
+
+@pytest.mark.integration
+def test_series_whose_times_differ_by_rounding_is_no_table_of_events(tmp_path: Path) -> None:
+    rounded = "(sum([0.1] * tick) if seed % 2 else tick * 0.1)"
+    simulator = LENGTHS.replace("print(tick, ", f"print({rounded}, ")
+    projects.make(tmp_path, simulator=simulator)
+    done = quick(tmp_path, "run", "population_size=1,2", "--runs", "6", "--no-figures")
+    assert done.returncode == 1
+    assert "other runs of its experiment have" in done.stdout

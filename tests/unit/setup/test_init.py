@@ -180,6 +180,35 @@ def test_other_seeds_that_stay_fixed_are_reported(folder: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("seed", ["seed", "/seed", "//seed"])
+def test_a_seed_that_is_written_in_another_way_is_the_same_seed(folder: Path, seed: str) -> None:
+    (folder / "arena.json").write_text('{"n": 1, "seed": 1, "noise_seed": 3}')
+    said = quick(folder, "init", "-y", "--no-try", "--template", "arena.json", "--seed", seed).stderr
+    assert "note: these seeds keep the template's value in all runs: //noise_seed" in said
+
+
+RATES = """\
+import json, sys
+run = json.load(open(sys.argv[1]))
+open("result.csv", "w").write(f"reached,count\\n{VALUE},{run['n']}\\n")
+"""
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("value", "rates", "same"), [("run['seed'] % 2", True, False), ("1", False, True), ("run['seed']", False, False)]
+)
+def test_another_seed_shows_rates_and_seeds_without_effect(folder: Path, value: str, rates: bool, same: bool) -> None:
+    (folder / "arena.xml").unlink(missing_ok=True)
+    (folder / "arena.json").write_text('{"n": 1, "seed": 1}')
+    (folder / "sim.py").write_text(RATES.replace("VALUE", value))
+    done = quick(folder, "init", "-y", "--template", "arena.json", "--command", "python3 sim.py {input}")
+    assert done.returncode == 0, done.stderr
+    assert ("this run has the same tables as the one with seed" in done.stderr) == same
+    assert ('rates = ["reached"]' in (folder / "sierra.toml").read_text()) == rates
+    assert quick(folder, "run", "population_size=1", "--runs", "2", "-n").returncode == 0
+
+
 # Options
 
 

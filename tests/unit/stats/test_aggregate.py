@@ -222,7 +222,7 @@ def test_the_mean_of_several_flags_of_a_run_is_no_rate_over_runs() -> None:
 )
 def test_numbers_that_may_be_a_rate_are_noticed(values: list[float], doubtful: bool) -> None:
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
-    assert stats.may_be_rate(samples(frame).by_experiment("final", stats.STATISTICS)[0]) is doubtful
+    assert stats.may_be_rate(frame, "final") is doubtful
 
 
 def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
@@ -302,6 +302,57 @@ def test_results_are_bit_identical_for_any_row_order_and_number_of_threads() -> 
             found = [samples(frame).by_experiment(measure, wanted)[0] for frame in (one, many)]
             assert found[0].equals(found[1])
     assert samples(one).by_time(stats.STATISTICS)[0].equals(samples(many).by_time(stats.STATISTICS)[0])
+
+
+STEPS = [(0.0, 0.0), (1.0, 0.0), (2.0, 10.0), (100.0, 10.0)]
+
+
+def of_rows(measure: str, rows: list[tuple[float, float | None]], *, steps: bool = False) -> dict[str, Any]:
+    """Return the statistics of one run with these times and values."""
+    frame = Memory((0, 0, t, value) for t, value in rows)
+    table, _ = samples(frame).by_experiment(measure, ["mean"], steps=steps)
+    found: dict[str, Any] = table.to_pylist()[0]
+    return found
+
+
+def test_the_mean_over_time_weights_each_value_by_its_time() -> None:
+    assert of_rows("mean", STEPS)["mean"] == 5
+    assert of_rows("time_mean", STEPS)["mean"] == pytest.approx(9.85, rel=1e-15)
+    assert of_rows("time_mean", STEPS, steps=True)["mean"] == pytest.approx(9.8, rel=1e-15)
+    assert of_rows("time_mean", STEPS[:1])["mean"] == 0
+    assert of_rows("time_mean", list(reversed(STEPS)))["mean"] == pytest.approx(9.85, rel=1e-15)
+    gap = of_rows("time_mean", [(0, 1.0), (1, None), (2, 3.0), (3, math.inf)])
+    assert (gap["mean"], gap["missing"], gap["infinite"]) == (2, 1, 1)
+    assert of_rows("time_mean", [(0, math.nan)])["mean"] is None
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=2, max_size=30), st.integers(0, 2**32))
+def test_the_mean_over_time_is_that_of_numpy(values: list[float], seed: int) -> None:
+    times = np.cumsum(np.random.default_rng(seed).uniform(0.01, 10, len(values)))
+    expected = np.trapezoid(np.array(values) / (times[-1] - times[0]), times)
+    found = of_rows("time_mean", list(zip(times.tolist(), values, strict=True)))["mean"]
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * max(map(abs, values)))
+    assert min(values) <= found <= max(values)
+
+
+@pytest.mark.parametrize(("times", "uneven"), [((0, 1, 2, 3), False), ((0, 1, 2, 3.02), True), ((0, 0.1, 0.2, 0.3), False)])
+def test_the_mean_of_rows_with_uneven_steps_is_noted(times: tuple[float, ...], uneven: bool) -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in times)
+    note = compute(figure("summary", measure="mean"), {"energy": frame}).note
+    assert ("in 3 runs, and mean is the mean of the rows: time_mean is the mean over time" in note) == uneven
+    assert "time_mean" not in compute(figure("summary"), {"energy": frame}).note
+
+
+def test_runs_that_end_at_different_times_are_noted_where_their_last_values_are_shown() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in range(4 + 2 * run))
+    note = "runs of an experiment end at different times, from 3 to 7: final has each at its own end"
+    assert note in compute(figure("summary"), {"energy": frame}).note
+    assert note in compute(figure("box"), {"energy": frame}).note
+    assert "own end" not in compute(figure("summary", measure="mean"), {"energy": frame}).note
+    alone = Memory((0, run, float(run), 1.0) for run in range(3))
+    assert "own end" not in compute(figure("summary"), {"energy": alone}).note
+    swept = Memory((e, run, float(t), 1.0) for e in range(2) for run in range(3) for t in range(4 + e))
+    assert "own end" not in compute(figure("summary"), {"energy": swept}).note
 
 
 def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
@@ -471,7 +522,15 @@ def test_unknown_times_are_refused() -> None:
 def test_a_run_that_ended_early_does_not_cause_resampling() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
     computed = compute(figure(), {"energy": frame})
-    assert computed.note == "mean, 95 % CI (Student's t), n = 7–8"
+    note = "mean, 95 % CI (Student's t), n = 7–8; 15 of 20 times have fewer runs than others, from 5 on"
+    assert computed.note == note
+
+
+def test_times_with_fewer_runs_are_noted_with_two_runs_too() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(2) for t in range(4 if run else 3))
+    assert compute(figure(), {"energy": frame}).note.endswith("1 of 4 times has fewer runs than others, from 3 on")
+    missing = Memory((0, run, float(t), None if t and run else 1.0) for run in range(2) for t in range(4))
+    assert "fewer runs" not in compute(figure(), {"energy": missing}).note
 
 
 def test_the_note_reports_absent_runs_and_left_out_values() -> None:
@@ -562,7 +621,7 @@ def test_each_kind_of_figure_gets_its_tables(kind: str, center: str) -> None:
 def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
     files = sorted(path.relative_to(stats.HERE).as_posix() for path in stats.HERE.rglob("*.sql"))
     known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
-        f"measures/{m}.sql" for m in ("final", "mean", "time_to")
+        f"measures/{m}.sql" for m in ("final", "mean", "time_mean", "time_to")
     }
     assert set(files) == known | {
         "group_by_time.sql",
@@ -571,6 +630,8 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
         "sums.sql",
         "coverage.sql",
         "doubled.sql",
+        "backward.sql",
+        "uneven.sql",
         "resample.sql",
         "censored_times.sql",
         "values_of_runs.sql",
@@ -728,13 +789,23 @@ def test_counts_that_are_0_or_1_get_wilsons_interval_only_if_they_are_declared(s
         said = project.quick("stats", "swarm", column, "--json")
         return {row["interval"] for row in json.loads(said.stdout)}, said.stderr
 
-    assert ask("none") == ({"t"}, "")
+    kind, note = ask("none")
+    assert kind == {"t"}
+    assert "rate" not in note
     kind, note = ask("some")
     assert kind == {"t"}
-    assert note == (
-        "note: all values of some are 0 or 1, but it may be a count: low and high are Student's t interval"
+    key = 'set rates = ["some"] in [outputs.swarm]'
+    for words in (["--statistic", "mean"], ["--format", "markdown"], ["--format", "latex"], ["--times", "own"]):
+        told = project.quick("stats", "swarm", "some", *words)
+        assert key in (told.stdout + told.stderr).replace("{[}", "[").replace("\\_", "_"), words
+    assert key not in project.quick("stats", "swarm", "some", "--statistic", "median").stderr
+    assert key in project.quick("compare", "--by", "size", "--column", "some", "--no-figure").stderr
+    assert project.quick("figures").returncode == 0
+    assert key in next(project.folder.glob("figures/*/swarm_some_summary.txt")).read_text()
+    assert (
+        "all values of some are 0 or 1, but it may be a count: low and high are Student's t interval"
         ' (for the interval of a rate, set rates = ["some"] in [outputs.swarm])\n'
-    )
+    ) in note
     config.write_text(declared + 'rates = ["some"]\n')
     assert ask("some")[0] == {"Wilson"}
     assert "evaluated again" not in project.quick("run", "size=1,3", "--runs", "3", "--dry-run").stdout

@@ -11,6 +11,7 @@ from sierra.config.field_types import Finite, Positive, Table
 from sierra.deliverables.figures.base import Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
+from sierra.store.rounded_times import at_time
 from sierra.store.sql_names import identifier
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 MOST = 100_000
 """The largest number of points that are drawn; of more, every k-th of each path."""
-ROUNDING = 1e-9
-"""The largest relative difference of two times that are taken for the same."""
 Times = float | tuple[float, ...]
 SPACE = frozenset({"facet", "xlim", "ylim", "labels"})
 
@@ -143,7 +142,7 @@ class Matrix:
         if self._options.run is not None:
             chosen.append(f'"# number" = {self._options.run}')
         if self._options.at:
-            chosen.append(f"({' OR '.join(map(_at, self._options.at))})")
+            chosen.append(f"({' OR '.join(map(at_time, self._options.at))})")
         several = len(self._options.at) > 1
         t = ', "# t" AS t' if several else ""
         statement = f"""\
@@ -155,7 +154,7 @@ SELECT experiment{", t" if several else ""}, i, j, list_avg(list_sort(list(value
 FROM cells GROUP BY ALL ORDER BY ALL"""
         bad = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({value})) AS finite FROM data WHERE {' AND '.join(chosen)}"
         what = "mean of the runs" if self._options.run is None else f"run {self._options.run}"
-        when = f"at {', '.join(f'{time:g}' for time in self._options.at)}" if self._options.at else "mean over time"
+        when = f"at {', '.join(f'{time:g}' for time in self._options.at)}" if self._options.at else "mean of the rows"
         return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}, {when}")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
@@ -167,11 +166,6 @@ FROM cells GROUP BY ALL ORDER BY ALL"""
         from sierra.deliverables.figures.arena import matrix
 
         return matrix(drawing, self._options.aspect)
-
-
-def _at(time: float) -> str:
-    """Return the condition that a row has a time, except for rounding."""
-    return f'abs("# t" - {time!r}) <= {abs(time) * ROUNDING!r}'
 
 
 def _ends(name: str, limits: tuple[float, float] | None) -> str:

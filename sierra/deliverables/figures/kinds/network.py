@@ -11,6 +11,7 @@ from sierra.config.field_types import Finite, Table
 from sierra.deliverables.figures.base import Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
+from sierra.store.rounded_times import at_time
 from sierra.store.sql_names import identifier
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ WITH rows AS (
                 last = 'max("# t") OVER (PARTITION BY "# experiment", run) AS "# last"'
                 return f'(SELECT *, {last} FROM data) WHERE "# t" = "# last" AND {of_run}'
             case time:
-                return f'data WHERE "# t" = {time!r} AND {of_run}'
+                return f"data WHERE {at_time(time)} AND {of_run}"
 
     def _edges(self) -> str:
         """Return the statement of the edges, with the mean weight over the runs that wrote any row."""
