@@ -6,7 +6,6 @@ import re
 import shlex
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
 from pathlib import PurePosixPath
 from typing import Annotated, TypeVar
 
@@ -28,9 +27,19 @@ from sierra.store.layout import STORE
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
 """A name that is also a column in SQL."""
-OutputName = Annotated[
-    str, StringConstraints(pattern=r"^[\p{L}_][\p{L}\p{M}\p{N}_]*$"), AfterValidator(partial(unicodedata.normalize, "NFC"))
-]
+_SIGNS = r"\x00-\x2f\x3a-\x40\x5b-\x5e\x60\x7b-\x7f"
+"""All characters of ASCII but letters, digits and `_`; editors' regular expressions have no other class of letters."""
+
+
+def _name_of_table(name: str) -> str:
+    """Return a name in the normal form of its letters. Raises ValueError if it has other characters than letters and digits."""
+    name = unicodedata.normalize("NFC", name)
+    if odd := [c for c in name if c != "_" and unicodedata.category(c)[0] not in "LMN"]:
+        raise ValueError(f"names of tables have letters, digits and _, not {odd[0]!r}")
+    return name
+
+
+OutputName = Annotated[str, StringConstraints(pattern=rf"^[^0-9{_SIGNS}][^{_SIGNS}]*$"), AfterValidator(_name_of_table)]
 """A name of a table, with letters and digits of any script."""
 GroupName = Annotated[str, StringConstraints(pattern=group_names.GROUP_NAME)]
 """A name of a controller or a scenario: see `sierra.config.group_names`."""

@@ -88,6 +88,8 @@ class Shape:
     """The names of the columns for the numbers in the files' names."""
     lengths: tuple[str, ...] = ()
     """The columns that have only the number of the items of a list, as found in earlier files."""
+    nans: tuple[str, ...] = ()
+    """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
     name: str = ""
     """The name of the table."""
     declared: bool = False
@@ -96,8 +98,6 @@ class Shape:
     """The declared time column; "" if none is declared."""
     any_order: bool = False
     """True if the time may go back within a file."""
-    nans: tuple[str, ...] = ()
-    """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
 
 
 Group = Hashable

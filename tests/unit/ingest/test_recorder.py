@@ -195,7 +195,7 @@ def test_undeclared_outputs_get_valid_sql_table_names(make: Make) -> None:
     names = ["a-b", "1st", "Runs", "select", "x y", "ü"]
     project = make(f"for name in {names!r}: write(good, name + '.csv')")
     assert not run(project).failed
-    assert set(project.store.outputs()) == {"a_b", "_1st", "Runs_", "select", "x_y", "_"}
+    assert set(project.store.outputs()) == {"a_b", "_1st", "Runs_", "select", "x_y", "ü"}
     for name in project.store.outputs():
         assert project.sql(f'SELECT count(*) FROM "{name}"').column(0).to_pylist() == [12]
 
@@ -854,7 +854,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     toml = '[outputs.declared]\nfile = "d/*.csv"\n'
     lines = "for folder in ('d', 'logs'): os.mkdir(folder); write(good, folder + '/1.csv'); write(good, folder + '/2.csv')"
     run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write(good, 'x_y.tsv'); write('', 'a.txt')", toml))
-    assert noted() == [
+    assert [note for note in noted() if "seeds" not in note] == [
         "'x_y.csv' makes the table 'x_y_2', because the table 'x_y' is that of 'x-y'",
         "'logs/1.csv' and 1 others are kept as files: undeclared and in a subfolder "
         '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
