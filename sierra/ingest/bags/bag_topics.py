@@ -31,7 +31,7 @@ from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.sqlite_tables import MAGIC as SQLITE
 from sierra.ingest.sqlite_tables import opened as opened_database
 from sierra.store.connections import Database
-from sierra.store.sql_names import stored_names
+from sierra.store.sql_names import column_names, stored_names
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -161,7 +161,8 @@ class TopicTable:
 
         own = [("topic", pa.string()), *((name, pa.string()) for name in self.names), (RECEIVED, pa.int64())]
         columns = [*own, *((field.name, field.arrow) for field in self.fields)]
-        names = stored_names([name for name, _ in columns], ())
+        taken = column_names([name for name, _ in own], ())
+        names = (*taken, *stored_names([field.name for field in self.fields], taken))
         return pa.schema([(name, kind) for name, (_, kind) in zip(names, columns, strict=True)])
 
     @property
