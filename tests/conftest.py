@@ -22,6 +22,7 @@ from hypothesis import settings
 
 from sierra.store.store import Store
 from tests import clusters, projects, stores, tiers
+from tests.properties import PHASES
 from tests.support import robot_fleet
 from tests.waiting import PATIENCE_S, until
 
@@ -30,8 +31,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 for number in (signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM):
     signal.signal(number, signal.SIG_DFL)
 
-settings.register_profile("here", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("here", deadline=None, phases=PHASES)
+settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True, phases=PHASES)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis.strategies import SearchStrategy
 
 QUICK = 20
 NIGHTLY = 500
+PHASES = tuple(phase for phase in Phase if phase is not Phase.explain)
+"""All phases except the one that explains a failure: tracing each line, it did not end in a process with many tests."""
 ANY_SPEED = (HealthCheck.too_slow,)
 """Health checks that depend on the load of the machine."""
 
@@ -54,6 +56,11 @@ class Property:
     def check(self, chosen: int, examples: int) -> None:
         """Check examples that follow from a seed alone. Raises the error of the simplest example that fails."""
         setting = settings(
-            max_examples=examples, database=None, deadline=None, suppress_health_check=ANY_SPEED, derandomize=False
+            max_examples=examples,
+            database=None,
+            deadline=None,
+            suppress_health_check=ANY_SPEED,
+            derandomize=False,
+            phases=PHASES,
         )
         setting(seed(chosen)(given(*self.strategies)(self.claim)))()
