@@ -267,6 +267,11 @@ def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
     return outputs
 
 
+def rates(outputs: Mapping[str, Output]) -> dict[str, tuple[str, ...]]:
+    """Return the columns that are rates, by the name of the output."""
+    return {name: output.rates for name, output in outputs.items() if output.rates}
+
+
 def volatile(outputs: Mapping[str, Output]) -> dict[str, tuple[str, ...]]:
     """Return the volatile columns of the outputs that have some, by the name of the output."""
     return {name: output.volatile for name, output in outputs.items() if output.volatile}

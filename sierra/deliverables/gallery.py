@@ -6,7 +6,7 @@ The project adds labels and units to what SQL computes.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import SEVERAL_TABLES, Output, volatile
+from sierra.config.output_tables import SEVERAL_TABLES, Output, rates, volatile
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -251,7 +251,8 @@ class Gallery:
     def units(self, output: OutputTable) -> dict[str, str]:
         """Return the units of columns: those that are declared, and that of durations."""
         declared = self._config.declared(output.name)
-        return {**(declared.units if declared else {}), **dict.fromkeys(self.frame.durations(output.name), "ns")}
+        units = {stored_name(name, output.all_columns): unit for name, unit in (declared.units if declared else {}).items()}
+        return {**units, **dict.fromkeys(self.frame.durations(output.name), "ns")}
 
     def declared_output(self, name: str) -> Output:
         """Return the declaration of an output. Raises NotFound."""
@@ -288,6 +289,7 @@ class Gallery:
         """Return the columns whose values 0 and 1 are a rate: those of flags, and those that are declared."""
         declared = self._config.declared(output.name)
         rates = declared.rates if isinstance(declared, Output) else ()
+        rates = tuple(stored_name(column, output.all_columns) for column in rates)
         if unknown := [column for column in rates if column not in output.all_columns]:
             where = f"[outputs.{output.name}] rates"
             raise NotFound(f"{where}: no column {unknown[0]!r}; {like(unknown[0], output.all_columns)}")
@@ -315,6 +317,14 @@ class Gallery:
         return [
             f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
             f" (for the interval of a rate, {self.key_of_rates(output, column)})"
+        ]
+
+    def about_digits(self, output: str, columns: Iterable[str]) -> list[str]:
+        """Return a note for each of these columns whose numbers have more digits than floats hold."""
+        return [
+            f"{column} has numbers of more than 15 digits: statistics are those of the nearest numbers of the type DOUBLE"
+            for column in columns
+            if self.frame.offset(output, column)
         ]
 
     def _rates_in(self, made: Drawing, source: _Output, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
@@ -351,7 +361,7 @@ class Gallery:
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
         rates = self.rates(output)
         made = gather(name, figure, columns, batch, source, seen, rates, self._config.statistics)
-        of_rates = tuple(self._rates_in(made, source, seen, rates))
+        of_values = (*self._rates_in(made, source, seen, rates), *self.about_digits(output.name, made.tables))
         made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
         units = self.units(output)
         tables, models, note = made.tables, made.models, made.note
@@ -363,7 +373,7 @@ class Gallery:
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
-        note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_rates)))
+        note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_values)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
@@ -436,7 +446,8 @@ class Gallery:
             robots = self.frame.robots_note(output.name, time)
             read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
             seen = self.frame.once(("coverage", output.name, column, time), read)
-            equal = equal_runs.note(self.frame, volatile(self._config.outputs))
+            outputs = self._config.outputs
+            equal = equal_runs.note(self.frame, volatile(outputs), rates(outputs))
             self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
             seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled

@@ -93,6 +93,7 @@ def statistics(
             planned = {place: runs for place, runs in planned.items() if place in kept}
         if selection:
             notes += selection.notes(shown)
+        notes += gallery.about_digits(output, [column])
         if not selection or "mean" in chosen:
             notes += gallery.about_rates(samples, shown, measure)
         notes = [

@@ -161,7 +161,8 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         if run.id not in tally.statuses:
             return Trial(values, run.id, run.seed, Status.INTERRUPTED, "was interrupted", folder=folder, notes=notes)
         found = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
-        if found.status is Status.OK and (same := _same_as_last(place, plan, found)):
+        seeded = found.status is Status.OK and _is_seeded(plan, run)
+        if seeded and (same := _same_as_last(place, plan, found)):
             notes = (*notes, same)
     if found.status is not Status.OK:
         notes += tuple(out_of_reach(plan, None))
@@ -170,6 +171,13 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
     written = folder and folder / RUN_OUTPUT
     unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables, written)
     return replace(found, notes=tuple(dict.fromkeys(notes)), unread=unread)
+
+
+def _is_seeded(plan: Plan, run: Run) -> bool:
+    """Return whether the input or the command of a run depends on its seed."""
+    if plan.project.config.seed.environment or any("{seed}" in word for word in plan.batch.spec.words):
+        return True
+    return isinstance(plan.inputs, Expansion) and plan.inputs.seeded(run, run.seed + 1)[0].digests != run.digests
 
 
 def _same_as_last(place: TrialPaths, plan: Plan, found: Trial) -> str | None:

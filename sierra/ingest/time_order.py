@@ -2,7 +2,7 @@
 
 A run whose time goes back has rows of a part that was abandoned; its last value, and each curve, would mix both parts. The rows
 of several robots may follow each other in one file: then each robot has a time of its own. A robot's column is any column of
-whole numbers or texts within whose values the time never goes back, if each value has two rows or more.
+whole numbers or texts within whose values the time goes ahead and never back, if most values have two rows or more.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def gone_back(connection: Database, target: Path, declared: str | None, hidden: 
 
 
 def _of_each(connection: Database, rows: str, one: WentBack, column: str) -> bool:
-    """Return whether the time never goes back within the rows of each value of a column."""
+    """Return whether the time goes ahead and never back within the rows of each value of a column."""
     statement = WITHIN.format(rows=rows, column=identifier(column))
     return bool(connection.execute(statement, {"e": one.execution, "f": one.file}).fetchone() == (True,))
 
@@ -97,8 +97,12 @@ SELECT execution, "# file", min(place), arg_min(before, place), arg_min("# t", p
 FROM placed WHERE "# t" < before GROUP BY execution, "# file" ORDER BY ALL
 """
 WITHIN = """
-SELECT bool_and(rows > 1 AND NOT back) FROM (
-    SELECT count(*) AS rows, coalesce(bool_or("# t" < before), false) AS back FROM (
+SELECT bool_and(NOT back AND (rows = 1 OR ahead)) AND 2 * count(*) FILTER (rows > 1) > count(*) FROM (
+    SELECT
+        count(*) AS rows,
+        coalesce(bool_or("# t" < before), false) AS back,
+        coalesce(bool_or("# t" > before), false) AS ahead
+    FROM (
         SELECT {column} AS value, "# t", lag("# t") OVER (PARTITION BY {column} ORDER BY "# row") AS before
         FROM ({rows}) WHERE execution = $e AND "# file" IS NOT DISTINCT FROM $f AND "# t" IS NOT NULL
     ) GROUP BY value

@@ -172,9 +172,15 @@ def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: M
     old, new = contents.rows(was), contents.rows(now)
     if old is None or new is None:
         return _without_rows(was, now)
-    time = stored_name(rules.time, old.column_names) if rules else ""
-    found = of_tables(old, new, Rules(rules.tolerance, volatile, time, rules.ordered) if rules else Rules())
+    found = of_tables(old, new, _rules(rules, old.column_names) if rules else Rules())
     return replace(found, output=was.output)
+
+
+def _rules(output: Output, columns: Sequence[str]) -> Rules:
+    """Return the rules of an output, with the names in the store of the columns that it names as its files do."""
+    tolerance = {stored_name(name, columns): one for name, one in output.tolerance.items()}
+    volatile = [stored_name(name, columns) for name in output.volatile]
+    return Rules(tolerance, volatile, stored_name(output.time, columns), output.ordered)
 
 
 def _without_rows(was: ArtifactRow, now: ArtifactRow) -> Agreement:

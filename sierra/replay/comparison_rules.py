@@ -9,6 +9,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.replay.find_record import Record
 from sierra.replay.verdicts import Tolerances
+from sierra.store.sql_names import stored_name
 from sierra.util.text import like
 
 
@@ -47,5 +48,5 @@ def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[st
     """Yield a line for each column that an output's declaration names and its table does not have."""
     for key, names in (("tolerance", output.tolerance), ("volatile", output.volatile)) if columns else ():
         for column in names:
-            if column not in ("*", *(columns or ())):
+            if column not in ("*", *(columns or ())) and stored_name(column, columns or ()) not in (columns or ()):
                 yield f"[outputs.{name}] {key}: the table has no column {column!r}; {like(column, columns or ())}"

@@ -20,6 +20,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+RUNS = 1_000
+"""The largest number of runs for which the test of Freeman and Halton may be exact: it needs longer for more."""
 STATES = 30_000
 """The largest number of different tables for which the test of Freeman and Halton is exact."""
 DRAWS = 100_000
@@ -138,6 +140,8 @@ def freeman_halton(groups: Sequence[tuple[int, int]]) -> tuple[float, bool]:
 
     Each group is the number of successes and n.
     """
+    if sum(n for _, n in groups) > RUNS:
+        return _drawn(groups), False
     successes = sum(one for one, _ in groups)
     observed = math.prod(math.comb(n, one) for one, n in groups)
     states = {(0, 1): 1}
@@ -146,12 +150,13 @@ def freeman_halton(groups: Sequence[tuple[int, int]]) -> tuple[float, bool]:
     for _, n in groups:
         left -= n
         grown: dict[tuple[int, int], int] = {}
+        ways = [math.comb(n, own) for own in range(n + 1)]
         for (before, product), count in states.items():
-            for own in range(max(0, successes - before - left), min(n, successes - before) + 1):
-                key = (before + own, product * math.comb(n, own))
-                grown[key] = grown.get(key, 0) + count
             if len(grown) > STATES:
                 return _drawn(groups), False
+            for own in range(max(0, successes - before - left), min(n, successes - before) + 1):
+                key = (before + own, product * ways[own])
+                grown[key] = grown.get(key, 0) + count
         states = grown
     every = math.comb(sum(n for _, n in groups), successes)
     return sum(product * count for (_, product), count in states.items() if product <= observed) / every, True

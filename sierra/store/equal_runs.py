@@ -11,9 +11,10 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from sierra.store.samples import MEMBERS, NUMERIC, Frame
-from sierra.store.sql_names import identifier
+from sierra.store.samples import MEMBERS, NUMERIC, Frame, names_time
+from sierra.store.sql_names import identifier, stored_name
 from sierra.store.store import Store
+from sierra.store.table_layout import TableLayout
 
 NOTE = (
     "all runs of each experiment have the same data in all tables, although their seeds differ: they are not independent "
@@ -21,8 +22,8 @@ NOTE = (
 )
 TEXTS = frozenset({".csv", ".tsv", ".jsonl", ".ndjson", ".json", ".xml", ".txt", ".dat"})
 """The endings of files that have nothing beside their rows, such as a date."""
-Volatile = Mapping[str, Collection[str]]
-"""The names of volatile columns by output."""
+Columns = Mapping[str, Collection[str]]
+"""Names of columns by output."""
 
 SEEDED = """
 SELECT coalesce((SELECT bool_and(runs = seeds) FROM (
@@ -37,7 +38,8 @@ SELECT coalesce((SELECT bool_and(runs = seeds) FROM (
 """
 """True if some experiment has several runs with different seeds in their inputs or commands, and none has equal seeds."""
 FILES = f"""
-SELECT a.output, a.path, bool_or(contains(lower(a.table_layout), 'seed')) AS seed FROM all_artifacts a
+SELECT a.output, a.path, bool_or(contains(lower(a.table_layout), 'seed')) AS seed,
+    any_value(a.table_layout) AS table_layout FROM all_artifacts a
 WHERE a.kind = 'table' AND a.rows > 0 AND a.execution IN ({MEMBERS}) GROUP BY a.output, a.path ORDER BY ALL
 """
 SAME_FILES = """
@@ -65,38 +67,49 @@ class _File(NamedTuple):
     path: str
     seed: bool
     """True if its table may have a column of seeds."""
+    table_layout: str
+
+    def tells(self, rates: Collection[str]) -> bool:
+        """Return whether equal values are unlikely: flags and rates of independent runs are often equal."""
+        columns = TableLayout.load(self.table_layout).columns
+        return any(
+            kind not in ("flag", "empty") and name not in rates and not names_time(name) for name, kind in columns.items()
+        )
 
 
 class _Flag(NamedTuple):
     value: bool
 
 
-def note(frame: Frame, volatile: Volatile) -> str:
-    """Return the note on runs that do not differ; "" if some do, or if runs have no seeds."""
-    return frame.once("equal runs", lambda: NOTE if _are_equal(frame, volatile) else "")
+def note(frame: Frame, volatile: Columns, rates: Columns) -> str:
+    """Return the note on runs that do not differ; "" if some do, if runs have no seeds, or if equal results are likely.
+
+    `volatile` and `rates` are the columns that the project declares as such.
+    """
+    return frame.once("equal runs", lambda: NOTE if _are_equal(frame, volatile, rates) else "")
 
 
-def of_batch(store: Store, batch: str, volatile: Volatile) -> Iterator[str]:
+def of_batch(store: Store, batch: str, volatile: Columns, rates: Columns) -> Iterator[str]:
     """Yield the note on the runs of a batch, if they do not differ."""
     with Frame(store, batch) as frame:
-        if found := note(frame, volatile):
+        if found := note(frame, volatile, rates):
             yield found
 
 
-def _are_equal(frame: Frame, volatile: Volatile) -> bool:
+def _are_equal(frame: Frame, volatile: Columns, rates: Columns) -> bool:
     if frame.select(_Flag, SEEDED, b=frame.batch) != [_Flag(True)]:
         return False
     files = frame.select(_File, FILES)
     plain = [output for output in dict.fromkeys(file.output for file in files) if _is_plain(files, output, volatile)]
     others = dict.fromkeys(file.output for file in files if file.output not in plain)
     return (
-        bool(files)
+        any(file.tells(rates.get(file.output, ())) for file in files)
         and all(frame.select(_Flag, SAME_FILES, output=output) == [_Flag(True)] for output in plain)
         and all(_same_rows(frame, output, volatile.get(output, ())) for output in others)
     )
 
 
-def _is_plain(files: Collection[_File], output: str, volatile: Volatile) -> bool:
+def _is_plain(files: Collection[_File], output: str, volatile: Columns) -> bool:
     """Return whether equal data of an output make equal files."""
     return not volatile.get(output) and all(
         PurePosixPath(file.path).suffix.lower() in TEXTS and not file.seed for file in files if file.output == output
@@ -108,7 +121,7 @@ def _same_rows(frame: Frame, output: str, volatile: Collection[str]) -> bool:
     frame.data(output, timed=False)
     described = frame.sql("DESCRIBE data").to_pylist()
     kinds = {row["column_name"]: row["column_type"] for row in described}
-    left_out = {"run", "# experiment", "# number", "# rowid", "# t", *volatile}
+    left_out = {"run", "# experiment", "# number", "# rowid", "# t", *(stored_name(name, kinds) for name in volatile)}
     columns = [name for name in kinds if name not in left_out]
     numbers = [name for name in columns if re.fullmatch(NUMERIC, kinds[name]) and name != "# place"]
     seeds = _of_seeds(frame, numbers)

@@ -21,11 +21,11 @@ ROUNDING = 1e-9
 
 SHARED = """
 SELECT (SELECT count(DISTINCT t) FROM ({rows}))
-    <= (SELECT max(rows) FROM (SELECT count(t) AS rows FROM ({rows}) GROUP BY experiment, run, robot))
+    <= (SELECT max(rows) FROM (SELECT count(DISTINCT t) AS rows FROM ({rows}) GROUP BY experiment, run, robot))
 """
 """True if the longest run has all times of all runs; then no two times need to be compared."""
 STEPS = """
-WITH times AS (SELECT DISTINCT * FROM ({rows}) WHERE t IS NOT NULL),
+WITH times AS (SELECT DISTINCT run, robot, t FROM ({rows}) WHERE t IS NOT NULL),
 steps AS (
     SELECT run, robot, min(step) AS step FROM (
         SELECT run, robot, t - lag(t) OVER (PARTITION BY run, robot ORDER BY t) AS step FROM times
@@ -54,11 +54,11 @@ def at_time(time: float) -> str:
 def same(times: Floats, steps: Floats) -> Iterator[tuple[float, float]]:
     """Yield each time that differs from another by rounding only, with the time that is shown instead of both.
 
-    `times` ascend; `steps` are the smallest steps of their runs, NaN for runs of a single time.
+    `times` ascend; `steps` are the smallest steps of their runs, NaN for runs of a single time, which may differ by `ROUNDING`.
     """
     import numpy as np
 
-    limits = PART * steps
+    limits = np.where(np.isnan(steps), ROUNDING * np.abs(times), PART * steps)
     near = np.diff(times) <= np.fmin(limits[:-1], limits[1:])
     place = 0
     for first in np.flatnonzero(near).tolist():

@@ -201,7 +201,7 @@ def _best(result: Analysis) -> list[tuple[float, float]]:
     """Return for each pair the smallest corrected p values of a difference and of equivalence (1: not tested) that n allows."""
     tested = [pair.p_equivalent is not None for pair in result.pairs]
     smallest = [pair.smallest for pair in result.pairs] + [0.0] * len(result.effects)
-    best = rank_tests.holm(smallest + [pair.smallest / 2 for pair, two in zip(result.pairs, tested, strict=True) if two])
+    best = rank_tests.holm(smallest + [pair.smallest_equivalent for pair, two in zip(result.pairs, tested, strict=True) if two])
     equivalent = iter(best[len(smallest) :])
     return [(least, next(equivalent) if two else 1.0) for least, two in zip(best[: len(tested)], tested, strict=True)]
 
@@ -238,7 +238,7 @@ def _too_few(pairs: Sequence[Pair], result: Analysis, method: ComparisonMethod, 
 def _verdict(pair: Pair, question: Question, best: tuple[float, float]) -> Verdict:
     alpha = question.alpha
     different = max(pair.p_adjusted, pair.smallest) <= alpha
-    equivalent = pair.p_equivalent_adjusted is not None and max(pair.p_equivalent_adjusted, pair.smallest / 2) <= alpha
+    equivalent = pair.p_equivalent_adjusted is not None and max(pair.p_equivalent_adjusted, pair.smallest_equivalent) <= alpha
     if different or equivalent:
         return Verdict.both if different and equivalent else Verdict.different if different else Verdict.equivalent
     return Verdict.too_few if _above(min(best), alpha) else Verdict.open

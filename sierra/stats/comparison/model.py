@@ -29,6 +29,10 @@ class Verdict(StrEnum):
     """No result of these tests could have shown anything with this number of runs."""
 
 
+OF_RATES = "difference of rates"
+"""The estimate of the comparison of two rates, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunValue:
     """One run as one number."""
@@ -118,6 +122,11 @@ class Pair:
     """The number of runs of `first` that never reached the threshold."""
     never_second: int = 0
     verdict: Verdict = Verdict.open
+
+    @property
+    def smallest_equivalent(self) -> float:
+        """Return the smallest p value of equivalence that n allows; 0 for rates, whose equivalence is that of an interval."""
+        return 0.0 if self.estimate == OF_RATES else self.smallest / 2
 
     @property
     def direction(self) -> float:

@@ -10,12 +10,11 @@ from scipy import special
 
 from sierra.stats import rates
 from sierra.stats.comparison import aligned_ranks, effect_sizes, pairing, rank_tests, ties
-from sierra.stats.comparison.model import Cell, Effect, Omnibus, Pair, Question, Sample
+from sierra.stats.comparison.model import OF_RATES, Cell, Effect, Omnibus, Pair, Question, Sample
 from sierra.stats.comparison.ties import Floats
 
 SIGNED, RANKS, DUNN, LOG_RANK = "Wilcoxon signed-rank test", "Mann-Whitney test", "Dunn's test", "log-rank test"
 FISHER, MCNEMAR = "Fisher's exact test", "McNemar's exact test"
-OF_RATES = "difference of rates"
 
 
 def friedman(cell: Cell, question: Question) -> Omnibus:

@@ -122,3 +122,24 @@ def test_runs_may_write_the_columns_in_any_order(tmp_path: Path) -> None:
     assert "t_lower  BIGINT, time axis, t in the file\n  T_upper  BIGINT, T in the file\n" in shown
     assert quick(root, "stats", "o", "T_upper").returncode == 0
     assert quick(root, "files", batch, "o.csv", "--to", str(tmp_path / "out")).returncode == 0
+
+
+KEYS = """\
+import sys, time
+seed = int(open(sys.argv[1]).read().split('seed="')[1].split('"')[0])
+with open("o.csv", "w") as file:
+    print("t,T,ok,OK", *(f"{t},{time.time_ns() % 10**9},{t},{seed % 2}" for t in range(3)), sep="\\n", file=file)
+"""
+
+
+@pytest.mark.integration
+def test_keys_of_outputs_take_the_names_in_the_file(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", simulator=KEYS)
+    with (root / "sierra.toml").open("a") as file:
+        file.write('[outputs.o]\nfile = "o.csv"\ntime = "t"\nunits = { T = "K" }\nrates = ["OK"]\nvolatile = ["T"]\n')
+    assert quick(root, "run", "population_size=2,3", "--runs", "4").returncode == 0
+    [caption] = root.glob("figures/*/o_T_upper_summary.txt")
+    assert "[K]" in caption.read_text()
+    assert "Wilson" in quick(root, "stats", "o", "OK_upper", "-s", "mean").stdout
+    again = quick(root, "replay", sierra.open(root).batches[-1].batch)
+    assert again.returncode == 0, again.stdout

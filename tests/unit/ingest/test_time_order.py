@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sierra.ingest.model import Form, Shape
-from tests.projects import SIMULATOR, make, quick, sql
+from tests.projects import CONFIG, SIMULATOR, make, quick, sql
 from tests.unit.ingest.test_row_counts import make as files_of
 from tests.unit.ingest.test_row_counts import read_files
 
@@ -118,8 +118,10 @@ def test_any_order_of_times_can_be_allowed(tmp_path: Path) -> None:
         ([(0.0, 1), (0.1, 2), (1.0, 1), (0.9, 2)], ""),
         ([(0, 1), (1, 1), (0, 2), (-1, 2)], "time goes back from 1 to 0 in row 3"),
         ([(0, 1), (2, 2), (1, 3), (3, 4)], "time goes back from 2 to 1 in row 3"),
+        ([(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (0, 3)], ""),
+        ([(0, 0), (1, 10), (2, 20), (0, 0), (1, 10), (2, 20)], "time goes back from 2 to 0 in row 4"),
     ],
-    ids=["one robot after the other", "robots by turns", "one robot goes back", "a counter is no robot"],
+    ids=["one after the other", "by turns", "one goes back", "a counter", "one with a single row", "a clock that loops"],
 )
 def test_each_robot_in_a_file_has_a_time_of_its_own(rows: list[tuple[float, int]], fault: str, tmp_path: Path) -> None:
     paths = files_of(tmp_path, [("t,robot\n" + "".join(f"{t},{robot}\n" for t, robot in rows)).encode()])
@@ -152,6 +154,24 @@ def test_runs_that_go_back_fail_until_the_project_allows_it_and_captions_then_sa
     [first, *_] = json.loads(told.stdout)
     [run] = sql(root, "SELECT avg(coverage) AS v FROM swarm WHERE tick = 3 AND population_size = 1")
     assert first["mean"] == pytest.approx(run["v"])
+
+
+@pytest.mark.integration
+def test_statistics_refuse_files_of_a_run_that_overlap_in_time(tmp_path: Path) -> None:
+    """A restart that continues in a second file is as wrong as one in the same file."""
+    two = SIMULATOR.replace('with open("swarm.csv", "w") as file:', "for part, start in ((1, 0), (2, START)):")
+    two = two.replace('    print("tick', '    file = open(f"log_{part}.csv", "w")\n    print("tick').replace(
+        "range(5)", "range(4)"
+    )
+    two = two.replace("print(tick, count", "print(start + tick, count")
+    config = CONFIG + '[outputs.log]\nfile = "log_*.csv"\ntime = "tick"\n'
+    after = make(tmp_path / "after", config, simulator=two.replace("START", "4"))
+    within = make(tmp_path / "within", config, simulator=two.replace("START", "1.5"))
+    for root, code in ((after, 0), (within, 2)):
+        assert quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+        told = quick(root, "stats", "log", "coverage")
+        assert told.returncode == code, told.stderr
+        assert ("2 runs whose time goes back" in told.stderr) == (code == 2)
 
 
 @pytest.mark.integration

@@ -107,3 +107,9 @@ def test_equivalence_is_that_of_the_interval_with_twice_the_level() -> None:
     assert max(-low, high) == pytest.approx(0.18)
     assert rates.within(of, 0.02) == 1
     assert rates.within(of, 5) == 0
+
+
+def test_the_table_of_many_runs_is_drawn() -> None:
+    p, exact = rates.freeman_halton([(500, 1000), (510, 1000), (490, 1000)])
+    assert not exact
+    assert p > 0.5

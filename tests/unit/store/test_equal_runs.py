@@ -37,9 +37,18 @@ def said(root: Path, *words: str) -> str:
         (WITH_SEED, "", True),
         (WITH_CLOCK, "", False),
         (WITH_CLOCK, VOLATILE, True),
+        (FIXED, '[outputs.swarm]\nfile = "swarm.csv"\nrates = ["coverage"]\n', False),
         (SIMULATOR.replace("noise * (seed % 100)", "(noise * (seed % 100) if count == 2 else 0)"), "", False),
     ],
-    ids=["the same files", "other values", "a column of seeds", "a clock", "a volatile clock", "one experiment differs"],
+    ids=[
+        "the same files",
+        "other values",
+        "a column of seeds",
+        "a clock",
+        "a volatile clock",
+        "a rate",
+        "one experiment differs",
+    ],
 )
 @pytest.mark.integration
 @pytest.mark.each_case
@@ -84,3 +93,6 @@ def test_a_try_says_that_another_seed_gave_the_same_tables(tmp_path: Path) -> No
     assert same not in quick(root, "try", "--seed", "1").stderr
     assert same in quick(root, "try", "--seed", "2").stderr
     assert same not in quick(root, "try", "population_size=3", "--seed", "3").stderr
+    unseeded = make(tmp_path / "q", CONFIG.replace('seed = "//random/@seed"\n', ""), simulator=FIXED)
+    for seed in ("1", "2"):
+        assert "same tables" not in quick(unseeded, "try", "--seed", seed).stderr

@@ -12,7 +12,7 @@ import pytest
 
 from sierra.store.rounded_times import PART
 from tests import random_times
-from tests.projects import SIMULATOR, make, quick, sql
+from tests.projects import CONFIG, SIMULATOR, make, quick, sql
 from tests.random_times import shown
 
 
@@ -46,6 +46,7 @@ def test_times_apart_by_more_than_a_part_of_the_step_stay_apart() -> None:
 
 def test_runs_of_a_single_time_have_no_step_and_stay_as_they_are() -> None:
     assert shown([12.5], [12.5000001]) == [[12.5], [12.5000001]]
+    assert shown([0.3], [0.1 + 0.2]) == [[0.3], [0.3]]
 
 
 test_no_two_times_of_a_run_become_one_and_none_moves_far = random_times.APART.tests()
@@ -70,3 +71,27 @@ def test_runs_that_add_and_runs_that_multiply_share_their_times(tmp_path: Path) 
     assert len(sql(root, "SELECT DISTINCT time FROM swarm")) > 10
     [caption] = [path.read_text() for path in root.glob("figures/*/swarm_coverage_timeseries.txt")]
     assert "n = 6." in caption
+
+
+FIGURE = """\
+[scenarios.a]
+[scenarios.b]
+[figures.one]
+kind = "timeseries"
+table = "swarm"
+column = "coverage"
+where = "agent = 0"
+"""
+
+
+@pytest.mark.integration
+def test_rounded_times_are_shared_by_runs_of_two_experiments_and_of_several_rows_at_one_time(tmp_path: Path) -> None:
+    agents = ADDS.replace("        print(tick,", "        for agent in (0, 1):\n            print(tick,")
+    agents = agents.replace("sep=", "agent, sep=").replace("time,coverage", "time,coverage,agent")
+    config = CONFIG + FIGURE
+    root = make(tmp_path / "p", config, simulator=agents)
+    done = quick(root, "run", "scenario=a,b", "population_size=1", "--runs", "6")
+    assert done.returncode == 0, done.stderr
+    [caption] = [path.read_text() for path in root.glob("figures/*/one.txt")]
+    assert "n = 6" in caption
+    assert "fewer runs" not in caption

@@ -419,6 +419,14 @@ def test_rates_of_pairs_are_compared_by_their_difference() -> None:
     assert (pair.difference, pair.low, pair.high, pair.p) == pytest.approx((0.2, 0.0569, 0.3404, 0.01294), abs=5e-5)
 
 
+def test_few_runs_can_show_that_rates_are_equivalent() -> None:
+    groups = replace(cell(a=[1.0, 0.0, 1.0, 0.0], b=[1.0, 0.0, 1.0, 0.0]), rate=True)
+    [pair] = analyse([groups], replace(ASK, paired=True, margin=0.95)).pairs
+    assert pair.p_equivalent_adjusted is not None
+    assert pair.p_equivalent_adjusted < 0.05
+    assert pair.verdict is Verdict.equivalent
+
+
 @pytest.mark.parametrize(("paired", "omnibus"), [(False, "Fisher-Freeman-Halton test"), (True, "Cochran's Q test")])
 def test_more_rates_get_an_omnibus_test_beside_their_pairs(paired: bool, omnibus: str) -> None:
     result = of_rates(4, 13, 19, paired=paired)
