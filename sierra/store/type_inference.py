@@ -68,9 +68,9 @@ def is_inexact(column: str, kind: str) -> str:
     return f"{column} IS NOT NULL AND TRY_CAST(CAST({column} AS DOUBLE) AS {kind}) IS DISTINCT FROM {column}"
 
 
-def has_fraction(column: str) -> str:
-    """Return the SQL condition that a DOUBLE is neither nan nor a whole number; infinity is not one."""
-    return f"{column} IS NOT NULL AND NOT isnan({column}) AND TRY_CAST({column} AS HUGEINT)::DOUBLE IS DISTINCT FROM {column}"
+def is_beyond(column: str, kind: str) -> str:
+    """Return the SQL condition that a DOUBLE is neither nan nor a number that the whole type `kind` can hold."""
+    return f"{column} IS NOT NULL AND NOT isnan({column}) AND TRY_CAST({column} AS {kind})::DOUBLE IS DISTINCT FROM {column}"
 
 
 def text_beside(column: str) -> str:
