@@ -201,7 +201,7 @@ class Text(TableReader):
         """
         stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE"]
-        great = f"isfinite({{}}) AND abs({{}}) > {2**53}"
+        great = f"isfinite({{}}) AND abs({{}}) >= {2**53}"
 
         def any_great(names: Sequence[str]) -> bool:
             return self._any(great, (identifier(stored[name]) for name in names), read_parquet([str(target)]), {})

@@ -101,6 +101,22 @@ def test_runs_with_nothing_but_nan_and_small_numbers_leave_the_column_whole(tmp_
     assert told == "note: column 'v' of c has very large whole numbers, and nan in some runs; nan is NULL\n"
 
 
+@pytest.mark.integration
+@pytest.mark.parametrize("other", ["inf", "-inf", "1e20"])
+def test_the_first_whole_number_that_double_cannot_hold_keeps_its_digits(tmp_path: Path, other: str) -> None:
+    great = 2**53 + 1
+    three = f'[{FIRST}, {LAST}, [float("nan"), 0.5, None][n - 1]]'
+    writes = FILES.replace(three, f"[[{great}, float('{other}'), 7][n - 1]]")
+    assert writes != FILES
+    project = sierra.open(projects.make(tmp_path / "p", projects.CONFIG + OUTPUTS, simulator=writes))
+    assert project.run("population_size=1,2,3", figures=False).failed == 0
+    for name in "cljxp":
+        rows = project.sql(EACH.format(name)).to_pylist()[::2]
+        assert [row["v"] for row in rows] == [float(great), float(other), 7.0]
+        assert [row["v_text"] for row in rows] == [str(great), None, None]
+    assert project.fsck().findings == ()
+
+
 def test_a_replay_compares_the_texts_unless_the_numbers_may_differ() -> None:
     recorded, found = (
         pa.table({"v": [float(number), 0.5], "# text of v": [str(number), "0.5"]}) for number in (FIRST, FIRST + 1)
