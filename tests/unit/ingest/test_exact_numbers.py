@@ -39,6 +39,20 @@ def test_numbers_of_more_digits_than_any_whole_type_has_keep_their_texts(tmp_pat
     assert [row["# text of v"] for row in rows] == [great, "1"]
 
 
+@pytest.mark.parametrize("great", [f"{2**53 + 1}.0", f"-{2**53 + 1}.", f"+00{FIRST}.000", f"{LARGEST}.0", f"{10**39 + 1}.0"])
+def test_whole_numbers_with_a_decimal_point_keep_their_texts(tmp_path: Path, great: str) -> None:
+    _, rows = read_file(tmp_path, "t.csv", f"v\n{great}\n7\n".encode())
+    assert [(row["v"], row["# text of v"]) for row in rows] == [(float(great), great), (7.0, "7")]
+
+
+@pytest.mark.parametrize(
+    "number", [f"{2**53}.0", f"{2**53 + 2}.00", f"0000000{2**53}.0", f"{2**100}.0", "-0000000000000000000.0", "1e20"]
+)
+def test_whole_numbers_that_double_holds_have_no_texts(tmp_path: Path, number: str) -> None:
+    _, rows = read_file(tmp_path, "t.csv", f"v\n{number}\n7\n".encode())
+    assert [repr(list(row.values())) for row in rows] == [repr([float(number)]), "[7.0]"]
+
+
 def test_smaller_whole_numbers_and_nan_are_as_before(tmp_path: Path) -> None:
     _, rows = read_file(tmp_path, "t.csv", f"v,w\n{2**53},100000000000000000000\nnan,0.5\n".encode())
     assert [[repr(value) for value in row.values()] for row in rows] == [[repr(2.0**53), "1e+20"], ["nan", "0.5"]]
@@ -114,6 +128,21 @@ def test_the_first_whole_number_that_double_cannot_hold_keeps_its_digits(tmp_pat
         rows = project.sql(EACH.format(name)).to_pylist()[::2]
         assert [row["v"] for row in rows] == [float(great), float(other), 7.0]
         assert [row["v_text"] for row in rows] == [str(great), None, None]
+    assert project.fsck().findings == ()
+
+
+@pytest.mark.integration
+def test_sql_has_the_texts_of_whole_numbers_with_a_decimal_point(tmp_path: Path) -> None:
+    three = f'[{FIRST}, {LAST}, [float("nan"), 0.5, None][n - 1]]'
+    writes = FILES.replace(three, f"[0.5, '{2**53 + 1}.0' if n == 3 else 2.0]")
+    assert writes != FILES
+    project = sierra.open(projects.make(tmp_path / "p", projects.CONFIG + OUTPUTS, simulator=writes))
+    assert project.run("population_size=1,2,3,4,5", figures=False).failed == 0
+    for name in "cxp":
+        rows = project.sql(f"SELECT v, v_text FROM {name} WHERE t = 1 ORDER BY v DESC LIMIT 3").to_pylist()
+        assert [tuple(row.values()) for row in rows] == [(2.0**53, f"{2**53 + 1}.0")] * 2 + [(2.0, None)]
+    told = projects.quick(project.root, "sql", "SELECT max(v) FROM c").stderr
+    assert "the exact digits are in 'v_text'" in told
     assert project.fsck().findings == ()
 
 
