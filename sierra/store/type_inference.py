@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from sierra.store.sql_names import quote
 
@@ -131,6 +131,15 @@ def narrowest(bits: int) -> str | None:
 def as_stored(kind: str) -> str:
     """Return the SQL type in which numbers of a type are recorded."""
     return "DOUBLE" if kind == EXACT_TEXT else kind
+
+
+def widest(kinds: Collection[str]) -> str:
+    """Return the type that holds all of these numbers: whole numbers exactly, others as DOUBLE."""
+    if len(set(kinds)) == 1:
+        return next(iter(kinds))
+    if all(map(is_whole, kinds)):
+        return HUGE if {HUGE, "UBIGINT", "HUGEINT", "UHUGEINT"} & set(kinds) else "BIGINT"
+    return "DOUBLE"
 
 
 def common(kinds: Iterable[str | None]) -> str:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
+from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import sierra
 from sierra.config.output_tables import Tolerance
 from sierra.replay.compare_values import Rules, Verdict, of_tables
 from tests import projects
-from tests.readings import read_file
+from tests.readings import read_file, read_files
 
 FIRST, LAST = 1582218195625938945, 1582218195625938999
 LARGEST = "98765432109876543210987654321098765432"
@@ -56,6 +60,33 @@ def test_whole_numbers_that_double_holds_have_no_texts(tmp_path: Path, number: s
 def test_smaller_whole_numbers_and_nan_are_as_before(tmp_path: Path) -> None:
     _, rows = read_file(tmp_path, "t.csv", f"v,w\n{2**53},100000000000000000000\nnan,0.5\n".encode())
     assert [[repr(value) for value in row.values()] for row in rows] == [[repr(2.0**53), "1e+20"], ["nan", "0.5"]]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "kinds"),
+    [
+        ((2**53 + 1, None), ("0.50", (10, 2)), ["decimal128(10, 2)", "int64"]),
+        ((2**53 + 1, None), ("0", (38, 0)), ["decimal128(38, 0)"]),
+        (("9007199254740993", (20, 0)), ("1", (38, 0)), ["decimal128(20, 0)", "decimal128(38, 0)"]),
+        (("9007199254740993.25", (20, 2)), ("0.5", (20, 1)), ["decimal128(20, 1)", "decimal128(20, 2)"]),
+        (("9007199254740993.25", (20, 2)), (0.5, None), ["decimal128(20, 2)", "double"]),
+        (("2.5", (20, 2)), ("0.5", (20, 1)), ["double"]),
+        ((7, None), ("0.50", (10, 2)), ["double"]),
+    ],
+)
+def test_decimals_of_several_types_keep_their_digits_in_parquet(
+    tmp_path: Path, first: tuple[Any, Any], second: tuple[Any, Any], kinds: list[str]
+) -> None:
+    values = [value if digits is None else Decimal(value) for value, digits in (first, second)]
+    types = [None if digits is None else pa.decimal128(*digits) for _, digits in (first, second)]
+    contents = []
+    for value, kind in zip(values, types, strict=True):
+        pq.write_table(pa.table({"v": pa.array([value], kind)}), file := io.BytesIO())
+        contents.append(file.getvalue())
+    _, rows = read_files(tmp_path, [tmp_path / "r0/t.parquet", tmp_path / "r1/t.parquet"], contents)
+    assert sorted(row["v"] for row in rows) == sorted(values)
+    written = [pq.read_schema(file).field("v").type for file in (tmp_path / "target").iterdir()]
+    assert sorted(map(str, written)) == kinds
 
 
 FILES = f"""\
