@@ -21,7 +21,7 @@ from sierra.store.duckdb_messages import first_line
 from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import differing_by_case, identifier
-from sierra.store.type_inference import DURATION, EMPTY, HUGE, is_inexact, is_whole, kind_of
+from sierra.store.type_inference import DURATION, EMPTY, is_inexact, is_number, kind_of, widest
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -102,17 +102,20 @@ class Parquet(TableReader):
         return written
 
     def _inexact(self, files: Sequence[Written]) -> set[str]:
-        """Return the columns that have fractions in some files, and in others whole numbers that DOUBLE cannot hold."""
+        """Return the columns that would become DOUBLE, of which some have numbers that DOUBLE cannot hold."""
         found = set()
         for name in self.part.names:
-            whole = [file for file in files if is_whole(self._found[file.path][name])]
-            fractions = {"DOUBLE", "FLOAT"} & {self._found[file.path][name] for file in files}
-            if fractions and whole and self._any_inexact(name, whole):
+            by_kind: dict[str, list[Written]] = {}
+            for file in files:
+                if is_number(kind := self._found[file.path][name]):
+                    by_kind.setdefault(kind, []).append(file)
+            exact = by_kind.keys() - {"DOUBLE", "FLOAT"}
+            mixed = len(by_kind) > 1 and widest(by_kind) == "DOUBLE"
+            if mixed and any(self._any_inexact(name, kind, by_kind[kind]) for kind in exact):
                 found.add(name)
         return found
 
-    def _any_inexact(self, name: str, files: Sequence[Written]) -> bool:
-        kind = self._type(name, files)
+    def _any_inexact(self, name: str, kind: str, files: Sequence[Written]) -> bool:
         inexact = is_inexact(f"CAST({identifier(self._called[files[0].path][name])} AS {kind})", kind)
         return bool(self.fetch(f"SELECT 1 FROM {self._source()} WHERE {inexact} LIMIT 1", files))
 
@@ -169,11 +172,7 @@ class Parquet(TableReader):
 
     def _type(self, name: str, files: Sequence[Written]) -> str:
         """Return the type of a column in files that have one kind in it; of several number types, the widest."""
-        kinds = {self._found[file.path][name] for file in files} - {EMPTY}
-        if len(kinds) < 2:
-            return kinds.pop() if kinds else EMPTY
-        whole = all("INT" in kind for kind in kinds)
-        return HUGE if whole and "UBIGINT" in kinds else "BIGINT" if whole else "DOUBLE"
+        return widest({self._found[file.path][name] for file in files} - {EMPTY} or {EMPTY})
 
 
 def _own_names(path: str, called: Sequence[str]) -> Sequence[str]:

@@ -201,7 +201,7 @@ class Text(TableReader):
         """
         stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE"]
-        great = f"isfinite({{}}) AND abs({{}}) > {2**53}"
+        great = f"isfinite({{}}) AND abs({{}}) >= {2**53}"
 
         def any_great(names: Sequence[str]) -> bool:
             return self._any(great, (identifier(stored[name]) for name in names), read_parquet([str(target)]), {})
@@ -319,11 +319,13 @@ def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) ->
 
     Files with texts beside their numbers are separate.
 
-    `apart`: the columns in which whole numbers are kept separate from fractions, because DOUBLE cannot hold them.
+    `apart`: the columns in which whole numbers and decimals are kept separate from others, because DOUBLE cannot hold them.
     """
 
     def sort(name: str, kind: str) -> str:
-        return "whole" if name in apart and is_whole(kind) else kind if kind == EXACT_TEXT else kind_of(kind)
+        if name in apart and (is_whole(kind) or kind.startswith("DECIMAL")):
+            return "whole" if is_whole(kind) else kind
+        return kind if kind == EXACT_TEXT else kind_of(kind)
 
     kinds = {name: {path: sort(name, kind) for path, kind in seen.items() if kind} for name, seen in kept.items()}
     mixed = {name: Counter(seen.values()) for name, seen in kinds.items() if len(set(seen.values())) > 1}

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from sierra.store.sql_names import quote
 
 WHOLE = r" *([+]?[0-9]+|-0*[1-9][0-9]*) *"
 """The pattern of a whole number. -0 does not match: it is a number, but BIGINT has no negative zero."""
+POINTED = r" *[-+]?0*[1-9][0-9]{15,}[.]0* *"
+"""The pattern of a whole number of at least 16 digits that is written with a decimal point."""
 LOGICAL = r" *(?i:true|false) *"
 HUGE = "DECIMAL(38,0)"
 EMPTY = '"NULL"'
@@ -68,9 +70,9 @@ def is_inexact(column: str, kind: str) -> str:
     return f"{column} IS NOT NULL AND TRY_CAST(CAST({column} AS DOUBLE) AS {kind}) IS DISTINCT FROM {column}"
 
 
-def has_fraction(column: str) -> str:
-    """Return the SQL condition that a DOUBLE is neither nan nor a whole number; infinity is not one."""
-    return f"{column} IS NOT NULL AND NOT isnan({column}) AND TRY_CAST({column} AS HUGEINT)::DOUBLE IS DISTINCT FROM {column}"
+def is_beyond(column: str, kind: str) -> str:
+    """Return the SQL condition that a DOUBLE is neither nan nor a number that the whole type `kind` can hold."""
+    return f"{column} IS NOT NULL AND NOT isnan({column}) AND TRY_CAST({column} AS {kind})::DOUBLE IS DISTINCT FROM {column}"
 
 
 def text_beside(column: str) -> str:
@@ -81,16 +83,17 @@ def text_beside(column: str) -> str:
 def bit(cell: str) -> str:
     """Return the SQL expression that classifies the text of a cell: one bit for each kind, 0 for an empty cell.
 
-    A whole number that DOUBLE cannot hold has the bit `INEXACT` too.
+    A whole number that DOUBLE cannot hold has the bit `INEXACT` too, also if it is written as 9007199254740993.0.
     """
     whole = f"regexp_full_match({cell}, {quote(WHOLE)})"
-    rounded = f"TRY_CAST(TRY_CAST({cell} AS DOUBLE) AS HUGEINT) IS DISTINCT FROM TRY_CAST({cell} AS HUGEINT)"
+    rounded = f"(TRY_CAST(TRY_CAST({cell} AS DOUBLE) AS HUGEINT) = TRY_CAST({cell} AS HUGEINT)) IS NOT TRUE"
+    pointed = f"strpos({cell}, '.') > 16 AND regexp_full_match({cell}, {quote(POINTED)}) AND {rounded}"
     inexact = f"CASE WHEN length({cell}) > 15 AND {rounded} THEN {INEXACT} ELSE 0 END"
     return (
         f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 + {inexact} "
         f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 + {inexact} "
         f"WHEN TRY_CAST({no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN "
-        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} "
+        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} WHEN {pointed} THEN {8 + INEXACT} "
         f"WHEN regexp_matches({cell}, '[nN] *$') THEN {NAN} ELSE 8 END "
         f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
     )
@@ -128,6 +131,15 @@ def narrowest(bits: int) -> str | None:
 def as_stored(kind: str) -> str:
     """Return the SQL type in which numbers of a type are recorded."""
     return "DOUBLE" if kind == EXACT_TEXT else kind
+
+
+def widest(kinds: Collection[str]) -> str:
+    """Return the type that holds all of these numbers: whole numbers exactly, others as DOUBLE."""
+    if len(set(kinds)) == 1:
+        return next(iter(kinds))
+    if all(map(is_whole, kinds)):
+        return HUGE if {HUGE, "UBIGINT", "HUGEINT", "UHUGEINT"} & set(kinds) else "BIGINT"
+    return "DOUBLE"
 
 
 def common(kinds: Iterable[str | None]) -> str:

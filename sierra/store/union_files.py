@@ -3,10 +3,10 @@
 A column that a file does not have is NULL there. A column that holds numbers in some files, and texts, flags or dates in
 others, becomes two columns. The first has the original name and holds the numbers. The second has the suffix `_text` and
 holds the cells of the other files unchanged. A text that reads as a number is in both. A similar split applies to whole
-numbers and decimals that DOUBLE cannot hold exactly, if other files have fractions: the first column has the nearest
-DOUBLE, the second has all digits. If a file has both, its texts are recorded beside its numbers (see `text_beside`), and are
-the second column. Beside such whole numbers, files with nothing but nan and whole numbers are no reason for a split: the
-column stays whole, and nan is missing.
+numbers and decimals that DOUBLE cannot hold exactly, if other files have fractions or larger numbers: the first column has
+the nearest DOUBLE, the second has all digits. If a file has both, its texts are recorded beside its numbers (see
+`text_beside`), and are the second column. Beside such whole numbers, files with nothing but nan and whole numbers that their
+type can hold are no reason for a split: the column stays whole, and nan is missing.
 
 DuckDB's own union would turn all numbers into texts, true into 1, whole numbers into dates, and decimals into whole numbers.
 """
@@ -23,18 +23,18 @@ from sierra.store.sql_result import RawRow
 from sierra.store.type_inference import (
     EMPTY,
     EXACT_TEXT,
-    HUGE,
     INEXACT,
     NUMBERS,
     as_stored,
     bit,
-    has_fraction,
+    is_beyond,
     is_inexact,
     is_number,
     is_whole,
     narrowest,
     reads_as,
     text_beside,
+    widest,
 )
 from sierra.store.verified_files import verify
 
@@ -185,7 +185,7 @@ class _Mixed:
     rounded: bool = False
     """True if DOUBLE cannot hold some of the numbers exactly."""
     no_nan: bool = False
-    """True if files have whole numbers or nan as DOUBLE, and others have whole numbers that DOUBLE cannot hold."""
+    """True if files have nan, or whole numbers that `type` can hold, as DOUBLE, and others those that DOUBLE cannot hold."""
 
     @property
     def apart(self) -> bool:
@@ -242,12 +242,12 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     if not numbers:
         return _Mixed(name, beside, _of_times(others, seen, column) or _common(others), empty)
     texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
-    kind = _widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
+    kind = widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
     exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
     rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
     whole = rounded and not texts and all(map(is_whole, exact)) and {*exact, "DOUBLE"} == {*numbers}
-    if whole and not seen("DOUBLE", f"count_if({has_fraction(column)}) > 0"):
-        return _Mixed(name, beside, _widest(exact), empty, bool(others), no_nan=True)
+    if whole and not seen("DOUBLE", f"count_if({is_beyond(column, widest(exact))}) > 0"):
+        return _Mixed(name, beside, widest(exact), empty, bool(others), no_nan=True)
     if EXACT_TEXT in numbers:
         rounded |= bool(seen(EXACT_TEXT, f"bit_or({bit(identifier(text_beside(name)))})") & INEXACT)
     return _Mixed(name, beside, kind, empty, bool(others), rounded)
@@ -276,15 +276,6 @@ def _are_nested_alike(kinds: Sequence[str]) -> bool:
     items = sorted({kind[: kind.rindex("[")] for kind in kinds})
     same = len(items) == 1 or all(map(is_number, items)) or "VARCHAR" in items
     return same or _are_times(items) or _are_nested_alike(items)
-
-
-def _widest(kinds: Sequence[str]) -> str:
-    """Return the type that holds all of these numbers: whole numbers exactly, others as DOUBLE."""
-    if len(set(kinds)) == 1:
-        return kinds[0]
-    if all(map(is_whole, kinds)):
-        return HUGE if {HUGE, "UBIGINT", "HUGEINT", "UHUGEINT"} & set(kinds) else "BIGINT"
-    return "DOUBLE"
 
 
 def _are_times(kinds: Sequence[str]) -> bool:
