@@ -152,8 +152,9 @@ def text_claim(document: Document, value: str) -> None:
     except TemplateError as error:
         assert "is not a placeholder" in str(error)  # noqa: PT017
         return
-    changes = [Set(f"/{name}", "{v}") for name in ("one", "two") if template.find(f"/{name}")]
-    wanted = PLACEHOLDER.sub(lambda _: value, document.data.decode()).encode()
+    text = document.data.decode()
+    changes = [Set(f"/{name}", "{v}") for name in dict.fromkeys(PLACEHOLDER.findall(text))]
+    wanted = PLACEHOLDER.sub(lambda _: value, text).encode()
     assert template.changed(changes, {"v": value}).render() == wanted
     assert template.changed((), {}).per_run(changes)({"v": value}) == wanted
 
