@@ -49,6 +49,14 @@ def test_whole_numbers_with_a_decimal_point_keep_their_texts(tmp_path: Path, gre
     assert [(row["v"], row["# text of v"]) for row in rows] == [(float(great), great), (7.0, "7")]
 
 
+@pytest.mark.parametrize("name", ["t.jsonl", "t.json"])
+def test_large_numbers_of_json_that_double_holds_have_no_texts(tmp_path: Path, name: str) -> None:
+    lines = ('{"v": 1.582218195625939e+18}', '{"v": 0.5}')
+    content = "\n".join(lines) if name == "t.jsonl" else f"[{','.join(lines)}]"
+    _, rows = read_file(tmp_path, name, content.encode(), format=name[2:])
+    assert rows == [{"v": 1.582218195625939e18}, {"v": 0.5}]
+
+
 @pytest.mark.parametrize(
     "number", [f"{2**53}.0", f"{2**53 + 2}.00", f"0000000{2**53}.0", f"{2**100}.0", "-0000000000000000000.0", "1e20"]
 )
