@@ -225,11 +225,15 @@ def _once(pairs: Sequence[tuple[str, object]]) -> dict[str, object]:
 
 
 def _finite(text: str) -> float:
-    """Return a number with a fraction. Raises ValueError if DOUBLE cannot hold it."""
+    """Return a number written with a point or an exponent. Raises ValueError if it is too large for DOUBLE.
+
+    A whole number such as 9007199254740993.0 becomes an int if DOUBLE cannot hold it.
+    """
     number = float(text)
     if math.isinf(number):
         raise ValueError(f"the number {text[:80]} is too large")
-    return number
+    whole, _, rest = text.partition(".")
+    return int(whole) if abs(number) >= 2**53 and rest and not rest.strip("0") and int(whole) != number else number
 
 
 def _whole(text: str) -> float:

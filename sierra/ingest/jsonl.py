@@ -20,6 +20,8 @@ from sierra.store.sql_names import identifier, quote
 class Jsonl(Text):
     """The reader of JSON lines, with one object per line."""
 
+    as_written = False  # DuckDB's parser turns 1.582218195625939e18 into 1582218195625939000.0
+
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
             found = self._keys(files)

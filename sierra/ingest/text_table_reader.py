@@ -41,6 +41,9 @@ AT_ONCE = 50
 class Text(TableReader):
     """The base class of readers of formats whose fields are texts: the texts of a column decide its type."""
 
+    as_written = True
+    """True if the text of a number with a decimal point is as in the file; False if a parser made it."""
+
     def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._with_nan: set[tuple[str, str]] = set()
@@ -283,15 +286,18 @@ class Text(TableReader):
             each = (
                 f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
             )
-            rows = self.fetch(f"SELECT {identifier(FILE)}, place, bit_or({bit('cell')}) FROM {each} GROUP BY 1, 2", files)
+            rows = self.fetch(f"SELECT {identifier(FILE)}, place, bit_or({self._bit('cell')}) FROM {each} GROUP BY 1, 2", files)
             for path, place, bits in rows:
                 found[wanted[place]][path] = self._type(wanted[place], path, bits or 0)
             return found
-        columns = ", ".join(f"bit_or({bit(f'c{places[name]}')})" for name in wanted)
+        columns = ", ".join(f"bit_or({self._bit(f'c{places[name]}')})" for name in wanted)
         for path, *seen in self.fetch(f"SELECT {identifier(FILE)}, {columns} FROM {relation} GROUP BY 1", files):
             for name, bits in zip(wanted, seen, strict=True):
                 found[name][path] = self._type(name, path, bits or 0)
         return found
+
+    def _bit(self, cell: str) -> str:
+        return bit(cell, as_written=self.as_written)
 
     def _type(self, name: str, path: str, bits: int) -> str | None:
         """Return the narrowest type of a file's column, and note if nan is a missing value in it."""

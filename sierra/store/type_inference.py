@@ -80,10 +80,12 @@ def text_beside(column: str) -> str:
     return BESIDE + column
 
 
-def bit(cell: str) -> str:
+def bit(cell: str, *, as_written: bool = True) -> str:
     """Return the SQL expression that classifies the text of a cell: one bit for each kind, 0 for an empty cell.
 
     A whole number that DOUBLE cannot hold has the bit `INEXACT` too, also if it is written as 9007199254740993.0.
+
+    `as_written`: the text is that of a file; otherwise a parser made it from a DOUBLE, so that digits before .0 mean nothing.
     """
     whole = f"regexp_full_match({cell}, {quote(WHOLE)})"
     rounded = f"(TRY_CAST(TRY_CAST({cell} AS DOUBLE) AS HUGEINT) = TRY_CAST({cell} AS HUGEINT)) IS NOT TRUE"
@@ -93,7 +95,8 @@ def bit(cell: str) -> str:
         f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 + {inexact} "
         f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 + {inexact} "
         f"WHEN TRY_CAST({no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN "
-        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} WHEN {pointed} THEN {8 + INEXACT} "
+        f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} "
+        f"{f'WHEN {pointed} THEN {8 + INEXACT} ' if as_written else ''}"
         f"WHEN regexp_matches({cell}, '[nN] *$') THEN {NAN} ELSE 8 END "
         f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
     )

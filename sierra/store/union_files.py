@@ -92,7 +92,7 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
         {one.name: one.beside for one in apart},
         frozenset(one.name for one in apart if not one.other),
         _spellings(described),
-        frozenset(one.name for one in mixed.values() if one.no_nan),
+        frozenset(one.name for one in mixed.values() if one.nan),
     )
 
 
@@ -186,6 +186,8 @@ class _Mixed:
     """True if DOUBLE cannot hold some of the numbers exactly."""
     no_nan: bool = False
     """True if files have nan, or whole numbers that `type` can hold, as DOUBLE, and others those that DOUBLE cannot hold."""
+    nan: bool = False
+    """True if some of these files do have nan."""
 
     @property
     def apart(self) -> bool:
@@ -247,7 +249,8 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
     whole = rounded and not texts and all(map(is_whole, exact)) and {*exact, "DOUBLE"} == {*numbers}
     if whole and not seen("DOUBLE", f"count_if({is_beyond(column, widest(exact))}) > 0"):
-        return _Mixed(name, beside, widest(exact), empty, bool(others), no_nan=True)
+        nan = bool(seen("DOUBLE", f"count_if(isnan({column})) > 0"))
+        return _Mixed(name, beside, widest(exact), empty, bool(others), no_nan=True, nan=nan)
     if EXACT_TEXT in numbers:
         rounded |= bool(seen(EXACT_TEXT, f"bit_or({bit(identifier(text_beside(name)))})") & INEXACT)
     return _Mixed(name, beside, kind, empty, bool(others), rounded)

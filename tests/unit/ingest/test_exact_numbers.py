@@ -49,6 +49,22 @@ def test_whole_numbers_with_a_decimal_point_keep_their_texts(tmp_path: Path, gre
     assert [(row["v"], row["# text of v"]) for row in rows] == [(float(great), great), (7.0, "7")]
 
 
+@pytest.mark.parametrize("great", [2**53 + 1, -FIRST, int(LARGEST)])
+def test_json_documents_keep_the_digits_of_whole_numbers_with_a_decimal_point(tmp_path: Path, great: int) -> None:
+    content = f'[{{"v": {great}.0, "w": {2**53}.0}}, {{"v": 0.5, "w": 7.0}}]'.encode()
+    _, rows = read_file(tmp_path, "t.json", content, format="json")
+    assert [(row["v"], row["# text of v"]) for row in rows] == [(float(great), str(great)), (0.5, "0.5")]
+    assert [repr(row["w"]) for row in rows] == [repr(2.0**53), "7.0"]
+
+
+@pytest.mark.parametrize("name", ["t.jsonl", "t.json"])
+def test_large_numbers_of_json_that_double_holds_have_no_texts(tmp_path: Path, name: str) -> None:
+    lines = ('{"v": 1.582218195625939e+18}', '{"v": 0.5}')
+    content = "\n".join(lines) if name == "t.jsonl" else f"[{','.join(lines)}]"
+    _, rows = read_file(tmp_path, name, content.encode(), format=name[2:])
+    assert rows == [{"v": 1.582218195625939e18}, {"v": 0.5}]
+
+
 @pytest.mark.parametrize(
     "number", [f"{2**53}.0", f"{2**53 + 2}.00", f"0000000{2**53}.0", f"{2**100}.0", "-0000000000000000000.0", "1e20"]
 )

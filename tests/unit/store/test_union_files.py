@@ -164,6 +164,15 @@ def test_values_of_several_types_are_kept_exactly(
     assert held == rows
 
 
+@pytest.mark.parametrize(("other", "nans"), [(float("nan"), {"v"}), (2.0, set())])
+def test_only_nan_is_said_to_be_missing_beside_large_whole_numbers(
+    merged: Callable[..., tuple[Relation, list[tuple[Any, ...]]]], other: float, nans: set[str]
+) -> None:
+    found, _ = merged(pa.array([GREAT]), pa.array([other]))
+    assert found.types["v"] == "BIGINT"
+    assert found.nans == nans
+
+
 def test_rows_that_are_filtered_out_do_not_decide_the_type(
     merged: Callable[..., tuple[Relation, list[tuple[Any, ...]]]],
 ) -> None:
