@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +92,8 @@ class Shape:
     """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
     name: str = ""
     """The name of the table."""
-    declared: bool = False
-    """True if the project declares the output."""
+    declared: bool = field(default=False, compare=False)
+    """True if the project declares the output; it changes messages only."""
     time: str = ""
     """The declared time column; "" if none is declared."""
     any_order: bool = False
