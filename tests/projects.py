@@ -17,6 +17,7 @@ from typing import Any
 import typer.main
 
 from sierra.cli import main
+from sierra.store import equal_runs
 from sierra.util import signals
 from tests import forkserver
 
@@ -121,6 +122,11 @@ def run(folder: Path, *words: str) -> tuple[dict[str, Any], str]:
     assert done.returncode == 0, done.stderr
     summary: dict[str, Any] = json.loads(done.stdout)
     return summary, done.stderr
+
+
+def other_notes(stderr: str) -> str:
+    """Return what a command has said without the note on equal runs: the programs of many tests use no seed."""
+    return "".join(line for line in stderr.splitlines(keepends=True) if equal_runs.NOTE not in line)
 
 
 def sql(folder: Path, statement: str) -> list[dict[str, Any]]:

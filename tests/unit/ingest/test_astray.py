@@ -30,7 +30,7 @@ def run(root: Path, code: int, *words: str) -> tuple[dict[str, Any], str]:
     done = projects.quick(root, "run", "population_size=1", "-j", "1", "--no-figures", "--json", *words)
     assert done.returncode == code, done.stdout + done.stderr
     summary: dict[str, Any] = json.loads(done.stdout)
-    return summary, done.stderr
+    return summary, projects.other_notes(done.stderr)
 
 
 def sql(root: Path, statement: str) -> list[dict[str, Any]]:

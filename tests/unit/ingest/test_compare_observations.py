@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from sierra.store import equal_runs
 from tests import projects
 from tests.waiting import until
 
@@ -46,8 +45,7 @@ def said(tmp_path: Path, require: Callable[..., str]) -> Callable[[str], tuple[s
         (folder / "sim.py").write_text(CODE.format(seeds=seeds(root)) + code)
         done = projects.quick(root, "run", "population_size=1,2", "-j", "1", "--no-figures")
         assert done.returncode == 0, done.stderr
-        told = "".join(line for line in done.stderr.splitlines(keepends=True) if equal_runs.NOTE not in line)
-        return told, root
+        return projects.other_notes(done.stderr), root
 
     return execute
 
