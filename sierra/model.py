@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""
 Measure = Literal["final", "mean", "time_mean", "time_to"]
-"""How a run becomes one number: its last value, the mean of its rows, its mean over time, or the time until a threshold."""
+"""The number that a run becomes: its last value, the mean of its rows, its mean over time, or the time until a threshold."""
 FOLDER = "sierraFolder7d1c0e4b"
 """The beginning of the marks that stand for folders in generated inputs. No template may contain it."""
 IN_PROJECT = "{project}/"

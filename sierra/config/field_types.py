@@ -52,7 +52,7 @@ Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 RawTable = targets.RawTable
 OF_RUN = "its last value, the mean of its rows, its mean over time (`time_mean`), or the time until `threshold`"
-"""What the measures are, in the descriptions of keys."""
+"""The measures in words, for descriptions of keys."""
 T = TypeVar("T")
 
 

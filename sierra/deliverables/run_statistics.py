@@ -153,7 +153,7 @@ class RunTable:
     rate: bool = False
     """True if the values 0 and 1 of the column are a rate."""
     offset: int = 0
-    """What was subtracted from all values, because floats do not hold the digits of the column's numbers."""
+    """The number that was subtracted from all values, because floats do not hold the digits of the column."""
 
     def shown(self, ordinal: int) -> dict[str, Value]:
         """Return the values of the axes in an experiment, as a reader sees them."""
@@ -245,7 +245,7 @@ class RunSeries:
     values: Mapping[int, Mapping[int, Floats]]
     """The values at these times, by the position of the experiment and by seed, minus `offset`; NaN where a run has none."""
     offset: int = 0
-    """What was subtracted from all values, as in `RunTable`."""
+    """The number that was subtracted from all values, as in `RunTable`."""
 
 
 def runs_over_time(

@@ -145,7 +145,7 @@ def freeman_halton(groups: Sequence[tuple[int, int]]) -> tuple[float, bool]:
     successes = sum(one for one, _ in groups)
     observed = math.prod(math.comb(n, one) for one, n in groups)
     states = {(0, 1): 1}
-    """How many tables have a number of successes and a product of binomial coefficients, group after group."""
+    """The number of tables by their successes and their product of binomial coefficients, group after group."""
     left = sum(n for _, n in groups)
     for _, n in groups:
         left -= n

@@ -802,7 +802,7 @@ class Column:
     time: str
     where: str = ""
     offset: int = 0
-    """What is subtracted from all values: see `Frame.offset`."""
+    """The number that is subtracted from all values: see `Frame.offset`."""
 
     def sql(self, text: str, /, **parameters: object) -> pa.Table:
         self.frame.samples(self.table, self.column, self.time, self.where, self.offset, shared="shared_t" in text)
