@@ -39,10 +39,6 @@ PAPER = (Shown.markdown, Shown.latex, Shown.html)
 """The formats of tables for papers."""
 
 
-WITH_TIMES = ((Measure.time_to, Times.own), (Measure.time_mean, Times.carry), (Measure.time_mean, Times.linear))
-"""The measures that can be used with times: a survival curve, and a mean by steps or by trapezoids."""
-
-
 def named(words: Sequence[str]) -> tuple[str, ...]:
     """Return the names in words that separate them by commas."""
     names = tuple(name.strip() for word in words for name in word.split(","))
@@ -125,6 +121,7 @@ def stats(
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """
     from sierra.cli.open_project import project
+    from sierra.deliverables.run_statistics import WITH_TIMES
 
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X must be used together")

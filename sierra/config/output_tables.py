@@ -267,14 +267,14 @@ def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
     return outputs
 
 
-def rates(outputs: Mapping[str, Output]) -> dict[str, tuple[str, ...]]:
-    """Return the columns that are rates, by the name of the output."""
-    return {name: output.rates for name, output in outputs.items() if output.rates}
+Columns = Mapping[str, tuple[str, ...]]
+"""Names of columns by output."""
 
 
-def volatile(outputs: Mapping[str, Output]) -> dict[str, tuple[str, ...]]:
-    """Return the volatile columns of the outputs that have some, by the name of the output."""
-    return {name: output.volatile for name, output in outputs.items() if output.volatile}
+def volatile_and_rates(outputs: Mapping[str, Output]) -> tuple[Columns, Columns]:
+    """Return the declared volatile columns, and the declared rates, of the outputs that have some."""
+    volatile = {name: output.volatile for name, output in outputs.items() if output.volatile}
+    return volatile, {name: output.rates for name, output in outputs.items() if output.rates}
 
 
 class Success(Table):

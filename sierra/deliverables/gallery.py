@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import SEVERAL_TABLES, Output, rates, volatile
+from sierra.config.output_tables import SEVERAL_TABLES, Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -446,8 +446,7 @@ class Gallery:
             robots = self.frame.robots_note(output.name, time)
             read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
             seen = self.frame.once(("coverage", output.name, column, time), read)
-            outputs = self._config.outputs
-            equal = equal_runs.note(self.frame, volatile(outputs), rates(outputs))
+            equal = equal_runs.note(self.frame, *volatile_and_rates(self._config.outputs))
             self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
             seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled

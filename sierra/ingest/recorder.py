@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.output_tables import rates, volatile
+from sierra.config.output_tables import volatile_and_rates
 from sierra.containers import engines
 from sierra.ingest import astray, compare_observations, compare_robots
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
@@ -243,7 +243,7 @@ class Recorder:
         This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
         """
         remarks = TableWarnings(self._store, self.context, self._shapes)
-        kept, outputs = self._assigning.kept, self.context.outputs
+        kept = self._assigning.kept
         used = compare_observations.notes(self._store, self.context.session) if len(self._file_sets) > 1 else ()
         elsewhere = astray.notes(self._astray)
         unseen = [
@@ -262,7 +262,7 @@ class Recorder:
             *self._assigning.renamed.values(),
             *as_files(kept),
             *remarks.all(),
-            *equal_runs.of_batch(self._store, self.context.batch, volatile(outputs), rates(outputs)),
+            *equal_runs.of_batch(self._store, self.context.batch, *volatile_and_rates(self.context.outputs)),
         ]
 
     def _twice(self) -> Iterator[str]:

@@ -39,6 +39,7 @@ from sierra.stats import student_t, words
 from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
+from sierra.store.rounded_times import PART
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.text import counted, n_of, verb
 
@@ -126,7 +127,7 @@ class Coverage:
 
     def about_ends(self) -> list[str]:
         """Return a note if runs of an experiment end at different times."""
-        rounding = 1e-3 * (self.last - self.first) / max(1, self.most - 1)
+        rounding = PART * (self.last - self.first) / max(1, self.most - 1)
         apart = [ends for ends in self.ends.values() if ends[1] - ends[0] > rounding]
         if not apart:
             return []
@@ -330,7 +331,7 @@ class Samples:
         """Return the times of another batch, but with the own times of runs where they differ by rounding only."""
         import numpy as np
 
-        return self._close_to_own(np.array(grid), 1e-3 * float(np.diff(grid).min(initial=0.0 if len(grid) < 2 else np.inf)))
+        return self._close_to_own(np.array(grid), PART * float(np.diff(grid).min(initial=0.0 if len(grid) < 2 else np.inf)))
 
     def _close_to_own(self, even: npt.NDArray[np.float64], limit: float) -> list[float]:
         """Return times, replaced by a run's own time if they differ from it by `limit` at most.
@@ -569,7 +570,7 @@ def methods_of_mean(table: pa.Table) -> set[str]:
 
 def may_be_rate(frame: Frame, measure: str | None) -> bool:
     """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows."""
-    observations = ROWS if measure is None else _file(f"measures/{measure}")
+    observations = "SELECT value FROM samples" if measure is None else _file(f"measures/{measure}")
     text = f"SELECT {BOTH} AS both FROM (\n{observations}\n) WHERE isfinite(value)"  # noqa: S608 - own statements
     return bool(frame.sql(text, **_used(text, steps=False)).column("both")[0].as_py())
 

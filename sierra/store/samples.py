@@ -467,6 +467,9 @@ class Frame:
 
         It is the median of a column of whole numbers or decimals, of which some have more than 53 bits. Raises NotFound.
         """
+        return self.once(("offset", table, column), partial(self._offset, table, column))
+
+    def _offset(self, table: str, column: str) -> int:
         data, kind = self._data(table), self._type(table, column)
         if not re.fullmatch(EXACT, kind):
             return 0

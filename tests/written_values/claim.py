@@ -12,7 +12,7 @@ from sierra.model import Set
 from sierra.templates.base import Template
 
 Values = Mapping[Hashable, object]
-"""What a reader reads: each value, by its place."""
+"""The values that a reader reads, by their places."""
 Reader = Callable[[bytes], Values]
 
 

@@ -17,7 +17,7 @@ from sierra.config.field_types import Table
 from sierra.stats.comparison.model import Cell, Effect, Omnibus, Pair, Question
 
 TAKES = frozenset({"pairs", "samples", "censored", "factors", "margin", "rates"})
-"""What a method may take: runs with the same seed as pairs, runs without pairs, censored times, factors, a margin, rates.
+"""Data that methods may take: runs with the same seed as pairs, runs without pairs, censored times, factors, a margin, rates.
 
 A method that takes censored times or factors can use other values too, but one that takes rates can use nothing else."""
 

@@ -13,8 +13,8 @@ name             tests                                                       for
 `aligned_ranks`  analysis of variance of aligned ranks                       factors (`--by a,b`), with pairs or without
 ===============  ==========================================================  ===========================================
 
-Of more than two groups, there is an omnibus test beside the pairs: Friedman's, that of Kruskal and Wallis, Cochran's Q, or that
-of Freeman and Halton. It decides about no pair: a test of ranks of all groups depends on groups that are far away, and sees no
+An omnibus test of more than two groups stands beside the pairs: Friedman's, that of Kruskal and Wallis, Cochran's Q, or that of
+Freeman and Halton. It decides about no pair: a test of ranks of all groups depends on groups that are far away, and sees no
 difference of neighbours (so does Dunn's, which is shipped for those who must report it).
 
 By default (`auto`), the data decide: see `suitable`.
@@ -62,7 +62,16 @@ class _Shipped:
         return rank_tests.smallest_rank_sum(n, n)
 
 
-class SignedRank(_Shipped):
+class _OfPairs(_Shipped):
+    """A method that tests signs or signed ranks of pairs."""
+
+    def smallest(self, n: int) -> float:
+        from sierra.stats.comparison import rank_tests
+
+        return rank_tests.smallest_signed_rank(n)
+
+
+class SignedRank(_OfPairs):
     """Wilcoxon's signed-rank test of each two groups; of three or more, also Friedman's."""
 
     title = "Wilcoxon signed-rank test"
@@ -73,11 +82,6 @@ class SignedRank(_Shipped):
 
         pairs = tuple(one_cell.signed_rank(cell, question, *places) for places in pairs_of(cell, question))
         return CellResult(pairs, one_cell.friedman(cell, question) if len(cell.samples) > 2 else None)
-
-    def smallest(self, n: int) -> float:
-        from sierra.stats.comparison import rank_tests
-
-        return rank_tests.smallest_signed_rank(n)
 
 
 class Friedman(SignedRank):
@@ -109,7 +113,7 @@ class Kruskal(RankSum):
     _dunn = True
 
 
-class McNemar(_Shipped):
+class McNemar(_OfPairs):
     """McNemar's exact test of each two rates with Newcombe's interval of pairs; of three groups or more, also Cochran's Q."""
 
     title = "McNemar's exact test"
@@ -121,11 +125,6 @@ class McNemar(_Shipped):
 
         pairs = tuple(one_cell.rates_of_pairs(cell, question, *places) for places in pairs_of(cell, question))
         return CellResult(pairs, one_cell.cochran(cell) if len(cell.samples) > 2 else None)
-
-    def smallest(self, n: int) -> float:
-        from sierra.stats.comparison import rank_tests
-
-        return rank_tests.smallest_signed_rank(n)
 
 
 class Fisher(_Shipped):
