@@ -140,13 +140,11 @@ def columns(context: typer.Context, incomplete: str) -> list[str]:
 
 def tables(incomplete: str) -> list[str]:
     """Return the names of tables that runs have written, and of derived tables."""
-    from sierra.store.segments import OUTPUT, SUFFIX
+    from sierra.store.segments import on_disk
 
     found: set[str] = set()
     with contextlib.suppress(*IGNORED):
-        names = (path.name for segment in _segments() for path in (_folder() / segment).iterdir())
-        files = (name.removesuffix(SUFFIX) for name in names if name.startswith(OUTPUT) and name.endswith(SUFFIX))
-        found = {name.removeprefix(OUTPUT).partition("~")[0] for name in files}
+        found = {table for segment in on_disk(_folder()) for table, _ in segment.outputs()}
     return _beginning({*found, *_named("tables", "")}, incomplete)
 
 

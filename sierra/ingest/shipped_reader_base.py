@@ -239,7 +239,7 @@ class TableReader:
         self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order
         try:
             rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
-            self.sql.execute(copy(rows, target), these(files))
+            self.sql.execute(copy(rows, target, self.shape.name), these(files))
             self._check_rows(target, files)
         except (self.error, AtFaultError):
             target.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,11 +21,26 @@ import pyarrow.parquet as pq
 
 from sierra.maintenance.findings import Finding, Kind
 from sierra.store import ownership_marks, session_log_file
+from sierra.store.duckdb_file_io import TABLE
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.schema import RECORDED, arrow_schema, is_table
-from sierra.store.segments import FORMAT, MANIFEST, MARK_BYTES, OUTPUT, SUFFIX, Segment, on_disk, out_of_date
+from sierra.store.segments import (
+    FORMAT,
+    FORMER,
+    MANIFEST,
+    MARK_BYTES,
+    NUMBERED,
+    OUTPUT,
+    OUTPUTS,
+    SUFFIX,
+    Segment,
+    named,
+    on_disk,
+    out_of_date,
+    table_of,
+)
 from sierra.store.store import CACHEDIR
 from sierra.store.views import ONCE
 from sierra.util.fs import UNFINISHED_END
@@ -41,7 +56,7 @@ THREADS = 4
 EXPANDED = 256 << 20
 """The largest size in memory of a piece of an object file, in bytes."""
 FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
-"""Files that are the same in every store."""
+"""Files that are the same in every store, but that `format` may have the number of the former format."""
 DERIVED = frozenset(("files", "numbers"))
 """Files that are derived from others, and made again if they are missing."""
 FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images", "logs", "build", "try", "extracted"))
@@ -96,12 +111,13 @@ def _shown(paths: StorePaths, path: Path) -> str:
 
 
 def _top(paths: StorePaths) -> Iterator[Finding]:
+    former = {"format": FORMER.encode()}
     for name, content in FIXED.items():
         path = paths.root / name
         try:
             if not _is_plain(path):
                 yield Finding(Kind.DAMAGED, name, "is not a regular file")
-            elif _beginning(path, len(content.encode()) + 1) != content.encode():
+            elif _beginning(path, len(content.encode()) + 1) not in {content.encode(), former.get(name)}:
                 yield Finding(Kind.DAMAGED, name, "has wrong content; sierra fsck --repair writes it again")
         except FileNotFoundError:
             yield Finding(Kind.ABSENT, name, "is missing; sierra fsck --repair writes it again")
@@ -206,9 +222,15 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
         if fault:
             lost.add(name)
             findings.append(Finding(kind, _shown(paths, folder / name), fault))
+    files: Mapping[str, str] = segment.files
+    if OUTPUTS in listed and (OUTPUTS in lost or OUTPUTS in segment.missing):
+        files = {} if faults else _named_by_themselves(folder, listed.keys() - lost)
+        if OUTPUTS not in lost:
+            lost.add(OUTPUTS)
+            findings.append(Finding(Kind.INCONSISTENT, _shown(paths, folder / OUTPUTS), "does not name the table of each output"))
     sound = {}
-    for name, path in segment.files.items():
-        file = name + SUFFIX
+    for name, path in files.items():
+        file = Path(path).name
         if file in listed and file not in lost and not faults:
             if (unlike := parquet_fault(Path(path), name)) is not None:
                 lost.add(file)
@@ -222,6 +244,23 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
         if lost or faults:
             found.broken[segment.name] = lost | ({MANIFEST} if faults else set())
         found.sound.append(replace(segment, files=sound))
+
+
+def _named_by_themselves(folder: Path, files: Iterable[str]) -> dict[str, str]:
+    """Return sound files of a segment without OUTPUTS by name, those of outputs by the tables that their own metadata names."""
+    paths = {file.removesuffix(SUFFIX): str(folder / file) for file in files if file.endswith(SUFFIX)}
+    tables: dict[str, str] = {}
+    for name, path in paths.items():
+        if matched := NUMBERED.fullmatch(name):
+            with contextlib.suppress(OSError, ValueError, pa.ArrowException):
+                tables[matched[1]] = own_table(pq.read_metadata(path)) or ""
+    return named(paths, tables)
+
+
+def own_table(metadata: pq.FileMetaData) -> str | None:
+    """Return the name of the table in a file's own metadata; None if it has none, as in files of former formats."""
+    name = (metadata.metadata or {}).get(TABLE.encode())
+    return None if name is None else name.decode("utf-8", "replace")
 
 
 def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
@@ -278,10 +317,12 @@ def parquet_fault(path: Path, name: str) -> str | None:
     """Return why a file cannot be the one of that name; None if it can."""
     try:
         with pq.ParquetFile(path) as file:
-            schema = file.schema_arrow
+            schema, table = file.schema_arrow, own_table(file.metadata)
     except (OSError, ValueError, pa.ArrowException) as error:
         return f"is not a readable Parquet file: {first_line(error)}"
     if name.startswith(OUTPUT):
+        if table not in (None, table_of(name)):
+            return f"is of the table {table_of(name)!r}, but names itself {table!r}"
         missing = [column for column in ("run", "execution") if column not in schema.names]
         return f"has no column {missing[0]!r}" if missing else None
     if name not in RECORDED:

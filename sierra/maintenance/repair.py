@@ -36,7 +36,7 @@ from sierra.maintenance.lost_remarks import Doubtful
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
-from sierra.store.segments import FORMAT, IMPORTED, MANIFEST, Segment, manifest
+from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, Segment, manifest
 from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
@@ -106,7 +106,7 @@ def _ours(paths: StorePaths) -> None:
     """Raise Damaged if the store declares another format: its sound data would seem damaged here."""
     with contextlib.suppress(OSError):
         found = paths.format.read_bytes().decode("utf-8", "replace")
-        if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
+        if re.fullmatch(r"sierra store \d+\n", found) and found not in FORMATS:
             problem = f"this is {found.strip()!r}, which this SIERRA does not repair"
             raise Damaged(
                 f"{paths.format}: {problem}; if this SIERRA made the store, change the file's content to {FORMAT.strip()!r}"

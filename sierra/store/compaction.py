@@ -31,7 +31,7 @@ from sierra.store.objects import GROUP, ROWS
 from sierra.store.parquet_row_counts import Written, rows_by_file
 from sierra.store.read_lock import alone
 from sierra.store.schema import RECORDED, arrow_schema, is_table
-from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
+from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync, table_of
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
 from sierra.store.verified_files import verify
@@ -162,7 +162,7 @@ def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, Abs
     if len(paths) == 1 and not _any_dropped(paths[0], drop):
         shutil.copyfile(paths[0], target)
     elif name.startswith(OUTPUT):
-        _write_output(target, paths, drop.get("execution", frozenset()))
+        _write_output(target, table_of(name), paths, drop.get("execution", frozenset()))
     elif name == "objects":
         _write_tables(target, _staying_objects(paths, drop.get("sha256", frozenset())), arrow_schema(name))
     else:
@@ -245,7 +245,7 @@ def _write_tables(target: Path, tables: Iterable[pa.Table], schema: pa.Schema) -
             writer.close()
 
 
-def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[str]) -> None:
+def _write_output(target: Path, table: str, paths: Sequence[str], executions: AbstractSet[str]) -> None:
     """Write the kept rows of an output. DuckDB wrote them and rewrites them, because only DuckDB has all their types."""
     connection = connect()
     try:
@@ -255,7 +255,7 @@ def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[st
         before = connection.execute(SUM.format(rows=stays)).fetchall()[0]
         kept = {written: rows for written, rows in _counted(paths).items() if written[0] not in executions}
         if before[0] or kept:
-            connection.execute(copy(stays, target))
+            connection.execute(copy(stays, target, table))
             written = connection.execute(SUM.format(rows=f"SELECT * FROM {read_parquet([str(target)])}")).fetchall()[0]
             if written != before or _counted([str(target)]) != kept or not _schema(str(target)).equals(_schema(paths[0])):
                 raise Damaged(f"{paths[0]}: its rows differ after they were written again; nothing was changed")

@@ -55,6 +55,6 @@ def _output(connection: DuckDBPyConnection, snapshot: Snapshot, writer: Writer, 
     written = 0
     for place, files in enumerate(alike.values(), 1):
         target = writer.path(OUTPUT + called[files[0]] + (f"~{place}" if place > 1 else ""))
-        connection.execute(copy(ROWS.format(files=read_parquet(files)), target))
+        connection.execute(copy(ROWS.format(files=read_parquet(files)), target, called[files[0]]))
         written += pq.read_metadata(target).num_rows
     return written

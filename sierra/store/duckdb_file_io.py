@@ -28,6 +28,8 @@ OPEN = "/proc/self/fd"
 """The folder of a process's open files by number, on Linux."""
 UNNAMED = "cannot be read under this name here; rename files or folders that have one of the characters ~ * ? [ in their names"
 UNGUESSED = "hive_partitioning = false, hive_types_autocast = false"
+TABLE = "sierra_table"
+"""The key, in the metadata of an output's Parquet file, of the name of its table."""
 
 _open: dict[str, int] = {}
 """The folders that `steady` holds open, by path: one for each store whose path has special characters."""
@@ -105,9 +107,13 @@ def objects_given(file: str) -> str:
     )
 
 
-def copy(rows: str, target: Path) -> str:
-    """Return the statement that writes the rows of a query, in their order, to one Parquet file."""
+def copy(rows: str, target: Path, table: str | None = None) -> str:
+    """Return the statement that writes the rows of a query, in their order, to one Parquet file.
+
+    `table`: the name of an output's table, which is kept in the file's metadata as `TABLE`.
+    """
     options = "FORMAT parquet, COMPRESSION zstd, PER_THREAD_OUTPUT false, PRESERVE_ORDER true, USE_TMP_FILE false"
+    options += f", KV_METADATA {{{TABLE}: {quote(table)}}}" if table is not None else ""
     return f"COPY ({rows}) TO {quote(steady(str(target)))} ({options})"
 
 

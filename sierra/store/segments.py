@@ -3,8 +3,12 @@
     segments/<batch, 12 digits>-<16 digits>/
         MANIFEST                      SHA-256 and name of each file, as `sha256sum -c` reads it
         executions.parquet …          records, a file for each table
-        output.<table>.parquet …      rows that the runs wrote, a file for each output; rows with other columns are in
-                                      output.<table>~2.parquet …
+        output.<number>.parquet …     rows that the runs wrote, a file for each output; rows with other columns are in
+                                      output.<number>~2.parquet …
+        OUTPUTS                       the tables of these files: `<number> <name as JSON>`, one per line
+
+A file's name never comes from a user's name, which may be too long for one. The name of the table is also in the file's own
+metadata (`duckdb_file_io.TABLE`). Up to format 4, the file of a table was `output.<table>.parquet`, and there was no OUTPUTS.
 
 The last 16 digits are the beginning of the SHA-256 of MANIFEST. So a segment's name verifies all of its files. A segment is
 written outside the folder `segments`, synced, and renamed to its final name. If that name exists already, it has the same
@@ -27,7 +31,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import itertools
+import json
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,6 +42,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import DamagedFile, Missing
+from sierra.store.layout import StorePaths
 from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
@@ -44,18 +51,23 @@ from sierra.store.verified_files import changed, hash_written, verify
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
 
-FORMAT = "sierra store 4\n"
+FORMAT = "sierra store 5\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
+FORMER = "sierra store 4\n"
+"""The format that is read too, and that the first session which writes replaces."""
+FORMATS = (FORMAT, FORMER)
 IMPORTED = "imported_sessions"
 """The table of the sessions that came in packages."""
 OUTPUT = "output."
 SUFFIX = ".parquet"
 NOTICED = frozenset(("objects.parquet", "images.parquet"))
 """Files with contents that records name by a hash: whatever needs a lost one says that it is missing."""
+NUMBERED = re.compile(r"output\.([1-9][0-9]{0,8})((?:~[0-9]+)?)")
+OUTPUTS = "OUTPUTS"
 REPLACES = "REPLACES"
 AFTER = "AFTER"
 MARK_BYTES = 16 << 20
-"""The limit on the bytes that are read from REPLACES."""
+"""The limit on the bytes that are read from OUTPUTS and REPLACES."""
 SETTLED_NS = 2_000_000_000
 """The age of the last change of a folder after which a further change certainly gives it another time."""
 
@@ -65,7 +77,10 @@ _known: dict[str, tuple[int, Segment]] = {}
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A folder of records: the beginning of its batch's id, and its Parquet files by name."""
+    """A folder of records: the beginning of its batch's id, and its Parquet files by name.
+
+    The name of an output's file is `output.<table>`, whatever the file itself is called.
+    """
 
     batch: str
     files: Mapping[str, str]
@@ -73,15 +88,23 @@ class Segment:
     replaces: frozenset[str] = frozenset()
     after: str | None = None
     missing: tuple[str, ...] = ()
-    """Names of the files in MANIFEST that do not exist, or that of MANIFEST itself if it does not exist or has changed."""
+    """Names of the files in MANIFEST that do not exist, or that of MANIFEST itself if it does not exist or has changed.
+
+    Also OUTPUTS, if it does not name the table of each output's file.
+    """
     marks: tuple[str, ...] = ()
-    """The paths of REPLACES and AFTER, as far as they exist."""
+    """The paths of OUTPUTS, REPLACES and AFTER, as far as they exist."""
 
     def outputs(self) -> Iterator[tuple[str, str]]:
         """Yield the table name and the path of each file that holds rows of an output."""
         for name, path in self.files.items():
             if name.startswith(OUTPUT):
-                yield name.removeprefix(OUTPUT).partition("~")[0], path
+                yield table_of(name), path
+
+
+def table_of(name: str) -> str:
+    """Return the table of an output's file, from its name in a segment."""
+    return name.removeprefix(OUTPUT).partition("~")[0]
 
 
 def is_whole(segment: Segment, folder: Path) -> bool:
@@ -149,8 +172,37 @@ def _read(folder: str, name: str) -> Segment:
     files = {file.removesuffix(SUFFIX): path for file, path in paths.items() if file.endswith(SUFFIX)}
     replaces = frozenset(_lines(paths[REPLACES])) if REPLACES in paths else frozenset()
     after = next(iter(_lines(paths[AFTER])), "") if AFTER in paths else None
-    marks = tuple(paths[mark] for mark in (REPLACES, AFTER) if mark in paths)
-    return Segment(name.partition("-")[0], files, name, replaces, after, _missing(paths, name), marks)
+    marks = tuple(paths[mark] for mark in (OUTPUTS, REPLACES, AFTER) if mark in paths)
+    missing = _missing(paths, name)
+    if OUTPUTS in paths:
+        numbered = files
+        files = named(numbered, _tables(_lines(paths[OUTPUTS])))
+        missing += (OUTPUTS,) if len(files) < len(numbered) else ()
+    return Segment(name.partition("-")[0], files, name, replaces, after, missing, marks)
+
+
+def named(files: Mapping[str, str], tables: Mapping[str, str]) -> dict[str, str]:
+    """Return files by name, those of outputs by the names of their tables, which `tables` has by number.
+
+    Files of outputs whose table is unknown are left out.
+    """
+    found = {}
+    for name, path in files.items():
+        if not name.startswith(OUTPUT):
+            found[name] = path
+        elif (matched := NUMBERED.fullmatch(name)) and (table := tables.get(matched[1])):
+            found[f"{OUTPUT}{table}{matched[2]}"] = path
+    return found
+
+
+def _tables(lines: Iterable[str]) -> dict[str, str]:
+    """Return the names of tables by number from the lines of OUTPUTS; a line of another form has no effect."""
+    found: dict[str, str] = {}
+    for number, _, text in (line.partition(" ") for line in lines):
+        with contextlib.suppress(ValueError, RecursionError):
+            if isinstance(name := json.loads(text), str) and "~" not in name:
+                found[number] = name
+    return found
 
 
 def _missing(paths: Mapping[str, str], segment: str) -> tuple[str, ...]:
@@ -181,12 +233,20 @@ class Writer:
     def __init__(self, folder: Path, batch: str) -> None:
         self.folder = folder
         self.batch = batch[:12]
+        self._tables: dict[str, int] = {}
+        """The numbers of the tables of outputs, by name."""
         shutil.rmtree(folder, ignore_errors=True)
         with disk_errors(folder):
             folder.mkdir(parents=True)
 
     def path(self, name: str) -> Path:
-        """Return the path for the Parquet file of this name, for callers that write it themselves."""
+        """Return the path for the Parquet file of this name, for callers that write it themselves.
+
+        That of an output, `output.<table>` and perhaps `~2`, is called by the number of its table in this segment.
+        """
+        if name.startswith(OUTPUT):
+            table, part, count = name.removeprefix(OUTPUT).partition("~")
+            name = f"{OUTPUT}{self._tables.setdefault(table, len(self._tables) + 1)}{part}{count}"
         return self.folder / (name + SUFFIX)
 
     def rows(self, name: str, rows: Iterable[Mapping[str, object]]) -> None:
@@ -211,13 +271,24 @@ class Writer:
         write(self.path(name), columns, rows)
 
     def mark(self, name: str, lines: Iterable[str]) -> None:
-        """Write REPLACES or AFTER."""
+        """Write OUTPUTS, REPLACES or AFTER."""
         with disk_errors(self.folder):
             (self.folder / name).write_text("".join(f"{line}\n" for line in lines))
 
+    def _name_tables(self) -> None:
+        """Write OUTPUTS, if there are files of outputs."""
+        written = {matched[1] for file in self.folder.iterdir() if (matched := NUMBERED.fullmatch(file.stem))}
+        tables = ((number, table) for table, number in self._tables.items() if str(number) in written)
+        if lines := [f"{number} {json.dumps(table)}" for number, table in tables]:
+            self.mark(OUTPUTS, lines)
+
     def seal(self) -> str:
-        """Write MANIFEST, sync all files, and return the segment's future name. Nothing may be written afterwards."""
+        """Write OUTPUTS and MANIFEST, sync all files, and return the segment's future name.
+
+        Nothing may be written afterwards.
+        """
         with disk_errors(self.folder):
+            self._name_tables()
             files = sorted(file for file in self.folder.iterdir() if file.name != MANIFEST)
             text = manifest(files)
             (self.folder / MANIFEST).write_bytes(text)
@@ -232,6 +303,7 @@ class Writer:
             return False
         with disk_errors(self.folder):
             target = inside(segments, self.seal())
+            renew(StorePaths(segments.parent))
             try:
                 self.folder.rename(target)
             except OSError as error:
@@ -240,6 +312,20 @@ class Writer:
                 shutil.rmtree(self.folder)
             sync(segments)
         return True
+
+
+def renew(paths: StorePaths) -> None:
+    """Replace the number of the former format, before the first segment of the present one is added. Raises OSError.
+
+    The file stays the same, because readers hold a lock on it, and one byte changes: it is written or it is not.
+    """
+    with paths.format.open("rb") as file:
+        if file.read(len(FORMER) + 1) != FORMER.encode():
+            return
+    place = next(place for place, (new, old) in enumerate(zip(FORMAT, FORMER, strict=True)) if new != old)
+    with paths.format.open("r+b", buffering=0) as file:
+        os.pwrite(file.fileno(), FORMAT[place].encode(), place)
+        os.fsync(file.fileno())
 
 
 def manifest(files: Iterable[Path]) -> bytes:

@@ -24,7 +24,7 @@ from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
-from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, is_whole, listed
+from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, is_whole, listed
 from sierra.store.sql_names import identifier, stored_names, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes
@@ -98,7 +98,7 @@ class Store:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
-        if found != FORMAT:
+        if found not in FORMATS:
             problem = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
             other = f"read it with the SIERRA that made it, or move {root} away and run the command again"
             remedy = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"

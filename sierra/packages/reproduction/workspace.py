@@ -26,11 +26,13 @@ from sierra.packages.members import MANIFEST, written
 from sierra.packages.reading.extracted import CREATED, Extracted
 from sierra.packages.reading.received import records
 from sierra.store.layout import CONFIG, PYPROJECT
-from sierra.store.segments import disk_errors
+from sierra.store.segments import FORMAT, FORMER, disk_errors
 from sierra.store.store import Snapshot, Store
+from sierra.util.hashing import sha256
 
 COPY = "package"
 SEGMENTS = f"{STORED}segments/"
+FORMAT_FILE = f"{STORED}format"
 REPORT = "reproduction"
 """The stem of the names of the reports."""
 MARK = ".sierra-reproduction"
@@ -118,11 +120,20 @@ def _verify_again(found: Opened, copy: Path) -> None:
     again = f"{copy.parent} is of another package; choose another folder with --into"
     if not (copy / MANIFEST).is_file():
         raise UsageError(again)
-    with Extracted(copy, grows=STORED) as known:
+    with _Used(copy, grows=STORED) as known:
         if known.id != found.id:
             raise UsageError(again)
         found.verify()
         known.verify()
+
+
+class _Used(Extracted):
+    """A copy whose store may have got the number of the present format, when a replay was recorded."""
+
+    def _blocks(self, name: str) -> Iterator[bytes]:
+        for block in super()._blocks(name):
+            renewed = name == FORMAT_FILE and block == FORMAT.encode() and self.hashes[name] == sha256(FORMER.encode())
+            yield FORMER.encode() if renewed else block
 
 
 def _copy(found: Opened, folder: Path) -> None:
