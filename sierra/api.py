@@ -730,9 +730,12 @@ class Project:
         >>> project.status()
         []
         """
-        from sierra.execution import sessions
+        from sierra.execution import sessions, unrecorded
 
         store = self.stored()
+        if store is not None and observer is not None:
+            for one in unrecorded.found(store.paths):
+                observer.notice(str(one))
         if store is None or (prefix is None and not sessions.submitted(store.paths)):
             return []
         from sierra.execution import cluster_status

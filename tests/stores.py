@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import sierra
+from sierra.store import segments
 from tests import projects
 
 SIMULATOR = (
@@ -68,6 +69,18 @@ def copy(root: Path, target: Path) -> Path:
     """Copy a project to another folder."""
     shutil.copytree(root, target, symlinks=True)
     return target
+
+
+def files(root: Path, name: str) -> list[Path]:
+    """Return the Parquet files of a table in the segments of a project; those of an output, `output.NAME`, have numbers."""
+    found = segments.on_disk(root / ".sierra" / "segments")
+    return [Path(segment.files[name]) for segment in found if name in segment.files]
+
+
+def file(folder: Path, name: str) -> Path:
+    """Return the Parquet file of a table in the folder of one segment."""
+    [found] = [path for path in files(folder.parents[2], name) if path.parent == folder]
+    return found
 
 
 def state(root: Path) -> dict[str, bytes]:

@@ -36,7 +36,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
 
     When it is interrupted, it ends the runs, or leaves them running if they do not need this process. Finished runs are kept.
     """
-    recover.finish_dead(store)
+    recover.finish_dead(store, options.observer)
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return of_session(

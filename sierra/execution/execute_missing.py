@@ -310,7 +310,7 @@ class Executor:
                     )
                 self._tally.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
-                recover.finish_dead(self.store)
+                recover.finish_dead(self.store, self._options.observer)
                 if len(self.store.segments()) != known:
                     break
                 if (session := self._adopted(wanted)) is not None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import traceback
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.errors import Damaged, SierraError
-from sierra.execution import sessions
+from sierra.errors import Damaged, DamagedFile, Missing, SierraError
+from sierra.execution import sessions, unrecorded
+from sierra.execution.observer import Observer
 from sierra.ingest.recording_context import Context
 from sierra.model import LateFiles, Result, Status
 from sierra.runners.journal_reader import Journal, Row
@@ -16,12 +19,16 @@ from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.lazy_logger import Log
+from sierra.util.shortage import shortage
 
 log = Log(__name__)
 
 
-def finish_dead(store: Store) -> int:
-    """End the runs that dead sessions left, and record finished ones; return the number of recovered executions."""
+def finish_dead(store: Store, observer: Observer | None = None) -> int:
+    """End the runs that dead sessions left, and record finished ones; return the number of recovered executions.
+
+    A session that cannot be recorded is moved away. `observer` receives a notice about each.
+    """
     recovered = 0
     with sessions.dead(store.paths) as found:
         if found:
@@ -30,10 +37,38 @@ def finish_dead(store: Store) -> int:
             local.end_orphans(found)
         for paths in found:
             _sweep(paths)
-            count = recover(store, paths)
+            try:
+                count = recover(store, paths)
+            except Exception as error:
+                if not is_at_fault(error, store):
+                    raise
+                moved = str(unrecorded.put_aside(store.paths, paths, error))
+                log.warning("%s", moved)
+                log.debug("".join(traceback.format_exception(error)))
+                if observer is not None:
+                    observer.notice(moved)
+                continue
             recovered += count
             log.warning("session %s has died; recorded %d of its finished executions", paths.root.name, count)
     return recovered
+
+
+def is_at_fault(error: Exception, store: Store) -> bool:
+    """Check whether a session itself is the reason why it cannot be recorded, and not the store or a lack of anything."""
+    if isinstance(error, Missing | DamagedFile) and not _is_of_name(error):
+        return False
+    if shortage(error) is not None:
+        return False
+    try:
+        store.values(str, "SELECT execution FROM executions LIMIT 0")
+    except SierraError:
+        return False
+    return True
+
+
+def _is_of_name(error: BaseException) -> bool:
+    """Check whether an error is the system's refusal of a name, which no attempt can change."""
+    return isinstance(error.__cause__, OSError) and error.__cause__.errno in (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
 
 
 def _sweep(paths: SessionPaths) -> None:

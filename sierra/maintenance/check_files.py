@@ -19,9 +19,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from sierra.execution import unrecorded
 from sierra.maintenance.findings import Finding, Kind
 from sierra.store import ownership_marks, session_log_file
-from sierra.store.duckdb_file_io import TABLE
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
@@ -39,6 +39,7 @@ from sierra.store.segments import (
     named,
     on_disk,
     out_of_date,
+    own_table,
     table_of,
 )
 from sierra.store.store import CACHEDIR
@@ -142,10 +143,12 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
             yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
     if not paths.segments.is_dir():
         yield Finding(Kind.ABSENT, "segments", "is missing: all records are lost")
-    segments = put_aside(paths)
+    segments, sessions = put_aside(paths), {one.folder: one for one in unrecorded.found(paths)}
     for entry in _entries(paths.damaged):
         path = Path(entry.path)
-        if path in segments:
+        if path in sessions:
+            yield Finding(Kind.UNRECORDED, _shown(paths, path), str(sessions[path]))
+        elif path in segments:
             yield Finding(Kind.LEFT, _shown(paths, path), "put aside by a repair; sierra gc --damaged removes it")
         else:
             yield Finding(
@@ -255,12 +258,6 @@ def _named_by_themselves(folder: Path, files: Iterable[str]) -> dict[str, str]:
             with contextlib.suppress(OSError, ValueError, pa.ArrowException):
                 tables[matched[1]] = own_table(pq.read_metadata(path)) or ""
     return named(paths, tables)
-
-
-def own_table(metadata: pq.FileMetaData) -> str | None:
-    """Return the name of the table in a file's own metadata; None if it has none, as in files of former formats."""
-    name = (metadata.metadata or {}).get(TABLE.encode())
-    return None if name is None else name.decode("utf-8", "replace")
 
 
 def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:

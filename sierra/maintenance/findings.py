@@ -24,6 +24,8 @@ class Kind(StrEnum):
     """A record refers to something that is not in the store."""
     STRAY = "stray"
     """The store contains something that does not belong to a store."""
+    UNRECORDED = "unrecorded"
+    """A session cannot be recorded, and was moved to `damaged/`."""
     GONE = "gone"
     """A recorded source is no longer in git: nothing here is damaged, but its runs cannot be replayed here."""
     DEAD = "dead"
@@ -41,7 +43,7 @@ class Kind(StrEnum):
 
     @property
     def repairable(self) -> bool:
-        return not self.fine and self is not Kind.GONE
+        return not self.fine and self not in (Kind.UNRECORDED, Kind.GONE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra.containers.images.image_contents import unfinished
-from sierra.execution import recover, sessions
+from sierra.execution import recover, sessions, unrecorded
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.store import session_log_file, unfinished_files
@@ -59,7 +59,7 @@ class Collection:
     into: int
     """Segments that result from merging."""
     damaged: int
-    """Segments that a repair put aside; they are removed only on request."""
+    """Segments that a repair put aside, and sessions that cannot be recorded; they are removed only on request."""
     raw: int = 0
     """Files that became tables and whose bytes are removed; only on request."""
     recovered: int = 0
@@ -96,7 +96,7 @@ def plan(store: Store, project: Path | None = None, *, damaged: bool = False, ra
         dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
         unused = len(out_of_use(paths))
     merged = [group for group in made.groups if len(group) > 1]
-    aside = len(put_aside(paths)) if damaged else 0
+    aside = len(_aside(paths)) if damaged else 0
     return Collection(
         len(dead),
         len(list(_unfinished(paths, project))),
@@ -128,10 +128,11 @@ def collect(
     if not first.nothing and not agree(first):
         return None
     paths = store.paths
+    aside = _aside(paths) if damaged else []
     recovered = recover.finish_dead(store)
     for path in list(_unfinished(paths, project)):
         worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
-    for path in put_aside(paths) if damaged else ():
+    for path in aside:
         worker.remove(str(path))
     for path in _logs(store):
         path.unlink(missing_ok=True)
@@ -159,6 +160,10 @@ SESSIONS = (
     "SELECT session FROM all_sessions UNION SELECT session FROM executions UNION SELECT replay FROM replays "
     "UNION SELECT session FROM builds"
 )
+
+
+def _aside(paths: StorePaths) -> list[Path]:
+    return [*put_aside(paths), *(one.folder for one in unrecorded.found(paths))]
 
 
 def _logs(store: Store) -> list[Path]:
@@ -249,6 +254,6 @@ def text(collection: Collection) -> list[str]:
         (collection.raw, RAW_LOST),
         (collection.merged, f"small segments, merged into {collection.into}"),
         (collection.logs, "log files of sessions that are not recorded"),
-        (collection.damaged, "damaged segments that a repair put aside"),
+        (collection.damaged, "damaged segments that a repair put aside, and sessions that cannot be recorded"),
     )
     return [f"{count} {what}" for count, what in counts if count]

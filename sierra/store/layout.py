@@ -27,6 +27,7 @@ PROJECT/.sierra/work/<session>/     the work of a session; removed once it is re
 PROJECT/.sierra/images/<id>/        the description of an image, and its files as apptainer runs them; rebuilt from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/  image.tar
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
+PROJECT/.sierra/damaged/work-<session>/  the work of a session that cannot be recorded; `fault` says why
 PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the earlier ones; see sierra.store.session_log_file
 PROJECT/.sierra/build/              lock: held while products are built; aside/: older products meanwhile
 PROJECT/.sierra/try/                mark  lock; run/: the folder of the run that `sierra try` executed last; store/: its records
@@ -122,7 +123,7 @@ class StorePaths:
     identity = _Below("id")
     """The file with the store's id."""
     damaged = _Below("damaged")
-    """The folder to which `sierra fsck --repair` moves damaged segments."""
+    """The folder to which `sierra fsck --repair` moves damaged segments, and commands sessions that cannot be recorded."""
     logs = _Below("logs")
     """The folder of the sessions' log files; may be deleted."""
     kept_files = _Below("kept")
@@ -242,6 +243,8 @@ class SessionPaths:
     logs = _Below("logs")
     """The folder of the array tasks' standard output and error."""
     journal = _Below("journal.jsonl")
+    fault = _Below("fault")
+    """The reason why the session cannot be recorded."""
     building = _Below("building")
     """The folder of a build: `home` and `tmp` of its command, and what it prints."""
 

@@ -39,9 +39,10 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import DamagedFile, Missing
+from sierra.store.duckdb_file_io import TABLE
 from sierra.store.layout import StorePaths
 from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
@@ -50,6 +51,9 @@ from sierra.store.verified_files import MANIFEST as MANIFEST
 from sierra.store.verified_files import changed, hash_written, verify
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 FORMAT = "sierra store 5\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
@@ -105,6 +109,12 @@ class Segment:
 def table_of(name: str) -> str:
     """Return the table of an output's file, from its name in a segment."""
     return name.removeprefix(OUTPUT).partition("~")[0]
+
+
+def own_table(metadata: pq.FileMetaData) -> str | None:
+    """Return the name of the table in the metadata of an output's file; None if it has none, as in files of former formats."""
+    name = (metadata.metadata or {}).get(TABLE.encode())
+    return None if name is None else name.decode("utf-8", "replace")
 
 
 def is_whole(segment: Segment, folder: Path) -> bool:

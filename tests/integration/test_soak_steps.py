@@ -60,7 +60,7 @@ TIDYING = (
     ("gc", "driver os.rename .sierra/work/#/old/#-# 1"),
     ("rm", "driver os.rename .sierra/segments/#-# 1"),
     ("rm", "driver os.rename .sierra/work/#/old/#-# 1"),
-    ("rm", "driver os.remove output.swarm.parquet 1"),
+    ("rm", "driver os.remove output.#.parquet 1"),
 )
 """Points at which a command that rewrites the store is killed."""
 

@@ -48,7 +48,7 @@ def ready(plan: Plan, store: Store, observer: Observer) -> Plan:
     if plan.build is None or plan.build.reason is None:
         return plan
     with _alone(plan, store, observer) as waited:
-        recover.finish_dead(store)
+        recover.finish_dead(store, observer)
         other = _put_back(plan.project.root, store) or waited
         now = _planned_again(plan) if other else plan
         if now.build is None or now.build.reason is None:

@@ -31,6 +31,7 @@ from typing import IO, TYPE_CHECKING, cast
 
 from sierra.packages.anonymity.identifying_words import Word
 from sierra.packages.anonymity.word_search import Found, Search
+from sierra.store.segments import own_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -204,6 +205,8 @@ class ContentSearch:
         import pyarrow.parquet as pq
 
         with pq.ParquetFile(stream) as file:
+            if table := own_table(file.metadata):
+                place = f"{place} (table {table})"
             self._schema(file.schema_arrow, place)
             groups = (file.iter_batches(ROWS, row_groups=[group]) for group in range(file.num_row_groups))
             search = self._objects if file.schema_arrow.names == OBJECTS else self._batches

@@ -62,7 +62,7 @@ def test_a_log_has_lines_on_parts_of_a_report_and_frames_of_videos(
 def test_a_damaged_store_makes_no_video(project: tuple[Path, str], damaged: str) -> None:
     root, _ = project
     shutil.rmtree(root / "figures")
-    for file in (root / ".sierra" / "segments").glob(f"*/{damaged}.parquet"):
+    for file in stores.files(root, damaged):
         file.write_bytes(file.read_bytes()[:40])
     done = projects.quick(root, "video")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1), done.stderr

@@ -306,7 +306,7 @@ def test_unknown_batches_and_contradicting_words_are_refused(recorded: Path, tmp
 @pytest.mark.parametrize("damaged", ["output.swarm", "batches"])
 def test_a_damaged_store_writes_no_report(recorded: Path, tmp_path: Path, damaged: str) -> None:
     root = stores.copy(recorded, tmp_path / "copy")
-    found = list((root / ".sierra" / "segments").glob(f"*/{damaged}.parquet"))
+    found = stores.files(root, damaged)
     for file in found:
         file.write_bytes(file.read_bytes()[:40])
     assert found

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from sierra.store.store import Store
-from tests import projects
+from tests import projects, stores
 from tests.projects import SIERRA, quick, start
 from tests.waiting import until
 
@@ -426,7 +426,7 @@ def test_gc_changes_no_rows_or_judgements_of_reevaluated_executions(project: Cou
 
 @pytest.mark.integration
 def test_fsck_notices_a_flipped_bit_in_the_stored_raw_files(project: Counted) -> None:
-    path = next(project.root.glob(".sierra/segments/*/output.swarm.parquet")).with_name("objects.parquet")
+    path = stores.files(project.root, "output.swarm")[0].with_name("objects.parquet")
     content = bytearray(path.read_bytes())
     content[len(content) // 3] ^= 1
     path.write_bytes(content)

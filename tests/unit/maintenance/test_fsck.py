@@ -41,7 +41,7 @@ def wrong(root: Path) -> list[tuple[Kind, str]]:
 
 def segment_with(root: Path, table: str) -> Path:
     """Return the largest segment that has the table (segment names begin with a hash, so they give no fixed order)."""
-    folders = [path.parent for path in root.glob(f".sierra/segments/*/{table}.parquet")]
+    folders = [path.parent for path in stores.files(root, table)]
     return max(folders, key=lambda folder: (sum(file.stat().st_size for file in folder.iterdir()), folder.name))
 
 
@@ -196,7 +196,7 @@ def test_damage_is_reported_with_the_affected_executions_and_batches(root: Path)
 def forge(root: Path, table: str, change: Callable[[dict[str, Any]], None]) -> None:
     """Rewrite a table of a segment with each row changed, and update MANIFEST and the segment's name."""
     folder = segment_with(root, table)
-    path = folder / f"{table}.parquet"
+    path = stores.file(folder, table)
     found = pq.read_table(path)
     rows = found.to_pylist()
     for row in rows:
@@ -250,9 +250,10 @@ def test_forged_records_are_found_even_if_all_file_hashes_match(root: Path, what
 def test_rows_that_were_never_read_are_found_missing_and_their_execution_is_dropped(root: Path) -> None:
     """A parser that stops early leaves this: the table has as many rows as recorded, but the file had more."""
     folder = segment_with(root, "output.swarm")
-    swarm = pq.read_table(folder / "output.swarm.parquet")
+    file = stores.file(folder, "output.swarm")
+    swarm = pq.read_table(file)
     lost = swarm.column("execution")[0].as_py()
-    pq.write_table(swarm.slice(1), folder / "output.swarm.parquet")
+    pq.write_table(swarm.slice(1), file)
     artifacts = pq.read_table(folder / "artifacts.parquet")
     rows = artifacts.to_pylist()
     [row] = [row for row in rows if (row["execution"], row["path"]) == (lost, "swarm.csv")]
@@ -272,7 +273,7 @@ def test_missing_table_is_found_even_if_the_manifest_does_not_list_it(root: Path
     for table in ("artifacts", "objects", "output.swarm", "executions"):
         copy = stores.copy(root, root.with_name(table))
         folder = segment_with(copy, "executions")
-        (folder / f"{table}.parquet").unlink()
+        stores.file(folder, table).unlink()
         seal(folder)
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
@@ -288,7 +289,7 @@ def test_missing_table_is_found_in_each_of_several_segments(tmp_path: Path, monk
     for place, table in enumerate(("artifacts", "objects", "output.swarm", "executions")):
         copy = stores.copy(root, root.with_name(table))
         folder = copy / ".sierra" / "segments" / executed[place % len(executed)]
-        (folder / f"{table}.parquet").unlink()
+        stores.file(folder, table).unlink()
         seal(folder)
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
@@ -407,7 +408,7 @@ def test_only_lost_executions_are_executed_again_after_repair(root: Path, tables
     of_runs = [path.parent for path, purpose in purposes.items() if purpose == "run"]
     folders = [next(folder for folder in of_runs if folder.name.startswith(batch[:12])) for batch in batches]
     for folder, table in zip(folders, tables, strict=True):
-        extend(folder / f"{table}.parquet")
+        extend(stores.file(folder, table))
     repaired(root)
     assert {folder.name for folder in folders} <= {path.name for path in root.glob(".sierra/damaged/*")}
     assert fsck(root).sound
@@ -450,7 +451,7 @@ def test_damaged_batch_descriptions_are_recorded_again_without_executing_runs(ro
     for table in tables:
         folder = next(one for one in folders if (one / f"{table}.parquet").exists())
         folders.remove(folder)
-        extend(folder / f"{table}.parquet")
+        extend(stores.file(folder, table))
     repaired(root)
     again = [("population_size=1,2", None), ("population_size=2,3", 3), ("noise=0.5", None)]
     assert sum(sierra.open(root).run(query, runs=runs, figures=False).executed for query, runs in again) == 0

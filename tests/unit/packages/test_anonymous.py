@@ -200,7 +200,7 @@ open("more.csv", "w").write("n,who\\n1,nobody\\n2,JANELAB\\n")
         "project/sim.py, line 1 and 1 more: 'jane_doe' (author)",
         f"(stdout of run {run}), line 1: 'Jane Doe' (author)",
         f"(output raw.gz of run {run}) (decompressed), line 1: 'Example University' (affiliation)",
-        "output.more.parquet, column who, row 2: 'JANELAB' (owner of a repository)",
+        "output.1.parquet (table more), column who, row 2: 'JANELAB' (owner of a repository)",
     ):
         assert [line for line in places if line.endswith(place)], (place, places)
     assert "places in the package would show who made it, as project/sim.py, line 1" in places[-1]

@@ -326,7 +326,7 @@ def forged(package: Path, target: Path, table: str, change: Callable[[pa.Table],
     with zipfile.ZipFile(package) as file:
         file.extractall(folder)
     (folder / MANIFEST).unlink()
-    for path in sorted((folder / STORED / "segments").glob(f"*/{table}.parquet")):
+    for path in stores.files(folder / "project", table):
         pq.write_table(change(pq.read_table(path)), path)
         segment = path.parent
         (segment / "MANIFEST").unlink()

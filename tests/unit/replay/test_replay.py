@@ -518,7 +518,7 @@ def test_a_replay_uses_the_python_environment_of_the_project(tmp_path: Path) -> 
 def test_rows_missing_from_the_store_are_an_error(make: Make) -> None:
     root = make(NOISY)
     batch = ask(root)
-    [file] = root.glob(".sierra/segments/*/output.swarm.parquet")
+    [file] = stores.files(root, "output.swarm")
     pq.write_table(pq.read_table(file).slice(0, 17), file)
     seal(file.parent)
     ended = projects.quick(root, "replay", batch)
@@ -530,7 +530,7 @@ def test_rows_missing_from_the_store_are_an_error(make: Make) -> None:
 def test_the_same_bytes_are_different_if_the_record_lacks_some_of_their_rows(make: Make) -> None:
     root = make()
     batch = ask(root)
-    file = min(root.glob(".sierra/segments/*/output.swarm.parquet"))
+    file = min(stores.files(root, "output.swarm"))
     lost = pq.read_table(file).column("execution")[0].as_py()
     pq.write_table(pq.read_table(file).slice(1), file)
     artifacts = pq.read_table(file.with_name("artifacts.parquet"))

@@ -19,7 +19,7 @@ from sierra.store import recorded_files
 from sierra.store.objects import Objects
 from sierra.store.recorded_files import ChosenExecution, Content
 from sierra.store.store import Store
-from tests import projects
+from tests import projects, stores
 from tests.projects import make, quick
 
 SIMULATOR = """\
@@ -347,11 +347,11 @@ def test_a_damaged_file_is_reported_and_all_others_are_exported(tmp_path: Path) 
 def test_a_table_that_differs_from_the_record_is_not_exported(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", CONFIG, simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
-    for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):
+    for path in stores.files(folder, "output.swarm"):
         table = pq.read_table(path)
         changed = [value + (place == 3) for place, value in enumerate(table["run_"].to_pylist())]
         pq.write_table(table.set_column(table.schema.get_field_index("run_"), "run_", [changed]), path)
-    for path in folder.glob(".sierra/segments/*/output.odd.parquet"):
+    for path in stores.files(folder, "output.odd"):
         pq.write_table(pq.read_table(path).slice(1), path)
     ended = quick(folder, "files", batch_of(folder), "*.csv", "--to", str(tmp_path / "out"))
     assert ended.returncode == 1
@@ -367,7 +367,7 @@ def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> 
     folder = make(tmp_path / "project", CONFIG)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
-    for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):
+    for path in stores.files(folder, "output.swarm"):
         path.write_bytes(b"nothing")
     ended = quick(folder, "files", run, "--to", str(tmp_path / "out"))
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)

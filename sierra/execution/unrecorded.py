@@ -1,0 +1,62 @@
+"""Sessions that cannot be recorded: each is moved to `damaged/work-<session>/`, so that no other command fails for it."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.errors import SierraError
+from sierra.store.layout import SessionPaths, StorePaths
+from sierra.store.segments import disk_errors
+from sierra.util.text import one_line
+
+NAME = re.compile(r"work-([0-9a-f]{16})(\.\d+)?")
+MOST = 1000
+"""The largest number of characters of a reason."""
+
+
+class Unrecorded(NamedTuple):
+    """A session that was moved away."""
+
+    session: str
+    folder: Path
+    reason: str
+
+    def __str__(self) -> str:
+        where = f"{self.folder.parent.name}/{self.folder.name}"
+        return (
+            f"session {self.session} cannot be recorded ({self.reason}); its files are in .sierra/{where}; sierra run executes "
+            "its runs again, and sierra gc --damaged removes the files"
+        )
+
+
+def put_aside(store: StorePaths, paths: SessionPaths, error: Exception) -> Unrecorded:
+    """Move the folder of a session that cannot be recorded, with the reason. Raises Missing."""
+    reason = one_line(error if isinstance(error, SierraError) else f"{type(error).__name__}: {error}")[:MOST]
+    with disk_errors(store.damaged):
+        paths.fault.write_text(reason, "utf-8", "backslashreplace")
+        store.damaged.mkdir(exist_ok=True)
+        name = f"{store.work.name}-{paths.root.name}"
+        names = itertools.chain([name], (f"{name}.{number}" for number in itertools.count(1)))
+        target = next(store.damaged / name for name in names if not (store.damaged / name).exists())
+        paths.root.rename(target)
+    return Unrecorded(paths.root.name, target, reason)
+
+
+def found(store: StorePaths) -> Iterator[Unrecorded]:
+    """Yield the sessions that were moved away."""
+    folders = sorted(store.damaged.iterdir()) if store.damaged.is_dir() else []
+    for folder in folders:
+        if (matched := NAME.fullmatch(folder.name)) and folder.is_dir() and not folder.is_symlink():
+            yield Unrecorded(matched[1], folder, _reason(SessionPaths(folder)))
+
+
+def _reason(paths: SessionPaths) -> str:
+    try:
+        with paths.fault.open(encoding="utf-8", errors="replace") as file:
+            return one_line(file.read(MOST)) or "for an unknown reason"
+    except OSError:
+        return "for an unknown reason"

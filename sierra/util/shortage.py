@@ -1,0 +1,50 @@
+"""What the system may not give: open files, memory, space, processes, permissions. The lack of any of them is never damage."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+
+REMEDIES = {
+    errno.EMFILE: "allow more (ulimit -n)",
+    errno.ENFILE: "close other programs",
+    errno.ENOMEM: "free memory, or allow more (ulimit -v)",
+    errno.EAGAIN: "allow more processes (ulimit -u), or try again",
+    errno.ENOSPC: "free space on the disk",
+    errno.EDQUOT: "free space on the disk",
+    errno.EROFS: "",
+    errno.EACCES: "",
+    errno.EPERM: "",
+}
+"""The error numbers of a lack, each with what the user can do."""
+FOREIGN = ("duckdb", "_duckdb", "pyarrow")
+"""The packages whose errors have the system's message in their text."""
+
+
+def shortage(error: BaseException) -> str | None:
+    """Return what was lacking when an error was raised, and what to do about it; None for any other error."""
+    for one in _causes(error):
+        if (number := _number(one)) is not None:
+            return "; ".join(filter(None, (os.strerror(number), REMEDIES[number])))
+    return None
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__
+
+
+def _number(error: BaseException) -> int | None:
+    """Return the number of the system's error that says what is lacking."""
+    if isinstance(error, OSError) and error.errno in REMEDIES:
+        return error.errno
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryException":
+        return errno.ENOMEM
+    text = str(error)
+    if isinstance(error, RuntimeError) and "can't start new thread" in text:
+        return errno.EAGAIN
+    if type(error).__module__.partition(".")[0] in FOREIGN or isinstance(error, OSError):
+        return next((number for number in REMEDIES if os.strerror(number) in text), None)
+    return None
