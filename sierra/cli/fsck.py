@@ -25,7 +25,8 @@ def fsck(
     """Check the whole store, and report all damage.
 
     Checks every byte against recorded hashes, computes every id again from its record, checks that everything that records
-    refer to exists, and that git still has the recorded sources. The exit code is 1 if any check fails.
+    refer to exists, and that git still has the recorded sources. The exit code is 1 if any check fails, and 3 if something
+    cannot be checked because this user may not read it, or because memory or open files are lacking.
 
     A repair deletes nothing: it moves damaged segments to .sierra/damaged, and keeps their intact content. sierra run executes
     lost runs again.
@@ -56,15 +57,16 @@ def fsck(
         if not done and any(one.kind.repairable for one in report.findings):
             print("sierra fsck --repair moves damaged segments aside and keeps the rest; sierra run executes lost runs again")
     if not report.sound:
-        raise typer.Exit(1)
+        raise typer.Exit(1 if report.wrong else 3)
 
 
 def _report(report: Report) -> dict[str, object]:
     facts = {
-        name: getattr(report, name) for name in ("sound", "segments", "files", "bytes", "objects", "executions", "seconds")
+        name: getattr(report, name)
+        for name in ("sound", "unchecked", "segments", "files", "bytes", "objects", "executions", "seconds")
     }
     findings = [
-        {"kind": one.kind, "path": one.path, "what": one.what, **asdict(one.affected), "damage": not one.kind.fine}
+        {"kind": one.kind, "path": one.path, "what": one.what, **asdict(one.affected), "damage": one.kind.wrong}
         for one in report.findings
     ]
     return {**facts, "findings": findings}
@@ -75,9 +77,9 @@ def _print(report: Report) -> None:
         print(readable(str(finding)))
     if len(report.findings) > SHOWN:
         print(f"and {len(report.findings) - SHOWN} more (--json has them all)")
-    wrong = sum(not finding.kind.fine for finding in report.findings)
+    result = "sound" if report.sound else f"{report.unchecked} not checked"
     print(
-        f"{'sound' if report.sound else counted(wrong, 'problem')}: {counted(report.segments, 'segment')}, "
+        f"{counted(report.wrong, 'problem') if report.wrong else result}: {counted(report.segments, 'segment')}, "
         f"{counted(report.files, 'file')}, {size(report.bytes)}, {counted(report.objects, 'object')}, "
         f"{counted(report.executions, 'execution')} checked in {report.seconds:.1f} s"
     )

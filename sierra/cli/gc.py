@@ -19,7 +19,8 @@ def gc(
     yes: Yes = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be done.")] = False,
     damaged: Annotated[
-        bool, typer.Option("--damaged", help="Also remove segments that sierra fsck --repair moved aside, and sessions that cannot be recorded.")
+        bool,
+        typer.Option("--damaged", help="Also remove segments that a repair moved aside, and sessions that cannot be recorded."),
     ] = False,
     raw: Annotated[
         bool, typer.Option("--raw", help="Also remove the bytes of files that became tables; the rows stay.")

@@ -11,7 +11,8 @@ from typing import NoReturn, Protocol, runtime_checkable
 
 from sierra.cli.output import guarded
 from sierra.errors import SierraError
-from sierra.util import signals
+from sierra.util import open_files, signals
+from sierra.util.shortage import shortage
 
 INTERRUPTED = 130
 YOUNG = 200_000
@@ -42,6 +43,7 @@ def main() -> NoReturn:
     """Execute a command, and raise SystemExit with a code of `sierra.errors`; users never see a traceback."""
     gc.set_threshold(YOUNG, 20, 20)
     signals.handle()
+    open_files.raise_limit()
     with guarded():
         code = _ended()
     if code == INTERRUPTED:
@@ -94,9 +96,10 @@ def _other(error: Exception) -> int:
         return _usage(error)
     if type(error).__name__ == "Abort":
         return _say("interrupted", INTERRUPTED)
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        return _say(f"{where}{error.strerror or error}", 3)
+    lack = shortage(error)
+    if isinstance(error, OSError) or lack is not None:
+        where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+        return _say(f"{where}{lack or getattr(error, 'strerror', None) or error}", 3)
     return _unforeseen(error)
 
 

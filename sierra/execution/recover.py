@@ -19,7 +19,7 @@ from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.lazy_logger import Log
-from sierra.util.shortage import shortage
+from sierra.util.shortage import lacking
 
 log = Log(__name__)
 
@@ -35,29 +35,41 @@ def finish_dead(store: Store, observer: Observer | None = None) -> int:
             from sierra.runners import local  # what recovers sessions is loaded only if one has died
 
             local.end_orphans(found)
-        for paths in found:
+        for paths in list(found):
             _sweep(paths)
             try:
                 count = recover(store, paths)
             except Exception as error:
-                if not is_at_fault(error, store):
-                    raise
-                moved = str(unrecorded.put_aside(store.paths, paths, error))
-                log.warning("%s", moved)
+                found.remove(paths)
+                message = _left_out(store, paths, error)
+                log.warning("%s", message)
                 log.debug("".join(traceback.format_exception(error)))
                 if observer is not None:
-                    observer.notice(moved)
+                    observer.notice(message)
                 continue
             recovered += count
             log.warning("session %s has died; recorded %d of its finished executions", paths.root.name, count)
     return recovered
 
 
+def _left_out(store: Store, paths: SessionPaths, error: Exception) -> str:
+    """Leave out a session that cannot be recorded, and return a message about it.
+
+    If the session itself is the reason, it is moved away. If it is not this user's, or takes too much memory, it stays. Raises
+    the error if it concerns all sessions.
+    """
+    if lacking(error) in (errno.EACCES, errno.EPERM, errno.ENOMEM):
+        return f"session {paths.root.name} has died and cannot be recorded by this process ({error})"
+    if not is_at_fault(error, store):
+        raise error
+    return str(unrecorded.put_aside(store.paths, paths, error))
+
+
 def is_at_fault(error: Exception, store: Store) -> bool:
     """Check whether a session itself is the reason why it cannot be recorded, and not the store or a lack of anything."""
     if isinstance(error, Missing | DamagedFile) and not _is_of_name(error):
         return False
-    if shortage(error) is not None:
+    if lacking(error) is not None:
         return False
     try:
         store.values(str, "SELECT execution FROM executions LIMIT 0")

@@ -81,11 +81,11 @@ class Session:
         made.number = _number(paths)
         made._generation, made._beaten = 0, time.monotonic()
         with exclusively(store):
-            if not paths.submission.exists() or not ownership_marks.is_session(paths.root):
+            if not (paths.submission.exists() and ownership_marks.is_session(paths.root) and _is_own(paths)):
                 return None
             try:
                 made._lock = locked(paths.lock, wait=False)
-            except (BlockingIOError, PermissionError):  # another user's session: only its owner can find or end the jobs
+            except (BlockingIOError, PermissionError):
                 return None
             generation = _take_over(paths) if made._lock is None else 0
             if generation is None:
@@ -179,7 +179,7 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
                 continue
             try:
                 lock = locked(paths.lock, wait=False)
-            except BlockingIOError:
+            except (BlockingIOError, PermissionError):
                 continue
             if lock is not None:
                 held.append(lock)
@@ -187,7 +187,7 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
                 found.append(paths)
     try:
         yield found
-        for paths in found:
+        for paths in found:  # without those that the caller has taken out
             _remove(store, paths)
     finally:
         for lock in held:
@@ -206,7 +206,7 @@ def alive(store: StorePaths) -> list[SessionPaths]:
             continue
         try:
             lock = locked(paths.lock, wait=False)
-        except BlockingIOError:
+        except (BlockingIOError, PermissionError):
             found.append(paths)
         else:
             if lock is not None:
@@ -295,9 +295,15 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
 def locked(path: Path, *, wait: bool = True) -> int | None:
     """Return a descriptor that holds the lock; None if the file system has no locks.
 
-    Raises BlockingIOError if another process holds the lock and `wait` is False.
+    Raises BlockingIOError if another process holds the lock and `wait` is False. A lock that this user may only read does.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    flags = os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | flags, 0o666)
+    except PermissionError:
+        if not path.exists():
+            raise
+        descriptor = os.open(path, os.O_RDONLY | flags)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
@@ -324,6 +330,11 @@ def _own(paths: SessionPaths, generation: int) -> bool:
     except FileExistsError:
         return False
     return True
+
+
+def _is_own(paths: SessionPaths) -> bool:
+    """Check whether a session is this user's: only its owner can find or end its jobs on a cluster."""
+    return os.geteuid() in (0, paths.root.stat().st_uid)
 
 
 def _take_over(paths: SessionPaths) -> int | None:

@@ -17,11 +17,12 @@ from sierra.ingest.shipped_reader_base import FILE, TableReader
 from sierra.ingest.text_table_reader import alike
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import arrow_schemas, parquet_given, parquet_schema
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import differing_by_case, identifier
 from sierra.store.type_inference import DURATION, EMPTY, is_inexact, is_number, kind_of, widest
+from sierra.util.shortage import PASSING, lacking
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -204,6 +205,8 @@ class Converted(Parquet):
                 with target.open("wb") as stream:
                     write_parquet(self._reader.read(Path(file.path)), stream)
             except UnreadableError as error:
+                if lacking(error) in PASSING:
+                    check_shortage(error)
                 self.fault(file, _one_line(str(error) or "cannot be read"))
             except OSError:
                 raise

@@ -14,12 +14,13 @@ from sierra.errors import Missing
 from sierra.ingest import robot_files, time_order
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
-from sierra.store.connections import Database
+from sierra.store.connections import Database, reset
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
-from sierra.store.duckdb_messages import disk_error, duckdb_error
+from sierra.store.duckdb_messages import check_shortage, disk_error, duckdb_error
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import RawRow
+from sierra.util.shortage import PASSING, lacking
 
 FILE = "# file"
 """DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""
@@ -210,6 +211,8 @@ class TableReader:
             if files:
                 attempt(files)
         except self.error as error:
+            if lacking(error) in PASSING:
+                check_shortage(error)
             if len(files) == 1:
                 self.fault(files[0], explain(files[0], error))
             else:
@@ -245,7 +248,7 @@ class TableReader:
             target.unlink(missing_ok=True)
             raise
         finally:
-            self.sql.execute("RESET threads")
+            self.sql.execute(reset("threads"))
             self.sql.unregister("owners")
 
     def _check_rows(self, target: Path, files: Sequence[Written]) -> None:

@@ -7,6 +7,7 @@ bytes have the right hash. Even then the file may be somebody else's, so memory 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import re
@@ -19,10 +20,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from sierra.errors import Missing
 from sierra.execution import unrecorded
 from sierra.maintenance.findings import Finding, Kind
 from sierra.store import ownership_marks, session_log_file
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.schema import RECORDED, arrow_schema, is_table
@@ -46,6 +48,7 @@ from sierra.store.store import CACHEDIR
 from sierra.store.views import ONCE
 from sierra.util.fs import UNFINISHED_END
 from sierra.util.hashing import sha256, unsealed
+from sierra.util.shortage import shortage
 
 NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
@@ -76,6 +79,11 @@ class Contents:
     """Segments that other segments replaced."""
     files: int = 0
     bytes: int = 0
+
+    @property
+    def unchecked(self) -> list[Finding]:
+        """The findings about files that could not be read for lack of something."""
+        return [finding for finding in self.findings if finding.kind is Kind.UNCHECKED]
 
 
 def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> Contents:
@@ -123,10 +131,12 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
         except FileNotFoundError:
             yield Finding(Kind.ABSENT, name, "is missing; sierra fsck --repair writes it again")
         except OSError as error:
-            yield Finding(Kind.DAMAGED, name, f"cannot be read: {error.strerror}")
+            yield _unread(name, error)
     for entry in _entries(paths.root):
         path = Path(entry.path)
-        if entry.name in FOLDERS:
+        if entry.name not in FIXED and entry.is_file(follow_symlinks=False) and not os.access(path, os.R_OK):
+            yield Finding(Kind.UNCHECKED, _shown(paths, path), f"may not be read: {os.strerror(errno.EACCES)}")
+        elif entry.name in FOLDERS:
             if not entry.is_dir(follow_symlinks=entry.name == WORK):
                 yield Finding(Kind.STRAY, _shown(paths, path), "is not a folder")
         elif UNFINISHED.fullmatch(entry.name):
@@ -172,6 +182,13 @@ def put_aside(paths: StorePaths) -> list[Path]:
     return [path for path in found if ASIDE.fullmatch(path.name)]
 
 
+def _unread(name: str, error: OSError) -> Finding:
+    """Return the finding about a file that cannot be read: damage, unless this user may not, or something is lacking."""
+    if (lack := shortage(error)) is not None:
+        return Finding(Kind.UNCHECKED, name, f"cannot be read: {lack}")
+    return Finding(Kind.DAMAGED, name, f"cannot be read: {error.strerror}")
+
+
 def _is_sealed(path: Path) -> bool:
     with contextlib.suppress(OSError):
         return _is_plain(path) and path.stat().st_size < EXPANDED and unsealed(path.read_bytes()) is not None
@@ -209,7 +226,11 @@ def _beginning(path: Path, count: int) -> bytes:
 def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadPoolExecutor, *, counts: bool) -> None:
     """Check one segment, and add its sound part to `found.sound` if `counts`: if no other segment replaced it."""
     folder = paths.segments / segment.name
-    listed, faults = _manifest(folder)
+    try:
+        listed, faults = _manifest(folder)
+    except OSError as error:
+        found.findings.append(_unread(_shown(paths, folder / MANIFEST), error))
+        return
     findings = [Finding(Kind.DAMAGED, _shown(paths, folder / MANIFEST), fault) for fault in faults]
     entries = {entry.name for entry in _entries(folder)} - {MANIFEST}
     findings += [
@@ -230,12 +251,18 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
         files = {} if faults else _named_by_themselves(folder, listed.keys() - lost)
         if OUTPUTS not in lost:
             lost.add(OUTPUTS)
-            findings.append(Finding(Kind.INCONSISTENT, _shown(paths, folder / OUTPUTS), "does not name the table of each output"))
+            what = "does not name the table of each output"
+            findings.append(Finding(Kind.INCONSISTENT, _shown(paths, folder / OUTPUTS), what))
     sound = {}
     for name, path in files.items():
         file = Path(path).name
         if file in listed and file not in lost and not faults:
-            if (unlike := parquet_fault(Path(path), name)) is not None:
+            try:
+                unlike = parquet_fault(Path(path), name)
+            except Missing as error:
+                findings.append(Finding(Kind.UNCHECKED, _shown(paths, Path(path)), str(error)))
+                continue
+            if unlike is not None:
                 lost.add(file)
                 findings.append(Finding(Kind.INCONSISTENT, _shown(paths, Path(path)), unlike))
             else:
@@ -261,7 +288,7 @@ def _named_by_themselves(folder: Path, files: Iterable[str]) -> dict[str, str]:
 
 
 def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
-    """Return the entries of MANIFEST that can be read (SHA-256 by name), and its problems."""
+    """Return the entries of MANIFEST that can be read (SHA-256 by name), and its problems. Raises OSError for a lack."""
     path = folder / MANIFEST
     try:
         if not _is_plain(path):
@@ -270,6 +297,8 @@ def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
     except FileNotFoundError:
         return {}, ["is missing"]
     except OSError as error:
+        if shortage(error) is not None:
+            raise
         return {}, [f"cannot be read: {error.strerror}"]
     listed = {}
     for line in text.decode("utf-8", "replace").splitlines():
@@ -279,12 +308,16 @@ def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
     return listed, faults
 
 
+class _Lack(str):
+    """What is lacking to read a file."""
+
+
 def _hashed(path: Path) -> tuple[str, int]:
     """Return the SHA-256 and the size in bytes of a plain file; for any other or an unreadable file, the problem and 0."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        return ("is a symbolic link, not a file" if path.is_symlink() else f"cannot be read: {error.strerror}"), 0
+        return ("is a symbolic link, not a file" if path.is_symlink() else _problem(error)), 0
     try:
         with os.fdopen(descriptor, "rb", buffering=0) as file:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -295,7 +328,12 @@ def _hashed(path: Path) -> tuple[str, int]:
                 size += len(piece)
             return digest.hexdigest(), size
     except OSError as error:
-        return f"cannot be read: {error.strerror}", 0
+        return _problem(error), 0
+
+
+def _problem(error: OSError) -> str:
+    lack = shortage(error)
+    return _Lack(f"cannot be read: {lack}") if lack is not None else f"cannot be read: {error.strerror}"
 
 
 def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
@@ -303,6 +341,8 @@ def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
         return Kind.ABSENT, "is missing"
     if found[0] == digest:
         return Kind.DAMAGED, ""
+    if isinstance(found[0], _Lack):
+        return Kind.UNCHECKED, found[0]
     whole = re.fullmatch("[0-9a-f]{64}", found[0])
     return Kind.DAMAGED, "has other bytes than SIERRA wrote" if whole else found[0]
 
@@ -311,11 +351,12 @@ def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
 
 
 def parquet_fault(path: Path, name: str) -> str | None:
-    """Return why a file cannot be the one of that name; None if it can."""
+    """Return why a file cannot be the one of that name; None if it can. Raises Missing for a lack of something."""
     try:
         with pq.ParquetFile(path) as file:
             schema, table = file.schema_arrow, own_table(file.metadata)
-    except (OSError, ValueError, pa.ArrowException) as error:
+    except (OSError, ValueError, MemoryError, pa.ArrowException) as error:
+        check_shortage(error)
         return f"is not a readable Parquet file: {first_line(error)}"
     if name.startswith(OUTPUT):
         if table not in (None, table_of(name)):
@@ -352,6 +393,7 @@ def read_objects(segments: list[Segment], wanted: set[str], tell: Callable[[], N
             try:
                 _read_objects(path, found, wanted)
             except (OSError, ValueError, MemoryError) as error:
+                check_shortage(error)
                 found.faults.append((path, f"cannot be read: {first_line(error) if str(error) else 'out of memory'}"))
             tell()
     return found

@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from sierra.containers.images.image import variants_id
 from sierra.design.expand import exact, run_id
-from sierra.errors import Missing, SierraError
+from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import around
 from sierra.execution.build.products import Product
 from sierra.execution.build.products import result as products_hash
@@ -61,6 +61,7 @@ from sierra.store.study_records import look_id, study_id
 from sierra.store.views import records as records_of
 from sierra.util.hashing import canonical_plain, digest, merkle, sha256, short
 from sierra.util.json_types import JsonView
+from sierra.util.shortage import lacking
 
 SHOWN = 3
 MEMORY = "1GB"
@@ -85,7 +86,7 @@ class Records:
         self.snapshot.run("SET preserve_insertion_order = true")
         self.snapshot.add_table("kept", sha256=sorted(objects.whole))
         for name in (*(name for name in RECORDED if name != "objects"), "all_judgements", "all_artifacts", "all_sessions"):
-            with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
+            with contextlib.suppress(Damaged):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))
 
     def each(self, statement: str, **parameters: object) -> Iterator[RawRow]:
@@ -139,7 +140,8 @@ def _tried(what: str, found: Iterator[Finding]) -> Iterator[Finding]:
     try:
         yield from found
     except (SierraError, ValueError, TypeError, KeyError, MemoryError, RecursionError) as error:
-        yield Finding(Kind.INCONSISTENT, what, f"cannot be checked: {first_line(error) or error!r}")
+        kind = Kind.INCONSISTENT if lacking(error) is None else Kind.UNCHECKED
+        yield Finding(kind, what, f"cannot be checked: {first_line(error) or error!r}")
 
 
 # ids

@@ -28,6 +28,8 @@ class Kind(StrEnum):
     """A session cannot be recorded, and was moved to `damaged/`."""
     GONE = "gone"
     """A recorded source is no longer in git: nothing here is damaged, but its runs cannot be replayed here."""
+    UNCHECKED = "unchecked"
+    """It may not be read or locked by this user, or cannot be for lack of something: nobody knows if it is sound."""
     DEAD = "dead"
     """A session died; `sierra run` or `sierra gc` finishes it."""
     LEFT = "left over"
@@ -42,8 +44,13 @@ class Kind(StrEnum):
         return self in (Kind.DEAD, Kind.LEFT, Kind.FOREIGN, Kind.UNKNOWN)
 
     @property
+    def wrong(self) -> bool:
+        """True if something is wrong with the store itself."""
+        return not self.fine and self is not Kind.UNCHECKED
+
+    @property
     def repairable(self) -> bool:
-        return not self.fine and self not in (Kind.UNRECORDED, Kind.GONE)
+        return self.wrong and self not in (Kind.UNRECORDED, Kind.GONE)
 
 
 @dataclass(frozen=True, slots=True)

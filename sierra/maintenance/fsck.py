@@ -19,6 +19,7 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.store import Snapshot, check_free
+from sierra.util.shortage import shortage
 
 Tell = Callable[[str], None]
 REPLACED = "replaced by another segment; sierra gc removes it"
@@ -39,6 +40,16 @@ class Report:
     @property
     def sound(self) -> bool:
         return all(finding.kind.fine for finding in self.findings)
+
+    @property
+    def wrong(self) -> int:
+        """The number of problems."""
+        return sum(finding.kind.wrong for finding in self.findings)
+
+    @property
+    def unchecked(self) -> int:
+        """The number of things that could not be checked, for lack of a permission or of anything else."""
+        return sum(finding.kind is Kind.UNCHECKED for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +75,8 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
         read = Records(paths, found, objects)
         try:
             tell("checking records")
-            findings = [*_contents(read), *check_records.check(read, root), *_sessions(paths), *_strange(paths)]
+            records = [] if found.unchecked else check_records.check(read, root)  # they need all files
+            findings = [*_contents(read), *records, *_sessions(paths), *_strange(paths)]
             findings += [Finding(Kind.LEFT, f"segments/{name}", REPLACED) for name in found.left]
             executions = _count(read)
         finally:
@@ -136,7 +148,7 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
             living = {one.root for one in sessions.alive(paths)}
             found = sessions.all_of(paths) if locks else []
     except (SierraError, OSError) as error:
-        yield Finding(Kind.DAMAGED, "work", str(error))
+        yield Finding(Kind.DAMAGED if shortage(error) is None else Kind.UNCHECKED, "work", str(error))
         return
     for session in found:
         if session.root not in living:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.errors import Damaged, SierraError
+from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import sessions
 from sierra.maintenance import check_records, fsck, lost_remarks
 from sierra.maintenance.check_files import DERIVED, FIXED, NAME
@@ -92,14 +92,23 @@ class _Loss:
 def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell = lambda text: None) -> Repair:
     """Repair a store. Raises Missing if the disk is full, SierraError if others are at work; nothing is lost in either case."""
     _ours(paths)
-    checked = fsck.check(paths, root, tell)
+    checked = _checked(paths, root, tell)
     done = [*_fixed(paths, checked, dry_run), *_manifests(paths, checked, dry_run), *_strays(paths, checked, dry_run)]
     if done and not dry_run:
-        checked = fsck.check(paths, root, tell)
+        checked = _checked(paths, root, tell)
     done += _salvage(paths, root, checked, dry_run, tell)
     for line in done if not dry_run else ():
         log.warning("repaired: %s", line)
     return Repair(tuple(done), checked.report if dry_run or not done else fsck.check(paths, root, tell).report)
+
+
+def _checked(paths: StorePaths, root: Path, tell: Tell) -> Checked:
+    """Check a store. Raises Missing if something cannot be checked for a lack of anything: it would seem damaged."""
+    checked = fsck.check(paths, root, tell)
+    for finding in checked.report.findings:
+        if finding.kind is Kind.UNCHECKED:
+            raise Missing(f"{finding.path} {finding.what}; nothing that depends on it is repaired")
+    return checked
 
 
 def _ours(paths: StorePaths) -> None:
@@ -180,7 +189,7 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
 
         def prepare(rewriting: Compaction) -> AbstractSet[str]:
             nonlocal loss
-            checked = fsck.check(paths, root, tell)
+            checked = _checked(paths, root, tell)
             loss = _loss(paths, checked)
             sound = checked.contents.sound
             for group in groups(segment for segment in loss.touched if NAME.fullmatch(segment.name)):

@@ -188,7 +188,8 @@ class Opened(ABC):
                 with unfinished.open("xb") as file:
                     file.writelines(self.blocks(name))
                 if self._is_program(name):
-                    unfinished.chmod(0o755)
+                    mode = unfinished.stat().st_mode
+                    unfinished.chmod(mode | (mode & 0o444) >> 2)  # whoever can read it can execute it
                 _name(unfinished, path)
             finally:
                 unfinished.unlink(missing_ok=True)

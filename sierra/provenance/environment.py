@@ -17,7 +17,8 @@ from functools import cache
 from pathlib import Path
 
 from sierra.provenance import dependency_model, pythons
-from sierra.provenance.machine import facts
+from sierra.provenance.machine import Fact, facts
+from sierra.util import open_files
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import JsonView, RecordValue, as_object, as_texts
 
@@ -46,7 +47,15 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, JsonView]:
     """Return the record of this environment; `version` is SIERRA's, `record` adds names (or patterns) of variables."""
     installed = _distributions()
     python = {"python": platform.python_version(), "distributions": installed, "lock": sha256(installed.encode())}
-    return _record({"sierra": version, **python}, facts(), os.environ, _variables((*VARIABLES, *record)))
+    return _record({"sierra": version, **python}, _facts(), os.environ, _variables((*VARIABLES, *record)))
+
+
+def _facts() -> dict[str, Fact]:
+    """Return the facts of this machine for programs of runs, which do not get the limit that this process has raised."""
+    found = facts()
+    if (before := open_files.before()) is not None and isinstance(limits := found["limits"], dict):
+        limits["nofile"] = [before, *limits["nofile"][1:]]
+    return found
 
 
 def elsewhere(

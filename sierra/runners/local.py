@@ -24,6 +24,7 @@ from sierra.model import Job, Limits, Result
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
+from sierra.util import open_files
 from sierra.util.lazy_logger import Log, shown
 from sierra.worker import worker
 
@@ -60,6 +61,7 @@ class Local:
             start_new_session=True,
             env={**os.environ, "SIERRA_SESSION": session.root.name},
         )
+        open_files.restore(self._process.pid)
         threading.Thread(target=self._feed, args=(work.jobs, self._process), daemon=True).start()
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:

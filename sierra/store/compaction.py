@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect, keep_order
 from sierra.store.duckdb_file_io import copy, read_parquet
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.layout import StorePaths
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.parquet_row_counts import Written, rows_by_file
@@ -262,6 +262,7 @@ def _write_output(target: Path, table: str, paths: Sequence[str], executions: Ab
     except duckdb.IOException as error:
         raise Missing(f"cannot write {target}: {first_line(error)}") from error
     except duckdb.Error as error:
+        check_shortage(error)
         raise Damaged(f"{paths[0]}: cannot be written again: {first_line(error)}") from error
     finally:
         connection.close()
@@ -282,9 +283,11 @@ def _readable(path: str) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, ValueError) as error:
+        check_shortage(error)
         raise Damaged(f"{path}: cannot be read: {first_line(error)}; see sierra fsck") from error
     except OSError as error:
         if error.errno is None:
+            check_shortage(error)
             raise Damaged(f"{path}: cannot be read: {first_line(error)}; see sierra fsck") from error
         raise
 

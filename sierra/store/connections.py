@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.store.duckdb_file_io import steady
+from sierra.util import open_files
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -57,7 +58,7 @@ class Connection:
         import duckdb
 
         try:
-            for statement in (*(f"DROP VIEW {view}" for view in views), *(f"RESET {name}" for name in self._settings)):
+            for statement in (*(f"DROP VIEW {view}" for view in views), *map(reset, self._settings)):
                 self.cursor.execute(statement)
             [(spilled,)] = self.cursor.execute("SELECT current_setting('temp_directory')").fetchall()
         except duckdb.Error:
@@ -73,6 +74,12 @@ class Connection:
     def close(self) -> None:
         self.cursor.close()
         self._database.close()
+
+
+def reset(setting: str) -> str:
+    """Return the statement that gives a setting of a connection its first value."""
+    threads = open_files.threads() if setting == "threads" else None
+    return f"RESET {setting}" if threads is None else f"SET threads = {threads}"
 
 
 class Rows:
@@ -115,9 +122,10 @@ def _locked(folders: tuple[str, ...]) -> DuckDBPyConnection:
 
 
 def connect() -> DuckDBPyConnection:
-    """Return an in-memory DuckDB connection that never uses the network."""
+    """Return an in-memory DuckDB connection that never uses the network, with as many threads as open files allow."""
     import duckdb
 
+    threads = open_files.threads()
     return duckdb.connect(
         ":memory:",
         config={
@@ -126,5 +134,6 @@ def connect() -> DuckDBPyConnection:
             # DuckDB allows reads there, so the folder has a random name; DuckDB makes and removes it as needed.
             "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}"))),
             "python_enable_replacements": "false",
+            **({} if threads is None else {"threads": str(threads)}),
         },
     )

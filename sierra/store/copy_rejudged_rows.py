@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import Damaged
 from sierra.store.connections import connect, keep_order
 from sierra.store.duckdb_file_io import copy, read_parquet
-from sierra.store.duckdb_messages import disk_error, first_line
+from sierra.store.duckdb_messages import check_shortage, disk_error, first_line
 from sierra.store.segments import OUTPUT, Writer, is_first_part
 from sierra.store.store import Snapshot
 
@@ -36,6 +36,7 @@ def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made
     except duckdb.IOException as error:
         raise disk_error(writer.folder, error) from error
     except duckdb.Error as error:
+        check_shortage(error)
         raise Damaged(f"the store cannot be read: {first_line(error)}; see sierra fsck") from error
     finally:
         connection.close()

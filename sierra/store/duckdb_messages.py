@@ -8,6 +8,7 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.store.duckdb_file_io import plain
+from sierra.util.shortage import shortage
 
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
 """The pattern of a writing thread's error, which is JSON within another error."""
@@ -36,6 +37,12 @@ def disk_error(folder: Path, error: Exception) -> Missing:
     """Return the error for a disk that DuckDB cannot write to, with the reason but without the file's name."""
     _, _, reason = first_line(error).rpartition('": ')
     return Missing(f"cannot write to {folder}: {reason}")
+
+
+def check_shortage(error: Exception) -> None:
+    """Raise Missing if an error shows a lack of something, after which nothing is known about the files that were read."""
+    if (lack := shortage(error)) is not None:
+        raise Missing(f"the store cannot be read: {lack}") from error
 
 
 def _plain(error: Exception) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import check_shortage, first_line
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
@@ -37,6 +37,7 @@ def rows_by_file(path: str | Path) -> Counter[Written]:
                 for row in grouped.to_pylist():
                     found[row["execution"], row.get("file")] += row["count_all"]
     except (OSError, ValueError, LookupError, MemoryError, pa.ArrowException) as error:
+        check_shortage(error)
         raise Damaged(f"{path}: cannot be read: {first_line(error) if str(error) else 'out of memory'}") from error
     return found
 
@@ -49,6 +50,7 @@ def rows_in(path: str | Path) -> int:
     try:
         rows: int = pq.read_metadata(path).num_rows
     except (OSError, ValueError, pa.ArrowException) as error:
+        check_shortage(error)
         raise Damaged(f"{path}: cannot be read: {first_line(error)}") from error
     return rows
 

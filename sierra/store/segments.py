@@ -353,7 +353,10 @@ def sync(path: Path) -> None:
 
 
 class disk_errors:
-    """A context manager that turns errors of a full or read-only disk into Missing, with the folder's name."""
+    """A context manager that turns errors of a full or read-only disk into Missing.
+
+    The message names the file that may not be written, or else the folder.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -363,5 +366,6 @@ class disk_errors:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, OSError):
+            refused = error.errno in (errno.EACCES, errno.EPERM) and isinstance(error.filename, str)
             reason = error.strerror or str(error)
-            raise Missing(f"cannot write to {self._folder}: {reason}") from error
+            raise Missing(f"cannot write to {error.filename if refused else self._folder}: {reason}") from error

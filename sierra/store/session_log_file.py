@@ -68,7 +68,7 @@ class _File(logging.Handler):
             raise NotADirectoryError(logs)
         _trim(self._store)
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        file = os.open(self._path, flags, 0o600)
+        file = os.open(self._path, flags, 0o666)
         found = os.fstat(file)
         if not stat.S_ISREG(found.st_mode):
             os.close(file)

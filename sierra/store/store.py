@@ -20,7 +20,7 @@ from sierra.errors import Damaged, Missing, NotFound, SqlError
 from sierra.store.connections import Connection, Rows
 from sierra.store.derived_tables import DerivedTables, Rules
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
-from sierra.store.duckdb_messages import explain
+from sierra.store.duckdb_messages import check_shortage, explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
@@ -33,6 +33,7 @@ from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
+from sierra.util.shortage import shortage
 
 if TYPE_CHECKING:
     import duckdb
@@ -97,6 +98,8 @@ class Store:
             with self.paths.format.open("rb") as file:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
+            if (lack := shortage(error)) is not None:
+                raise Missing(f"{self.paths.format} cannot be read: {lack}") from error
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
         if found not in FORMATS:
             problem = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
@@ -437,6 +440,8 @@ class Snapshot:
     def errors(self) -> Iterator[None]:
         """Raise DuckDB's errors as Damaged if they are about the store's files, else as SqlError for the statement.
 
+        If something is lacking, such as open files or memory, nothing is known about the files: raise Missing.
+
         DuckDB's errors about statements have classes of their own. Some about damaged files have none, and name no file.
         """
         import duckdb
@@ -444,6 +449,8 @@ class Snapshot:
         try:
             yield
         except duckdb.Error as error:
+            if isinstance(error, duckdb.IOException) or type(error) is duckdb.Error:
+                check_shortage(error)
             if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
                 raise Damaged(f"the store cannot be read: {explain(error)}") from error
             if type(error) is duckdb.Error:

@@ -20,11 +20,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.errors import DamagedFile
+from sierra.errors import DamagedFile, Missing
 from sierra.store.layout import user_verified
 from sierra.util.cache import Cache
 from sierra.util.fs import RACY_NS, state
 from sierra.util.hashing import sha256, sha256_file
+from sierra.util.shortage import shortage
 
 MANIFEST = "MANIFEST"
 FOLDER = "/segments"
@@ -137,7 +138,7 @@ def _is_known(file: _File) -> bool:
 
 
 def _hashed(file: _File) -> list[int] | None:
-    """Verify a file; return its state if that may be kept. Raises Damaged."""
+    """Verify a file; return its state if that may be kept. Raises Damaged, Missing if it may not or cannot be read now."""
     began = time.time_ns()
     try:
         before = state(file.path)
@@ -149,6 +150,8 @@ def _hashed(file: _File) -> list[int] | None:
             return None
         raise DamagedFile(f"{Path(file.path).with_name(MANIFEST)} is missing: run sierra fsck --repair") from None
     except OSError as error:
+        if (lack := shortage(error)) is not None:
+            raise Missing(f"{error.filename or file.path} cannot be read: {lack}") from error
         raise DamagedFile(f"{file.path} cannot be read: {error.strerror} ({_batch(file.path)}): run sierra fsck") from error
     if digest != recorded:
         raise DamagedFile(changed(file.path))

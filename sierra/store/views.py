@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
@@ -107,12 +107,13 @@ class Views:
         """The existing views as SQL identifiers."""
 
     def _execute(self, statement: str, parameters: Mapping[str, str] | None = None) -> DuckDBPyConnection:
-        """Execute a statement of these views. Raises Damaged for errors in the store's files."""
+        """Execute a statement of these views. Raises Damaged for errors in the store's files, Missing for a lack."""
         import duckdb
 
         try:
             return self._connection().execute(statement, parameters or {})
         except duckdb.Error as error:
+            check_shortage(error)
             raise Damaged(f"the store cannot be read: {first_line(error)}") from error
 
     def make(self, names: Iterable[str] | None = None) -> None:
@@ -204,7 +205,8 @@ class Views:
         body = bodies.get(name, partial(self._recorded, name))
         try:
             self._connection().execute(view + body())
-        except duckdb.Error:
+        except duckdb.Error as error:
+            check_shortage(error)
             self._execute(view + body(older=True))
         self.made.append(identifier(name))
 

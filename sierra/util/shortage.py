@@ -18,16 +18,22 @@ REMEDIES = {
     errno.EPERM: "",
 }
 """The error numbers of a lack, each with what the user can do."""
+PASSING = frozenset((errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOSPC, errno.EDQUOT))
+"""Lacks that have nothing to do with the file that is read: a later attempt to read it succeeds."""
 FOREIGN = ("duckdb", "_duckdb", "pyarrow")
-"""The packages whose errors have the system's message in their text."""
+"""The packages whose errors have the system's message in their text; others of DuckDB's errors are about a statement."""
+OF_SYSTEM = ("Error", "IOException", "ArrowException", "ArrowInvalid")
 
 
 def shortage(error: BaseException) -> str | None:
     """Return what was lacking when an error was raised, and what to do about it; None for any other error."""
-    for one in _causes(error):
-        if (number := _number(one)) is not None:
-            return "; ".join(filter(None, (os.strerror(number), REMEDIES[number])))
-    return None
+    number = lacking(error)
+    return None if number is None else "; ".join(filter(None, (os.strerror(number), REMEDIES[number])))
+
+
+def lacking(error: BaseException) -> int | None:
+    """Return the number of the system's error for what was lacking when an error was raised; None for any other error."""
+    return next((number for one in _causes(error) if (number := _number(one)) is not None), None)
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -45,6 +51,7 @@ def _number(error: BaseException) -> int | None:
     text = str(error)
     if isinstance(error, RuntimeError) and "can't start new thread" in text:
         return errno.EAGAIN
-    if type(error).__module__.partition(".")[0] in FOREIGN or isinstance(error, OSError):
+    foreign = type(error).__module__.partition(".")[0] in FOREIGN and type(error).__name__ in OF_SYSTEM
+    if foreign or (isinstance(error, OSError) and error.errno is None):
         return next((number for number in REMEDIES if os.strerror(number) in text), None)
     return None

@@ -310,7 +310,7 @@ class Pack:
     def __init__(self, folder: str, index: str, attempt: str) -> None:
         """Create the file. Raises FileExistsError if the name is taken."""
         self.path = os.path.join(folder, "%s.%s.pack" % (index, attempt))
-        self._file = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
+        self._file = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o666)
         self.clock = time.time() - os.fstat(self._file).st_mtime
         """The seconds that this node's clock is ahead of the file system's, by the time of the new file."""
         self._whole = self._synced = 0

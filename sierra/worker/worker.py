@@ -319,7 +319,7 @@ class Journal:
     def __init__(self, path: str | None) -> None:
         """Open the file, or use standard output for `None`, which another process reads through a pipe."""
         flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
-        self._file = os.dup(1) if path is None else os.open(path, flags, 0o644)
+        self._file = os.dup(1) if path is None else os.open(path, flags, 0o666)
         self._piped = path is None
         self._lock = threading.Lock()
 
@@ -1486,7 +1486,7 @@ def inputs_of(job: Job) -> list[str]:
 
 
 def make_log(path: str) -> None:
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
 
 
 def with_own_devices(job: Job, slot: int, slots: int) -> Job:

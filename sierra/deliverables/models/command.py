@@ -33,6 +33,7 @@ from sierra.execution.end_processes import ending
 from sierra.provenance import referenced_files
 from sierra.store.samples import Frame
 from sierra.store.store import Store
+from sierra.util import open_files
 from sierra.util.fs import inside
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import JsonView
@@ -128,6 +129,7 @@ def _printed(argv: Sequence[str], variables: Mapping[str, str], folder: Path, wa
             )
         except OSError as error:
             raise SierraError(f"{argv[0]!r} cannot be started: {error.strerror}") from error
+        open_files.restore(process.pid)
         with process, ending(process):
             printed, ended = _read(process, wall)
             if not ended:

@@ -35,6 +35,7 @@ from sierra.store.objects import Objects
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.util import open_files
 from sierra.util.kept_log import kept_of
 from sierra.util.lazy_logger import Log
 from sierra.util.text import one_line
@@ -266,6 +267,7 @@ def _execute(client: Client, folder: Path, output: Path, wall: float | None) -> 
             )
         except (FileNotFoundError, NotADirectoryError, PermissionError) as error:
             return None, f"{client.argv[0]!r} cannot be started in {folder}: {error.strerror}"
+    open_files.restore(process.pid)
     with ending(process):
         try:
             status = process.wait(wall)

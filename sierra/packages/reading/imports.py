@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.errors import Damaged, UsageError
+from sierra.errors import Damaged, Missing, UsageError
 from sierra.execution import recover
 from sierra.maintenance import fsck, transaction
 from sierra.maintenance.findings import Kind
@@ -148,9 +148,11 @@ def _received(path: Path, folder: Path) -> _Received:
 
 
 def _check(path: Path, store: Store, root: Path) -> None:
-    """Raise Damaged unless the records are consistent."""
+    """Raise Damaged unless the records are consistent, Missing if this cannot be checked."""
     for finding in fsck.check(store.paths, root).report.findings:
-        if not finding.kind.fine and finding.kind is not Kind.GONE:
+        if finding.kind is Kind.UNCHECKED:
+            raise Missing(f"{path}: the records of the package cannot be checked: {finding}")
+        if finding.kind.wrong and finding.kind is not Kind.GONE:
             raise Damaged(f"{path}: the records of the package are not consistent: {finding}")
     with store.snapshot() as snapshot:
         if not snapshot.holds("batches"):

@@ -56,7 +56,7 @@ def alone(folder: Path) -> Iterator[None]:
         raise UsageError(f"{folder / taken[0]} exists already; choose another folder with --into")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / MARK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(folder / MARK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
     except OSError as error:
         raise Missing(f"cannot write to {folder}: {error.strerror}; choose another folder with --into") from error
     try:

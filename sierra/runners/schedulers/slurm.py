@@ -33,6 +33,7 @@ from sierra.runners.schedulers import slurm_accounting_limits
 from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least
 from sierra.runners.schedulers.refusals import SLURM, about
 from sierra.runners.schedulers.slurm_accounting_limits import Partitions, seconds
+from sierra.util import open_files
 from sierra.util.lazy_logger import Log
 from sierra.util.text import ranges
 
@@ -299,6 +300,7 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
     argv = (_program("sbatch"), "--parsable")
     pipe = subprocess.PIPE
     with subprocess.Popen(argv, stdin=pipe, stdout=pipe, stderr=pipe, env=_environment(), cwd=folder) as process:
+        open_files.restore(process.pid)  # before it gets the script: SLURM gives jobs the limits of sbatch
         give_up = time.monotonic() + TIMEOUT_S
         given: bytes | None = script.encode()
         while True:

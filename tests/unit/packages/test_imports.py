@@ -20,7 +20,6 @@ import pytest
 import sierra
 from sierra.errors import Damaged, Missing, SierraError, UsageError
 from sierra.packages import archive
-from sierra.packages.layout import STORED
 from sierra.packages.members import MANIFEST
 from sierra.packages.subject import Member
 from sierra.store.lamport_clock import stamp

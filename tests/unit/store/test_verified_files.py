@@ -17,7 +17,7 @@ from sierra.deliverables.report.make import Source
 from sierra.errors import Damaged
 from sierra.store import segments, verified_files
 from sierra.store.layout import user_verified
-from sierra.store.segments import MANIFEST, REPLACES
+from sierra.store.segments import MANIFEST, OUTPUTS, REPLACES
 from tests import stores
 from tests.projects import quick
 
@@ -121,9 +121,7 @@ def test_commands_report_damage_in_one_line(root: Path, command: tuple[str, ...]
 @pytest.mark.nightly
 @pytest.mark.integration
 @pytest.mark.each_case
-@pytest.mark.parametrize(
-    "table", ["executions", "observations", "output.swarm", "artifacts", "objects", "sources"]
-)
+@pytest.mark.parametrize("table", ["executions", "observations", "output.swarm", "artifacts", "objects", "sources"])
 def test_no_command_answers_otherwise_than_from_sound_files(recorded: Path, tmp_path: Path, table: str) -> None:
     first, second = (one.batch for one in sierra.open(recorded).batches[:2])
     for command in (
