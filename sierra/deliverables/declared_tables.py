@@ -24,7 +24,7 @@ from sierra.deliverables.table_of_statistics import BATCH
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.store.data_hash import data_hash
 from sierra.store.store import Store
-from sierra.util.fs import write_whole
+from sierra.util.fs import fitting, write_whole
 from sierra.util.json_types import JsonView
 from sierra.util.text import like
 from sierra.version import __version__
@@ -65,7 +65,7 @@ class Made:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             return tuple(
-                write_whole(folder / f"{self.name}.{ENDINGS[format]}", self._text(format).encode())
+                write_whole(folder / f"{fitting(self.name)}.{ENDINGS[format]}", self._text(format).encode())
                 for format in self.declared.formats
             )
         except OSError as error:

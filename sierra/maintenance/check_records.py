@@ -141,7 +141,7 @@ def _tried(what: str, found: Iterator[Finding]) -> Iterator[Finding]:
         yield from found
     except (SierraError, ValueError, TypeError, KeyError, MemoryError, RecursionError) as error:
         kind = Kind.INCONSISTENT if lacking(error) is None else Kind.UNCHECKED
-        yield Finding(kind, what, f"cannot be checked: {first_line(error) or error!r}")
+        yield Finding(kind, what, f"cannot be checked: {first_line(error) or repr(error)}")
 
 
 # ids

@@ -41,6 +41,7 @@ from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
 from sierra.store.rounded_times import PART
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.fs import fitting
 from sierra.util.text import counted, n_of, verb
 
 if TYPE_CHECKING:
@@ -237,11 +238,14 @@ def compute(
 
 
 def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
-    """Return the default figures of an output by name. `series`: whether there is something to show over time."""
+    """Return the default figures of an output by name, which is also that of files.
+
+    `series`: whether there is something to show over time.
+    """
     kinds = ["timeseries"] if series else []
     kinds += ["heatmap", "summary"] if len(axes) == 2 else ["summary"]
     return {
-        f"{table}_{column}_{kind}": Figure.model_validate({"kind": kind, "table": table, "column": column})
+        fitting(f"{table}_{column}_{kind}"): Figure.model_validate({"kind": kind, "table": table, "column": column})
         for column in columns
         for kind in kinds
     }

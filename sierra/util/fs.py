@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from sierra.errors import Damaged
+from sierra.util.hashing import sha256
 
 
 def inside(root: Path, name: str, *, link: bool = False) -> Path:
@@ -69,6 +70,18 @@ def read_record(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError):  # not UTF-8, not JSON, or nested too deeply
         pass
     raise Damaged(f"{path}: not a record that SIERRA wrote; move {path.parent} away: its contents are not recorded yet")
+
+
+MOST_BYTES = 200
+"""The length of a name that leaves room for an ending, and for what `unfinished_beside` adds: file systems allow 255 bytes."""
+
+
+def fitting(name: str) -> str:
+    """Return a name that is not too long for a file: a long one is cut, and digits of its hash tell it from others."""
+    data = name.encode("utf-8", "surrogateescape")
+    if len(data) <= MOST_BYTES:
+        return name
+    return f"{data[: MOST_BYTES - 11].decode('utf-8', 'ignore')}_{sha256(data)[:10]}"
 
 
 UNFINISHED_END = r"(\.[0-9a-f]{8})?\.\d+"

@@ -23,7 +23,7 @@ from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.store.data_hash import data_hash
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.fs import write_whole
+from sierra.util.fs import fitting, write_whole
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
 from sierra.version import __version__
@@ -126,7 +126,7 @@ def save(figure: matplotlib.figure.Figure, drawing: Drawing, folder: Path) -> tu
 def _write(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in files)
+        return tuple(write_whole(folder / f"{fitting(drawing.name)}.{ending}", data) for ending, data in files)
     except OSError as error:
         raise Missing(f"{folder}: cannot write figure {drawing.name}: {error.strerror}") from error
 

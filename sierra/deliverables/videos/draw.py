@@ -14,6 +14,7 @@ from sierra.deliverables.videos.films import Film
 from sierra.deliverables.videos.prepare import Prepared, Ready, small_print
 from sierra.deliverables.videos.progress import DRAWN, Counter, Progress
 from sierra.deliverables.videos.tracks import aligned, digits
+from sierra.util.fs import fitting
 
 if TYPE_CHECKING:
     from sierra.deliverables.videos.encode import Image
@@ -29,7 +30,7 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
     origin = origin_of(first, prepared.data, *others)
 
     def make(one: Ready, format: Format) -> Path:
-        path = folder / f"{one.film.name}.{format}"
+        path = folder / f"{fitting(one.film.name)}.{format}"
         encode.encode(path, told.each(frames(prepared, one)), prepared.video.fps, format, origin)
         return path
 

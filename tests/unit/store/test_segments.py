@@ -1,0 +1,129 @@
+"""Files of outputs in segments: called by numbers, so that a table of any name is recorded; the names are found again."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import sierra
+import sierra.store.connections
+from sierra.errors import Damaged
+from sierra.maintenance.findings import Kind
+from sierra.store.duckdb_file_io import copy
+from sierra.store.segments import MANIFEST, OUTPUTS, Writer, on_disk
+from sierra.store.store import Store
+from sierra.util.hashing import sha256
+from tests import projects, stores
+from tests.unit.maintenance.test_fsck import seal
+
+NAMES = (
+    *("a" * 251 + ".csv", "\U00010400" * 62 + "b.csv", "x\ny.csv", "-rf.csv", "a\\b.csv", "..%2f..%2fetc.csv", "a\u2215b.csv"),
+    *("lr=0.001," * 27 + "x.csv", "c" * 251 + ".txt", "d" * 255, f"{'e' * 255}/{'f' * 251}.csv"),
+)
+"""Names of up to 255 bytes, the most that file systems allow."""
+WRITES = f"""
+import os
+for name in {NAMES!r}:
+    os.makedirs(os.path.dirname(name) or ".", exist_ok=True)
+    with open(name, "w") as file:
+        print("t,v", *(f"{{t}},{{count * t}}" for t in range(3)), sep="\\n", file=file)
+"""
+
+
+def made(store: Store, *tables: str) -> None:
+    """Add a segment with a table of one row for each name."""
+    writer = store.writer(store.paths.work / "made", "ab" * 32)
+    for name in tables:
+        with sierra.store.connections.connect() as connection:
+            connection.execute(copy("SELECT 'r' AS run, 'e' AS execution, 1 AS v", writer.path(f"output.{name}"), name))
+    store.publish(writer)
+
+
+@pytest.mark.integration
+def test_files_with_the_longest_names_are_recorded_drawn_exported_and_packed(tmp_path: Path) -> None:
+    about = '[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
+    root = projects.make(tmp_path / "lab", projects.CONFIG + about, simulator=projects.SIMULATOR + WRITES)
+    for words in (("run", "population_size=1,2", "--runs", "1"), ("figures",), ("report", "--to", "../r.html"), ("gc", "--yes")):
+        ended = projects.quick(root, *words)
+        assert ended.returncode == 0, ended.stderr
+    tables = {name for name in sierra.open(root).store.outputs() if name.strip("a") == "" or "lr_0_001" in name}
+    assert [len(name) for name in sorted(tables)] == [251, 244]
+    batch = sierra.open(root).batches[0].batch
+    for words in (("files", batch, "--to", "../out"), ("package", batch, "-o", "../p.zip", "--no-report"), ("fsck",)):
+        ended = projects.quick(root, *words)
+        assert ended.returncode == 0, ended.stderr
+    written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert {Path(name).name for name in NAMES} <= written
+    other = projects.make(tmp_path / "other")
+    assert projects.quick(other, "import", "../p.zip").returncode == 0
+    assert sierra.open(other).sql(f"SELECT sum(v) FROM {'a' * 251}").to_pylist() == [{"sum(v)": 9}]
+    assert max(len(path.name.encode()) for path in root.glob("figures/*/*")) <= 210
+
+
+def test_files_of_outputs_have_numbers_and_name_their_tables_twice(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    names = ("z" * 300, "1", "a~b"[:1])
+    made(store, *names)
+    [folder] = store.paths.segments.iterdir()
+    assert {path.name for path in folder.iterdir()} == {MANIFEST, OUTPUTS, *(f"output.{k}.parquet" for k in (1, 2, 3))}
+    subprocess.run(["sha256sum", "--check", "--quiet", MANIFEST], cwd=folder, check=True)
+    assert (folder / OUTPUTS).read_text() == "".join(f"{k} {json.dumps(name)}\n" for k, name in enumerate(names, 1))
+    assert store.outputs() == sorted(names)
+    metadata = [pq.read_metadata(folder / f"output.{k}.parquet").metadata[b"sierra_table"].decode() for k in (1, 2, 3)]
+    assert metadata == list(names)
+
+
+@pytest.mark.parametrize(
+    "text", ["", '1 "x"\n2 "x"\n', '1 "x"\n', '1 "x"\n2 3\n', '1 "x"\n2 "a~b"\n', "1 x\n2 y\n", f'1 "x"\n2 {"[" * 9999}\n', "\0\n"]
+)
+def test_no_rows_are_left_out_because_their_table_is_unknown(tmp_path: Path, text: str) -> None:
+    store = Store.create(tmp_path / "s")
+    made(store, "x", "y")
+    [folder] = store.paths.segments.iterdir()
+    (folder / OUTPUTS).write_text(text)
+    seal(folder)
+    with pytest.raises(Damaged, match=OUTPUTS):
+        store.segments()
+
+
+def test_a_changed_list_of_tables_is_noticed_before_an_answer(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    made(store, "x", "y")
+    [folder] = store.paths.segments.iterdir()
+    (folder / OUTPUTS).write_text('1 "y"\n2 "x"\n')
+    with pytest.raises(Damaged, match=f"{OUTPUTS} has other bytes than SIERRA wrote"):
+        store.sql("FROM batches")
+    (folder / OUTPUTS).unlink()
+    with pytest.raises(Damaged, match=f"{OUTPUTS} is missing: run sierra fsck --repair"):
+        store.sql("FROM batches")
+
+
+@pytest.mark.integration
+def test_a_list_of_tables_is_compared_with_the_files_and_made_again_from_them(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "p", simulator=stores.SIMULATOR)
+    stores.ask(root, "population_size=1,2")
+    before = sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist()
+    folder = stores.files(root, "output.swarm")[0].parent
+    names = {name: text for name, text in (line.split() for line in (folder / OUTPUTS).read_text().splitlines())}
+    (folder / OUTPUTS).write_text("".join(f"{k} {text}\n" for k, text in zip(names, reversed(names.values()), strict=True)))
+    seal(folder)
+    found = [finding for finding in sierra.open(root).fsck().findings if finding.kind is Kind.INCONSISTENT]
+    assert [finding for finding in found if "names itself 'swarm'" in finding.what]
+    folder = stores.files(root, "output.swarm")[0].parent
+    (folder / OUTPUTS).unlink()
+    assert projects.quick(root, "fsck").returncode == 1
+    assert projects.quick(root, "fsck", "--repair").returncode == 0
+    assert sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist() == before
+
+
+def test_a_segment_that_is_written_twice_has_the_same_name(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    for _ in range(2):
+        made(store, "x", "y")
+    assert [len(segment.files) for segment in on_disk(store.paths.segments)] == [2]
+    assert not store.publish(Writer(tmp_path / "s" / "work" / "none", "ab" * 32))
+    assert sha256((next(store.paths.segments.iterdir()) / MANIFEST).read_bytes())[:16] in store.segments()[0].name
