@@ -42,6 +42,11 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
         error = error.__cause__
 
 
+def _length(number: int) -> int:
+    """Return the length of the system's message: one message is the beginning of another one."""
+    return len(os.strerror(number))
+
+
 def _number(error: BaseException) -> int | None:
     """Return the number of the system's error that says what is lacking."""
     if isinstance(error, OSError) and error.errno in REMEDIES:
@@ -53,5 +58,5 @@ def _number(error: BaseException) -> int | None:
         return errno.EAGAIN
     foreign = type(error).__module__.partition(".")[0] in FOREIGN and type(error).__name__ in OF_SYSTEM
     if foreign or (isinstance(error, OSError) and error.errno is None):
-        return next((number for number in REMEDIES if os.strerror(number) in text), None)
+        return max((number for number in REMEDIES if os.strerror(number) in text), key=_length, default=None)
     return None

@@ -46,8 +46,15 @@ def made(store: Store, *tables: str) -> None:
 @pytest.mark.integration
 def test_files_with_the_longest_names_are_recorded_drawn_exported_and_packed(tmp_path: Path) -> None:
     about = '[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
-    root = projects.make(tmp_path / "lab", projects.CONFIG + about, simulator=projects.SIMULATOR + WRITES)
-    for words in (("run", "population_size=1,2", "--runs", "1"), ("figures",), ("report", "--to", "../r.html"), ("gc", "--yes")):
+    root = projects.make(
+        tmp_path / "lab", f'figure_formats = ["txt"]\n{projects.CONFIG}{about}', simulator=projects.SIMULATOR + WRITES
+    )
+    for words in (
+        ("run", "population_size=1,2", "--runs", "1"),
+        ("figures",),
+        ("report", "--to", "../r.html"),
+        ("gc", "--yes"),
+    ):
         ended = projects.quick(root, *words)
         assert ended.returncode == 0, ended.stderr
     tables = {name for name in sierra.open(root).store.outputs() if name.strip("a") == "" or "lr_0_001" in name}
@@ -78,7 +85,8 @@ def test_files_of_outputs_have_numbers_and_name_their_tables_twice(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    "text", ["", '1 "x"\n2 "x"\n', '1 "x"\n', '1 "x"\n2 3\n', '1 "x"\n2 "a~b"\n', "1 x\n2 y\n", f'1 "x"\n2 {"[" * 9999}\n', "\0\n"]
+    "text",
+    ["", '1 "x"\n2 "x"\n', '1 "x"\n', '1 "x"\n2 3\n', '1 "x"\n2 "a~b"\n', "1 x\n2 y\n", f'1 "x"\n2 {"[" * 9999}\n', "\0\n"],
 )
 def test_no_rows_are_left_out_because_their_table_is_unknown(tmp_path: Path, text: str) -> None:
     store = Store.create(tmp_path / "s")
@@ -108,7 +116,7 @@ def test_a_list_of_tables_is_compared_with_the_files_and_made_again_from_them(tm
     stores.ask(root, "population_size=1,2")
     before = sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist()
     folder = stores.files(root, "output.swarm")[0].parent
-    names = {name: text for name, text in (line.split() for line in (folder / OUTPUTS).read_text().splitlines())}
+    names = dict(line.split() for line in (folder / OUTPUTS).read_text().splitlines())
     (folder / OUTPUTS).write_text("".join(f"{k} {text}\n" for k, text in zip(names, reversed(names.values()), strict=True)))
     seal(folder)
     found = [finding for finding in sierra.open(root).fsck().findings if finding.kind is Kind.INCONSISTENT]

@@ -1,0 +1,109 @@
+"""A session that cannot be recorded fails alone: it is moved away and named, and every other command goes on."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.errors import Damaged, Missing
+from sierra.ingest.recorder import Recorder
+from tests import projects
+
+
+class Faulty:
+    """A fault of the sessions of one batch, whenever their executions are written."""
+
+    def __init__(self, batch: str, error: Callable[[], Exception]) -> None:
+        self.batch, self.error = batch, error
+        self.before = Recorder._write
+
+    def write(self, recorder: Recorder, writer: Any) -> Any:
+        if recorder.context.batch == self.batch:
+            raise self.error()
+        return self.before(recorder, writer)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return projects.make(tmp_path / "project")
+
+
+@pytest.fixture
+def fail(root: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """Return a function that executes a query whose session cannot be recorded, and returns the session."""
+
+    def fail(error: Callable[[], Exception]) -> str:
+        batch = sierra.open(root).plan("population_size=1").batch.id
+        faulty = Faulty(batch, error)
+        monkeypatch.setattr(Recorder, "_write", lambda recorder, writer: faulty.write(recorder, writer))
+        assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode != 0
+        [session] = [path.name for path in (root / ".sierra" / "work").iterdir() if path.is_dir()]
+        return session
+
+    return fail
+
+
+def system(number: int) -> OSError:
+    return OSError(number, os.strerror(number), "a file")
+
+
+def too_long() -> Exception:
+    error = Missing("cannot write to a folder: File name too long")
+    error.__cause__ = system(errno.ENAMETOOLONG)
+    return error
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("error", [lambda: ValueError("a\nfault"), lambda: Damaged("not a record"), too_long])
+def test_a_session_that_cannot_be_recorded_is_moved_away_by_the_next_command_that_writes(
+    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch, error: Callable[[], Exception]
+) -> None:
+    session = fail(error)
+    for words in (("ls",), ("sql", "FROM runs"), ("fsck",)):
+        assert projects.quick(root, *words).returncode == 0
+    other = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert (other.returncode, "2 executed" in other.stdout) == (0, True)
+    place = f"damaged/work-{session}"
+    assert f"session {session} cannot be recorded (" in other.stderr
+    assert (root / ".sierra" / place / "journal.jsonl").is_file()
+    checked = projects.quick(root, "fsck")
+    assert (checked.returncode, f"unrecorded: {place}: session {session} cannot be" in checked.stdout) == (1, True)
+    assert "--repair" not in checked.stdout
+    assert f"in .sierra/{place}; sierra run executes its runs again" in projects.quick(root, "status").stderr
+    assert projects.quick(root, "gc", "--yes").returncode == 0
+    monkeypatch.undo()
+    assert projects.run(root, "population_size=1")[0]["executed"] == 2
+    assert projects.quick(root, "gc", "--damaged", "--yes").returncode == 0
+    assert projects.quick(root, "fsck").returncode == 0
+
+
+@pytest.mark.integration
+def test_a_session_that_lacks_something_is_recorded_later(
+    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = fail(lambda: system(errno.ENOSPC))
+    other = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert (other.returncode, other.stderr.count("No space left on device")) == (3, 1)
+    assert (root / ".sierra" / "work" / session).is_dir()
+    monkeypatch.undo()
+    assert projects.run(root, "population_size=1")[0]["executed"] == 0
+    assert not (root / ".sierra" / "damaged").exists()
+
+
+@pytest.mark.integration
+def test_a_session_of_somebody_else_stays_until_they_return(
+    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = fail(lambda: system(errno.EACCES))
+    other = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert (other.returncode, "2 executed" in other.stdout) == (0, True)
+    assert f"session {session} has died and cannot be recorded by this process" in other.stderr
+    monkeypatch.undo()
+    assert projects.run(root, "population_size=1")[0]["executed"] == 0
