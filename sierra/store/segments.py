@@ -49,7 +49,7 @@ from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
 from sierra.store.verified_files import MANIFEST as MANIFEST
 from sierra.store.verified_files import changed, hash_written, verify
-from sierra.util.fs import inside
+from sierra.util.fs import UNFINISHED_END, inside
 from sierra.util.hashing import sha256
 
 if TYPE_CHECKING:
@@ -283,13 +283,13 @@ class Writer:
     def mark(self, name: str, lines: Iterable[str]) -> None:
         """Write OUTPUTS, REPLACES or AFTER."""
         with disk_errors(self.folder):
-            (self.folder / name).write_text("".join(f"{line}\n" for line in lines))
+            (self.folder / name).write_text("".join(f"{line}\n" for line in lines), "utf-8")
 
     def _name_tables(self) -> None:
         """Write OUTPUTS, if there are files of outputs."""
         written = {matched[1] for file in self.folder.iterdir() if (matched := NUMBERED.fullmatch(file.stem))}
         tables = ((number, table) for table, number in self._tables.items() if str(number) in written)
-        if lines := [f"{number} {json.dumps(table)}" for number, table in tables]:
+        if lines := [f"{number} {json.dumps(table, ensure_ascii=False)}" for number, table in tables]:
             self.mark(OUTPUTS, lines)
 
     def seal(self) -> str:
@@ -366,6 +366,12 @@ class disk_errors:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, OSError):
-            refused = error.errno in (errno.EACCES, errno.EPERM) and isinstance(error.filename, str)
-            reason = error.strerror or str(error)
-            raise Missing(f"cannot write to {error.filename if refused else self._folder}: {reason}") from error
+            raise Missing(f"cannot write to {self._place(error)}: {error.strerror or error}") from error
+
+    def _place(self, error: OSError) -> Path:
+        """Return the file that may not be written, as users know it; else the folder."""
+        path = error.filename2 or error.filename
+        if error.errno not in (errno.EACCES, errno.EPERM) or not isinstance(path, str | Path):
+            return self._folder
+        unfinished = re.fullmatch(rf"\.(.+){UNFINISHED_END}", Path(path).name)
+        return Path(path).with_name(unfinished[1]) if unfinished else Path(path)

@@ -118,4 +118,4 @@ def unfinished_beside(path: Path) -> Path:
 
     It ends with the id of this process. If that is gone, `sierra gc` removes the file.
     """
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.{os.getpid()}")
+    return path.with_name(f".{fitting(path.name)}.{secrets.token_hex(4)}.{os.getpid()}")

@@ -20,6 +20,7 @@ from sierra.ingest.base import UnreadableError
 from sierra.ingest.match_outputs import claims
 from sierra.ingest.model import Form, Written
 from sierra.ingest.rewriting import Source
+from sierra.util.fs import fitting
 
 PARTIAL = "partial"
 
@@ -46,7 +47,7 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
     if not declared or _is_whole(source):
         return
     for output in declared:
-        path = bag.with_name(f"{bag.name}.{output}.{PARTIAL}.parquet")
+        path = bag.with_name(f"{fitting(f'{bag.name}.{output}')}.{PARTIAL}.parquet")
         rows, reason = 0, ""
         try:
             rows, reason = _written(source, outputs[output], path)
