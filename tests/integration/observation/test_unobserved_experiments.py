@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -103,6 +105,25 @@ def test_an_experiment_that_was_not_observed_executes_again_if_any_file_outside_
     [batch] = projects.sql(root, "SELECT batch FROM batches")
     explained = projects.quick(root, "why", batch["batch"]).stdout
     assert f"not observed before, and nobody knows whether it used what has changed: {maps}/1" in explained
+
+
+@pytest.mark.parametrize(("few", "executed"), [(False, 0), (True, 4)], ids=["all observed", "one observed"])
+def test_a_change_that_is_harmless_to_the_observed_runs_executes_the_others_again(
+    root: Path, few: bool, executed: int, request: pytest.FixtureRequest
+) -> None:
+    """A package is installed that no observed run imports, for a Python that the command does not name."""
+    if few:
+        request.getfixturevalue("dear")
+    venv = root.parent / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True)
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("python3 sim.py", "sh run.sh"))
+    (root / "run.sh").write_text(f"exec {venv}/bin/python3 {root}/sim.py $1\n")
+    assert run(root)[:2] == (6, 0)
+    [packages] = venv.glob("lib/python3*/site-packages")
+    (packages / "unused_package.py").touch()
+    assert run(root)[:2] == (executed, 6 - executed)
+    assert run(root)[:2] == (0, 6)
 
 
 @pytest.mark.usefixtures("dear")
