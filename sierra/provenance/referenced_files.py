@@ -22,10 +22,10 @@ from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
 
-LIBRARY = re.compile(r".*\.so(?:\.\d+)*")
-"""The names of shared libraries."""
-LIBRARY_PATHS = ("ARGOS_PLUGIN_PATH", "LD_LIBRARY_PATH")
-"""Variables of runs that are search paths: programs load only libraries from the folders in them."""
+LIBRARY = re.compile(r".*\.so(?:\.\d\w*)*")
+"""The names of shared libraries, such as `libssl.so.1.0.2k`."""
+LIBRARY_PATHS = ("ARGOS_PLUGIN_PATH",)
+"""Variables of runs that are search paths: programs use only libraries in the folders that they name."""
 MAX_LENGTH = 4096
 MAX_SIZE = 10**9
 """Maximum size in bytes of a file that a template names; larger files are not hashed."""
