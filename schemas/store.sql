@@ -478,7 +478,7 @@ CREATE TABLE stale_sessions (
     "path" VARCHAR  -- one of the files that have changed, as in files_read
 );
 
--- Executions that a session reused although the source or the programs differ, because no file that they used has changed. Each of them was observed: files_read has the files. What differs is in unused_changes.
+-- Executions that a session reused although something has changed, because no file that they used has. Each of them, or others of its experiment, were observed: files_read has the files. What differs is in unused_changes.
 CREATE TABLE reused_executions (
     "session" VARCHAR,  -- the session that reused it
     "run" VARCHAR,  -- the run that it counts for; it has the input, seed and command of the run that was executed
@@ -490,7 +490,7 @@ CREATE TABLE unused_changes (
     "session" VARCHAR,  -- the session that reused the executions
     "spec" VARCHAR,  -- the run specification of the executions
     "programs" VARCHAR,  -- the programs of the executions
-    "name" VARCHAR  -- the file in the project ({project}/…), or the program as in programs
+    "name" VARCHAR  -- the file as in files_read, or the program as in programs
 );
 
 -- Container images in which runs were, or would have been, executed, each recorded once.

@@ -544,7 +544,12 @@ class Job:
     observe: Mapping[str, str] | None = None
     """Folders by name, if it is to be observed which files the run uses; their names stand for the folders in the record."""
     budget: float | None = None
-    """The part of the runs' time that observations may take: the run is observed if this one fits. None: in any case."""
+    """The part of the runs' time that the observations of a sample may take: the run is observed if this one fits.
+
+    None: the run is not in the sample, and observed in any case, or by `affordable`.
+    """
+    affordable: float | None = None
+    """The run is observed if this takes at most so many times the mean time of a run. None: whatever it takes."""
     beside: str | None = None
     """The folder with the files that lie beside the input files of all runs."""
     folders: Mapping[str, str] | None = None

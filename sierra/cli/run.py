@@ -301,7 +301,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
     from sierra.cli import render_estimate
     from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
     from sierra.execution.cluster_status import seen
-    from sierra.execution.dry_run import forecast
+    from sierra.execution.dry_run import forecast, has_other_files
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.reasons import ChangeReason, Reason
     from sierra.explain.why_new_runs import other_programs, why_new
@@ -311,7 +311,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
     found = forecast(plan, store, runs)
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
-    other = explain and store and reasons[Reason(ChangeReason.PROGRAMS)]
+    other = explain and store and has_other_files(reasons)
     proposal = project.proposal(plan, project.runner_of(plan, options.runner), detach=options.detach, runs=runs)
     preview = PlanPreview(
         request=plan.request,

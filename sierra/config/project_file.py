@@ -218,8 +218,8 @@ class Project(Table):
         0.02,
         ge=0,
         allow_inf_nan=False,
-        description='the time that observing may take with observe = "first", as a part of the time that the runs take; '
-        "0: only the first run that executes is observed",
+        description='the time that observing the sample may take with observe = "first", as a part of the time that the runs '
+        "take; 0: only the first run of each experiment is observed",
     )
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     tables: Mapping[Name, DerivedTable] = Field(default_factory=dict, description="derived tables, by name")

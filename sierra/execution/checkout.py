@@ -44,8 +44,7 @@ def programs_in(
     variables = spec.environment
     if spec.image is not None or spec.robots is not None:  # the programs are in the image, or on the robots
         return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
-    named = commands.on_hosts((*spec.words, *variables.values()), spec)
-    files = referenced_files.files(named, root, source.paths(manifest), data, project or root)
+    files = _named(spec, manifest, root, data, project)
     words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))
     declared = commands.declared(variables, root, project)
     found = programs.find(words, declared, root, files, project=project, around=around)
@@ -72,10 +71,19 @@ def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: Abs
     return replace(found, all=tuple(one for one in found.all if counts(one)))
 
 
+def _named(spec: RunSpec, manifest: bytes, root: Path, data: Programs, project: Path | None) -> Programs:
+    """Return the files outside the source that the command and the variables of a spec name, and `data`."""
+    paths = [spec.environment[name] for name in referenced_files.LIBRARY_PATHS if name in spec.environment]
+    others = (value for name, value in spec.environment.items() if name not in referenced_files.LIBRARY_PATHS)
+    words, searched = (commands.on_hosts(texts, spec) for texts in ((*spec.words, *others), paths))
+    if spec.image is not None or spec.robots is not None:  # what has another place is not this machine's
+        words, searched = (tuple(word for word in some if "{project}" in word) for some in (words, searched))
+    return referenced_files.files(words, root, source.paths(manifest), data, project, searched=searched)
+
+
 def _beside_image(spec: RunSpec, manifest: bytes, root: Path, data: Programs) -> Programs:
     """Return the project files and mounted files that belong to the fingerprint when the image provides the programs."""
-    words = [word for word in commands.on_hosts((*spec.words, *spec.environment.values()), spec) if "{project}" in word]
-    files = referenced_files.files(words, root, source.paths(manifest), data)
+    files = _named(spec, manifest, root, data, None)
     kept = {one.path for one in data.all}
     return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(IN_PROJECT)))
 

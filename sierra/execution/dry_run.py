@@ -35,6 +35,11 @@ class Forecast:
         return Counter(followed if run in self.on_clusters else state.change for run, state in self.states.items())
 
 
+def has_other_files(reasons: Mapping[Reason, int]) -> bool:
+    """Check whether runs would execute because programs, or files that runs used, have changed."""
+    return any(reason.kind in (ChangeReason.PROGRAMS, ChangeReason.UNOBSERVED) for reason in reasons)
+
+
 def forecast(plan: Plan, store: Store | None, runs: Container[str] | None = None) -> Forecast:
     """Return the forecast for these runs of a plan (None: all). Executes nothing."""
     found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}

@@ -69,6 +69,8 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         found = session_records.keep_check(plan, store, session)
         if found.stale and not all(state.succeeded for state in states(plan, store, found).values()):
             options.observer.notice(stale_sessions.reason(found.stale))
+        if found.unobserved:
+            options.observer.notice(stale_sessions.unobserved_reason(len(found.unobserved)))
         if found.reusable:
             options.observer.notice(reusable_executions.reason(store, session.id, len(found.reusable)))
         stays = make().stays

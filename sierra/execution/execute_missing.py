@@ -187,6 +187,7 @@ class Executor:
             # other hosts execute a copy of the code, and a cluster's nodes check the programs
             doubt=self._doubt if not runner.remote else lambda: None,
             enough=self._is_enough,
+            experiments={run.experiment for run in plan.batch.runs if run.id in wanted},
         )
         self.failed |= self._tally.failed
         self.notes += followed.notes

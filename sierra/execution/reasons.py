@@ -19,6 +19,8 @@ class ChangeReason(StrEnum):
     """[outputs] or [success] have changed."""
     PROGRAMS = "programs"
     """The last successful execution used other programs."""
+    UNOBSERVED = "not observed"
+    """Files have changed, and no run of the experiment was observed, so that nobody knows whether its executions used them."""
     REUSED = "reused"
     """A recorded execution is effective."""
     UNCHANGED = "unchanged"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 
 from sierra.execution.observation import reusable_executions, stale_sessions
@@ -24,6 +25,8 @@ class FileCheck:
     """Sessions whose executions do not count, each with a file that has changed."""
     reusable: Mapping[str, Reusable] = field(default_factory=dict)
     """By run: an execution that counts although the source or the programs differ."""
+    unobserved: AbstractSet[str] = frozenset()
+    """Runs that execute again because no run of their experiment was observed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,8 @@ class State:
     """Reason why it cannot be evaluated again although the rules have changed."""
     unchanged: bool = False
     """True if an execution counts although the source or the programs differ."""
+    unobserved: bool = False
+    """True if it is not known whether the execution used what has changed."""
 
     @property
     def succeeded(self) -> bool:
@@ -57,6 +62,8 @@ class State:
             return Reason(ChangeReason.UNCHANGED)
         if self.worth is None:
             return Reason(ChangeReason.NEW)
+        if self.unobserved and self.worth == PROGRAMS:
+            return Reason(ChangeReason.UNOBSERVED)
         kind = WORTH[self.worth]
         if kind is ChangeReason.FAILED:
             return Reason(kind, self.reason or "")
@@ -65,6 +72,12 @@ class State:
     def reused(self) -> State:
         """Return this state with an execution that counts although the source or the programs differ."""
         return replace(self, worth=REUSED, unchanged=True)
+
+    def with_files(self, run: str, found: FileCheck) -> State:
+        """Return this state of a run with what the comparison of files found."""
+        if run in found.reusable:
+            return self.reused()
+        return replace(self, unobserved=True) if run in found.unobserved else self
 
     def after(self, worth: int, reason: str | None, failed: int, judgements: int) -> State:
         """Return this state with one more execution, which was evaluated `judgements` times."""
@@ -103,8 +116,8 @@ def check(plan: Plan, records: Store | Snapshot) -> tuple[FileCheck, dict[str, S
         stale = stale_sessions.find(plan, snapshot)
         recorded = states(plan, snapshot, FileCheck(stale))
         lacking = [run for run, state in recorded.items() if not state.succeeded]
-        reusable = reusable_executions.find(plan, snapshot, lacking)
-    return FileCheck(stale, reusable), {**recorded, **{run: recorded[run].reused() for run in reusable}}
+        found = FileCheck(stale, *reusable_executions.find(plan, snapshot, lacking, stale))
+    return found, {**recorded, **{run: recorded[run].with_files(run, found) for run in lacking}}
 
 
 def is_repeated(plan: Plan, store: Store) -> bool:
@@ -128,8 +141,8 @@ def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None
             if run in runs:
                 state = runs[run].after(worth, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
-    for run in found.reusable.keys() & runs.keys():
-        runs[run] = runs[run].reused()
+    for run in (found.reusable.keys() | found.unobserved) & runs.keys():
+        runs[run] = runs[run].with_files(run, found)
     return runs
 
 

@@ -5,7 +5,7 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -129,8 +129,9 @@ class Service:
         enough: Callable[[], bool] = lambda: False,
         kept: Path | None = None,
         attempt: int = 0,
+        experiments: Collection[int] = (),
     ) -> Followed:
-        """Execute `count` runs with these inputs and record them. Raises the runner's errors.
+        """Execute `count` runs of these experiments with these inputs, and record them. Raises the runner's errors.
 
         `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
         `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before.
@@ -143,7 +144,12 @@ class Service:
         record = self._setup.project.config.environment.record
         builder = self._builder(context.success.exit_status)
         work = Work(
-            self._observed(((run, builder.job(run, files, attempt)) for run, files in inputs), context.batch, programs),
+            self._observed(
+                ((run, builder.job(run, files, attempt)) for run, files in inputs),
+                context.batch,
+                programs,
+                choose_runs.affordable(context.batch, experiments, count),
+            ),
             count,
             context.batch,
             (*needed(programs, self._search()), *self.isolation.needed),
@@ -187,7 +193,9 @@ class Service:
             return limits
         return replace(limits, output_bytes=limits.output_bytes + sum(row.size for row in self._beside))
 
-    def _observed(self, jobs: Iterable[tuple[Run, Job]], batch: str, programs: Programs) -> Iterable[Job]:
+    def _observed(
+        self, jobs: Iterable[tuple[Run, Job]], batch: str, programs: Programs, affordable: Mapping[int, float]
+    ) -> Iterable[Job]:
         """Return the jobs; those that are to be observed have the folders that names of files refer to."""
         project = self._setup.project
         if not self._is_observed():
@@ -199,7 +207,7 @@ class Service:
             named["project:given"] = root  # links in a checkout may lead there
         named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
         helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
-        return choose_runs.choose(jobs, batch, project.config, named, helps, self._begun)
+        return choose_runs.choose(jobs, batch, project.config, named, helps, self._begun, affordable)
 
     def _is_observed(self) -> bool:
         """Return whether runs may be observed."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from sierra.execution.observation.stale_sessions import OBSERVED
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.load_sides import make_runs
@@ -56,32 +57,46 @@ class Standing(NamedTuple):
     ingest_rules: str | None
     imported: bool
     """True if that execution came in a package."""
+    unobserved: bool
+    """True if no run of its experiment was observed in its session."""
     runs: int
     run: str
     execution: str | None
 
 
 OF_LAST_SESSION = f"{LATEST} SELECT session, programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
-STANDINGS = """
+STANDINGS = f"""
 SELECT t.counts,
        coalesce(t.own IN (SELECT execution FROM reused_executions WHERE session = $session), false) AS unchanged,
        t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
-       e.ingest_rules, coalesce(e.imported, false) AS imported,
+       e.ingest_rules, coalesce(e.imported, false) AS imported, coalesce(e.unobserved, false) AS unobserved,
        count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
 FROM standing t LEFT JOIN (
     SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
            CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN ingest_rules END AS ingest_rules,
-           packages IS NOT NULL AS imported
+           packages IS NOT NULL AS imported, status = 'ok' AND (session, run) NOT IN (
+               SELECT (session, run) FROM ({OBSERVED}) JOIN batch_runs USING (batch, ordinal)
+           ) AS unobserved
     FROM all_judgements WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts)
 ) e ON e.execution = t.execution
 GROUP BY ALL ORDER BY runs DESC, run
-"""
+"""  # noqa: S608 - of our own parts
 
 
 def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]:
     """Yield the situation of the runs in the table `wanted`, in each of these batches."""
     snapshot.views.make(
-        ("batch_runs", "sessions", "all_judgements", "batches", "stale_sessions", "reused_executions", "origins")
+        (
+            "batch_runs",
+            "sessions",
+            "executions",
+            "all_judgements",
+            "batches",
+            "stale_sessions",
+            "reused_executions",
+            "origins",
+            "observations",
+        )
     )
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
@@ -104,7 +119,8 @@ def _why(snapshot: Snapshot, row: Standing, latest: Latest) -> Reason:
     if (row.programs, row.ingest_rules) == latest[1:] and row.imported:
         return Reason(ChangeReason.STALE, "it came in a package, and in this batch other executions count")
     if (row.programs, row.ingest_rules) == latest[1:]:
-        return Reason(ChangeReason.STALE, "files that it used have changed")
+        unobserved = "not observed, and files that other runs of its session used have changed"
+        return Reason(ChangeReason.STALE, unobserved if row.unobserved else "files that it used have changed")
     differences = [one.line for one in _differences(snapshot, row, latest)]
     return Reason(ChangeReason.STALE, few(differences, SHOWN) or "the differing programs or rules are not recorded")
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple
 
+from sierra.execution.observation.stale_sessions import OBSERVED
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.model import Difference
@@ -63,9 +64,12 @@ class Event:
     """The package in which it came, and reasons why runs were started or executed more often than requested on a cluster."""
 
 
-EXECUTED = """
+EXECUTED = f"""
 CREATE TEMP TABLE happened AS
-WITH mine AS (
+WITH observed AS (
+    SELECT DISTINCT session, run FROM ({OBSERVED}) JOIN batch_runs USING (batch, ordinal)
+),
+mine AS (
     SELECT e.judgement, e.judged_at, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
            e.programs, e.ingest_rules, e.purpose, e.lamport, e.packages
     FROM all_judgements e SEMI JOIN wanted USING (run)
@@ -74,6 +78,7 @@ first AS (SELECT * EXCLUDE (judgement, judged_at, place) FROM mine WHERE judgeme
 earlier AS (
     SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.ingest_rules, p.reason,
            f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
+           (p.session, p.run) NOT IN (SELECT (session, run) FROM observed) AS unobserved,
            CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
                 WHEN p.ingest_rules <> e.ingest_rules THEN $rules
                 WHEN p.programs <> e.programs OR (e.session, p.session) IN (SELECT (session, stale) FROM stale_sessions)
@@ -88,8 +93,8 @@ earlier AS (
     ) = 1
 ),
 best AS (
-    SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'ingest_rules': ingest_rules,
-           'reason': reason, 'doubted': doubted}, (worth, lamport)) AS best
+    SELECT execution, max(worth) AS worth, arg_max({{'prior': prior, 'programs': programs, 'ingest_rules': ingest_rules,
+           'reason': reason, 'doubted': doubted, 'unobserved': unobserved}}, (worth, lamport)) AS best
     FROM earlier GROUP BY execution
 )
 SELECT m.*, b.worth, b.best, EXISTS (
@@ -97,7 +102,7 @@ SELECT m.*, b.worth, b.best, EXISTS (
         AND o.started < m.ended AND o.ended > m.started
 ) AS beside
 FROM first m LEFT JOIN best b USING (execution)
-"""
+"""  # noqa: S608 - of our own parts
 
 
 class Executions(NamedTuple):
@@ -116,6 +121,8 @@ class Executions(NamedTuple):
     was_programs: str | None
     ingest_rules: str | None
     programs: str | None
+    unobserved: bool | None
+    """True if no run of the experiment was observed in the session of that earlier execution."""
     executions: int
     failed: int
     started: datetime
@@ -129,6 +136,7 @@ CAUSES = """
 SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
        CASE WHEN worth = 1 THEN best.ingest_rules END AS was_rules, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
        CASE WHEN worth = 1 THEN ingest_rules END AS ingest_rules, CASE WHEN worth = 2 THEN programs END AS programs,
+       CASE WHEN worth = 2 THEN best.unobserved END AS unobserved,
        count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
        min(lamport) AS lamport, arg_min(execution, lamport) AS execution, arg_min(run, lamport) AS run,
        arg_min(best.prior, lamport) AS prior
@@ -219,6 +227,7 @@ def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
             "duplicates",
             "stale_sessions",
             "imported_sessions",
+            "observations",
         )
     )
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": RULES, "programs": PROGRAMS, "good": REUSED})
@@ -329,17 +338,21 @@ def _why(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Reason:
             return Reason(ChangeReason.RULES, _lines(other_rules(snapshot, [row.was_rules or ""], [row.ingest_rules or ""])))
         case ChangeReason.PROGRAMS:
             if row.was_programs == row.programs:
-                return Reason(ChangeReason.PROGRAMS, other_files(snapshot, row.session))
+                if row.unobserved:
+                    return Reason(ChangeReason.UNOBSERVED, changed_files(snapshot, row.session))
+                return Reason(
+                    ChangeReason.PROGRAMS, f"files that they used have changed: {changed_files(snapshot, row.session)}"
+                )
             programs = other_programs(snapshot, [row.was_programs or ""], [row.programs or ""])
             return Reason(ChangeReason.PROGRAMS, _lines(programs))
         case _:
             return Reason(ChangeReason.JUST_EXECUTED, short(row.prior or ""))
 
 
-def other_files(snapshot: Snapshot, session: str) -> str:
-    """Return the files, used by earlier executions, that had changed when a session began."""
+def changed_files(snapshot: Snapshot, session: str) -> str:
+    """Return the files, used by observed earlier executions, that had changed when a session began."""
     paths = snapshot.values(str, "SELECT DISTINCT path FROM stale_sessions WHERE session = $s ORDER BY 1", s=session)
-    return f"files that they used have changed: {few(paths, SHOWN)}"
+    return few(paths, SHOWN)
 
 
 def _lines(changes: Iterator[Difference]) -> str:

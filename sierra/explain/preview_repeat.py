@@ -9,9 +9,9 @@ from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution import resolve_plan, targets
 from sierra.execution.build.state import BuildState
-from sierra.execution.dry_run import forecast
+from sierra.execution.dry_run import forecast, has_other_files
 from sierra.execution.plan import Plan
-from sierra.execution.reasons import ChangeReason, Reason
+from sierra.execution.reasons import Reason
 from sierra.explain.plan_changes import PlanChange
 from sierra.explain.why_new_runs import other_programs, why_other
 from sierra.query.query_request import repeated
@@ -46,7 +46,7 @@ def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[s
     if plan.batch.id != batch:
         return NextRun(batch, other_batch=plan.batch.id, differences=why_other(plan, store, batch), build=plan.build)
     reasons = forecast(plan, store, runs).reasons
-    programs = other_programs(plan, store) if reasons[Reason(ChangeReason.PROGRAMS)] else ()
+    programs = other_programs(plan, store) if has_other_files(reasons) else ()
     return NextRun(
         batch,
         differences=programs,

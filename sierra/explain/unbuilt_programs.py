@@ -10,7 +10,7 @@ from sierra.errors import NotFound
 from sierra.execution import row_queries
 from sierra.execution.plan import Plan
 from sierra.model import IN_PROJECT
-from sierra.provenance import source
+from sierra.provenance import referenced_files, source
 from sierra.provenance.compiled_languages import is_code, is_compiled
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -63,7 +63,11 @@ def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
     with store.snapshot() as snapshot:
         found = snapshot.select(Before, BEFORE, tree=plan.source.tree)
         recorded = {one.name: one.sha256 for one in row_queries.programs(snapshot, [before.programs for before in found])}
-    same = [name.removeprefix(IN_PROJECT) for name, digest in used.items() if recorded.get(name) == digest]
+    variables = plan.batch.spec.environment
+    built = {name for name, digest in used.items() if recorded.get(name, digest) != digest}
+    found_by_path = {name for name in used if referenced_files.is_in_library_folder(name, variables)}
+    left = used.keys() - found_by_path if built & found_by_path else used.keys()  # a build makes only what depends on an edit
+    same = [name.removeprefix(IN_PROJECT) for name, digest in used.items() if name in left and recorded.get(name) == digest]
     changed = list(_changed(found, plan.source.manifest, store)) if same else []
     if changed:
         yield (

@@ -142,17 +142,17 @@ def _template(plan: Plan, before: Recorded) -> PlanChange:
 
 
 LAST_PROGRAMS = """
-SELECT arg_max(programs, lamport) FROM executions JOIN batch_runs USING (run)
-WHERE batch_runs.batch = $batch AND purpose = 'run'
+SELECT programs FROM executions SEMI JOIN asked USING (run) WHERE purpose = 'run' ORDER BY lamport DESC LIMIT 1
 """
 
 
 def other_programs(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
-    """Return the programs that differ from those of the batch's last execution."""
+    """Return the programs that differ from those of the last execution of the plan's runs, which other batches may have too."""
     words = mentioned(plan.batch.spec.words, plan.project.root)
     with store.snapshot() as snapshot:
         stale = stale_sessions.find(plan, snapshot)
-        last = [one for one in snapshot.values(str, LAST_PROGRAMS, batch=plan.batch.id) if one]
+        snapshot.add_table("asked", run=(run.id for run in plan.batch.runs))
+        last = snapshot.values(str, LAST_PROGRAMS)
         recorded = Programs(tuple(row.program() for row in row_queries.programs(snapshot, last)))
         used = row_queries.used_distributions(snapshot, last)
     lines = [

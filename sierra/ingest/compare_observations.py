@@ -6,6 +6,7 @@ of its own of the same kind (folder and ending), nothing is reported, unless the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
@@ -14,6 +15,8 @@ from sierra.util.hashing import short
 from sierra.util.text import few
 
 NAMED = 3
+TRACER = re.compile("(?:^|; )strace: ")
+"""The beginning of the reason why the tracer cannot be used, as the worker writes it."""
 SEEN = """
 WITH seen AS (
     SELECT DISTINCT m.ordinal, e.run, e.execution, e.status = 'ok' AND o.reason IS NULL AS complete, o.files
@@ -76,6 +79,21 @@ def incomplete(reasons: Iterable[str]) -> Iterator[str]:
     """Yield a warning with the reasons why no observation of a session is complete."""
     if why := list(reasons):
         yield f"no run was observed completely, so each edit of the source executes all runs again: {few(why, 1)}"
+
+
+def why_untraced(reason: str) -> Iterator[str]:
+    """Yield the end of an observation's reason if it says why the tracer cannot be used."""
+    if found := TRACER.search(reason):
+        yield reason[found.end() :]
+
+
+def untraced(reasons: Iterable[str]) -> Iterator[str]:
+    """Yield a note if runs could not be observed by a tracer, with the reasons."""
+    if why := list(reasons):
+        yield (
+            f"runs are observed only in part, because {few(why, 1)}: changes of data and scripts outside the project are not "
+            "noticed; sierra doctor says what is needed"
+        )
 
 
 def _changed(snapshot: Snapshot, session: str) -> Iterator[str]:

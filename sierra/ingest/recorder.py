@@ -113,6 +113,8 @@ class Recorder:
         """The reasons why observations by a tracer are incomplete."""
         self._complete = False
         """True if an observation is complete."""
+        self._untraced: dict[str, None] = {}
+        """The reasons why runs could not be observed by a tracer."""
         self._astray: set[str] = set()
         """The files that executions wrote, but not among their outputs."""
         self._left_nothing = False
@@ -249,6 +251,7 @@ class Recorder:
         unseen = [
             *compare_observations.changed_meanwhile(self._reasons),
             *compare_observations.incomplete(() if self._complete else self._reasons),
+            *compare_observations.untraced(self._untraced),
         ]
         return [
             *self._twice(),
@@ -332,6 +335,8 @@ class Recorder:
                 self._complete = True
             elif one.observation.method == TRACED:
                 self._reasons[one.observation.reason] = None
+            else:
+                self._untraced |= dict.fromkeys(compare_observations.why_untraced(one.observation.reason))
         sets = {one.observation.files: one.read for one in found if one.observation.files not in self._file_sets}
         writer.records(row for rows in sets.values() for row in rows)
         new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}

@@ -1,7 +1,8 @@
 """Files outside the source that a command, a variable or a template names; they are fingerprinted like programs.
 
 Such files are ignored by git, or lie outside the project, possibly through a link. A command or a variable names a file or a
-folder by `{project}/…` (for a folder, all its files are included), and a file by its absolute path. A template names a file if
+folder by `{project}/…`, and a file by its absolute path. Of a folder, all files are included; but if a variable is a search
+path of libraries, only libraries are, because a build leaves logs and caches beside them. A template names a file if
 one of its attributes or texts is the file's path. The path may be absolute, or relative to the project's root, to the
 template's folder, or to a folder that the template also names (`meshdir`). A named file that is itself a model or a
 configuration is searched in the same way.
@@ -13,7 +14,7 @@ import html
 import itertools
 import os
 import re
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -21,6 +22,10 @@ from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
 
+LIBRARY = re.compile(r".*\.so(?:\.\d\w*)*")
+"""The names of shared libraries, such as `libssl.so.1.0.2k`."""
+LIBRARY_PATHS = ("ARGOS_PLUGIN_PATH",)
+"""Variables of runs that are search paths: programs use only libraries in the folders that they name."""
 MAX_LENGTH = 4096
 MAX_SIZE = 10**9
 """Maximum size in bytes of a file that a template names; larger files are not hashed."""
@@ -33,20 +38,38 @@ TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
 
 
 def files(
-    words: Iterable[str], root: Path, source: Container[bytes], texts: Programs = NOTHING, project: Path | None = None
+    words: Iterable[str],
+    root: Path,
+    source: Container[bytes],
+    texts: Programs = NOTHING,
+    project: Path | None = None,
+    *,
+    searched: Iterable[str] = (),
 ) -> Programs:
     """Return the files that the words of a command and the values of variables name, and those in `texts`.
 
     `texts` has the files that were already found in the template. The code lies in `root`. Paths outside it
-    (`{project}/../data`) are relative to the user's `project`.
+    (`{project}/../data`) are relative to the user's `project`. `searched` are the values of search paths of libraries.
     """
     found, digests = {}, HashCache()
-    for word in words:
-        for path in _named(word.replace(f"{root}/", IN_PROJECT), root, (project or root).resolve()):
-            if not _holds(source, path, root):
-                found[str(path)] = _file(path, root, digests)
+    named = _files_of(words, root, project or root)
+    libraries = (path for path in _files_of(searched, root, project or root) if LIBRARY.fullmatch(path.name))
+    for path in itertools.chain(named, libraries):
+        if not _holds(source, path, root):
+            found[str(path)] = _file(path, root, digests)
     digests.save()
     return Programs((*found.values(), *(one for one in texts.all if one.path not in found)), texts.notes)
+
+
+def _files_of(words: Iterable[str], root: Path, project: Path) -> Iterator[Path]:
+    for word in words:
+        yield from _named(word.replace(f"{root}/", IN_PROJECT), root, project.resolve())
+
+
+def is_in_library_folder(name: str, variables: Mapping[str, str]) -> bool:
+    """Check whether a file (`{project}/…`) is below a folder of the project that a search path of libraries names."""
+    searched = (folder for variable in LIBRARY_PATHS for folder in re.split("[:;,=]", variables.get(variable, "")))
+    return any(name.startswith(f"{folder.rstrip('/')}/") for folder in searched if folder.startswith(IN_PROJECT))
 
 
 def _named(word: str, root: Path, project: Path) -> Iterator[Path]:

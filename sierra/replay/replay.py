@@ -273,6 +273,7 @@ class _Replaying:
             times=expected_durations.recorded(self._store, [one.run for one in rest]) if timed else None,
             doubt=lambda: service.doubt(unchanged),
             kept=self._kept,
+            experiments={one.ordinal for one in rest},
         )
         interrupted = bool(followed and followed.interrupted) or session.paths.cancelled.exists()
         return _Executed(tally, made | {run: one.execution for run, one in earlier.items()}, earlier, interrupted)

@@ -58,7 +58,9 @@ class UsedFiles:
         if self.observed == self.executions:
             return "and the files that runs read, are the same; but programs, libraries or other files may be found elsewhere"
         rest = (
-            f"only {self.observed} of {self.executions} runs was observed" if self.observed else "these runs were not observed"
+            f"only {self.observed} of {self.executions} runs {'was' if self.observed == 1 else 'were'} observed"
+            if self.observed
+            else "these runs were not observed"
         )
         return f"and the files that observed runs used, are the same; {rest}: what else was loaded was not recorded"
 

@@ -192,6 +192,8 @@ def record(job: Job) -> worker.Job:
         record["observe"] = dict(job.observe)
         if job.budget is not None:
             record["budget"] = job.budget
+        if job.affordable is not None:
+            record["affordable"] = job.affordable
         if job.helps is not None:
             record["helps"] = {"tracer": job.helps.tracer, "digests": job.helps.digests}
     return record

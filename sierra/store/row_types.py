@@ -526,9 +526,9 @@ class StaleSessionRow(NamedTuple):
 
 
 class ReusedExecutionRow(NamedTuple):
-    """Executions that a session reused although the source or the programs differ, because no file that they used has changed.
+    """Executions that a session reused although something has changed, because no file that they used has.
 
-    Each of them was observed: files_read has the files. What differs is in unused_changes.
+    Each of them, or others of its experiment, were observed: files_read has the files. What differs is in unused_changes.
     """
 
     session: Annotated[str, "the session that reused it"]
@@ -542,7 +542,7 @@ class UnusedChangeRow(NamedTuple):
     session: Annotated[str, "the session that reused the executions"]
     spec: Annotated[str, "the run specification of the executions"]
     programs: Annotated[str, "the programs of the executions"]
-    name: Annotated[str, "the file in the project ({project}/…), or the program as in programs"]
+    name: Annotated[str, "the file as in files_read, or the program as in programs"]
 
 
 class FileWrittenRow(NamedTuple):

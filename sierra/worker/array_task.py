@@ -110,6 +110,7 @@ if TYPE_CHECKING:
         observe: Mapping[str, str]
         """Not in the common job; nor is the budget."""
         budget: float
+        affordable: float
         end: int
         """The number of jobs; only in the last line."""
 

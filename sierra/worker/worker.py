@@ -202,7 +202,9 @@ class Job(Program):
     ahead: NotRequired[float]
     """How many seconds this host's clock may be ahead of that of a file system with files that the run uses."""
     budget: NotRequired[float]
-    """The part of the runs' time that observations may take; the run is not observed if this would take more."""
+    """The run is in a sample: the part of the runs' time that observations of the sample may take."""
+    affordable: NotRequired[float]
+    """The run is observed if this takes at most so many times the mean time of a run, and while no run has ended."""
     helps: NotRequired[Helps]
     waits: NotRequired[bool]
     """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`.
@@ -1124,13 +1126,13 @@ class Worker:
 
     def observe(self, job: Job, folder: str) -> Observation | None:
         """Begin to observe a run, if that is requested and takes no more time than it may."""
-        if "observe" not in job or "client" in job or not self.account.allows(job.get("budget")):
+        if "observe" not in job or "client" in job or not self.account.allows(job.get("budget"), job.get("affordable")):
             return None
         began = time.monotonic()
         with self.observing:
             way, self.unusable = file_trace().gentle() if job.get("waits") else self.way(job.get("helps"))
         observation = way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
-        self.account.charge(time.monotonic() - began)
+        self.account.charge(time.monotonic() - began, sampled="budget" in job)
         return observation
 
     def way(self, helps: Helps | None) -> tuple[Way | None, tuple[str, ...]]:
@@ -1180,7 +1182,8 @@ class Worker:
             return False, disturbed
         finally:
             unlink(running.folder + TRACE)
-            self.account.charge(time.monotonic() - began + TRACED_S + traced * BYTE_S, observations=1)
+            took = time.monotonic() - began + TRACED_S + traced * BYTE_S
+            self.account.charge(took, observations=1, sampled="budget" in job)
         return True, disturbed
 
     def contents(self, job: Job, trace: Trace, names: Names, began: int) -> Contents:
@@ -1987,26 +1990,34 @@ class Account:
     """The time that runs have taken, and that their observation has taken, in seconds, in all slots together."""
 
     def __init__(self) -> None:
-        self._ran = self._spent = 0.0
-        self._observations = 0
+        self._ran = self._spent = self._sampled = 0.0
+        self._runs = self._observations = 0
         self._lock = threading.Lock()
 
     def add(self, wall: float) -> None:
         """Add a run."""
         with self._lock:
             self._ran += wall
+            self._runs += 1
 
-    def charge(self, seconds: float, observations: int = 0) -> None:
-        """Add time that was spent on observations, and so many of them that have ended."""
+    def charge(self, seconds: float, observations: int = 0, *, sampled: bool = False) -> None:
+        """Add time that was spent on observations (`sampled`: of the sample), and so many of them that have ended."""
         with self._lock:
             self._spent += seconds
+            self._sampled += seconds if sampled else 0.0
             self._observations += observations
 
-    def allows(self, part: float | None) -> bool:
-        """Return whether all observations and one more, as long as the others, take at most this part of the runs' time."""
+    def allows(self, part: float | None = None, times: float | None = None) -> bool:
+        """Return whether one more observation, as long as the others, is allowed.
+
+        With `part`: if it and those of the sample take at most this part of the runs' time. With `times`: if it takes at most
+        so many times the mean time of a run; while no run has ended, each slot may observe one.
+        """
         with self._lock:
             one = self._spent / self._observations if self._observations else UNKNOWN_S
-            return part is None or self._spent + one <= part * self._ran
+            if part is not None:
+                return self._sampled + one <= part * self._ran
+            return times is None or one * self._runs <= times * self._ran
 
 
 class Hashes:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from sierra.execution.observation.current_files import Current, located
 from sierra.store.store import Snapshot
 
+PROJECT = "{project}"
 TABLES = ("executions", "observations", "files_read", "listings", "files_written", "environments")
 NAMES = "SELECT DISTINCT files FROM files_read SEMI JOIN needed USING (files)"
 FILES = "SELECT DISTINCT path, use, sha256 FROM files_read SEMI JOIN needed USING (files) ORDER BY ALL"
@@ -41,6 +42,10 @@ class UsedFile(NamedTuple):
     use: str
     """As in the table `files_read`."""
     sha256: str | None
+
+    @property
+    def is_in_project(self) -> bool:
+        return self.path == PROJECT or self.path.startswith(f"{PROJECT}/")
 
 
 class _Member(NamedTuple):

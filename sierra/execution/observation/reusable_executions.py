@@ -4,14 +4,15 @@ Such an execution was observed from its beginning to its end, and it has asked n
 read files for it. Its run has the command, input and seed of the run in the plan; only the source may be another one.
 Everything that it executed, read, listed, found or missed is still the same.
 
-An execution that was not observed never counts for another source, because nobody knows what it has read. It counts with
-other installed distributions of Python if all observed executions of its experiment, in its session, still count.
+An execution that was not observed never counts for another source, because nobody knows what it has read. Observed executions
+of its session with its experiment or its seed stand for it: if they still count, then it counts although a file of another
+experiment has changed, and with other installed distributions of Python or other files in folders of libraries.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from sierra.execution.observation.current_files import Current
 from sierra.execution.observation.unchanged_files import unchanged
 from sierra.execution.plan import Plan, context
 from sierra.model import RunSpec
-from sierra.provenance import source
+from sierra.provenance import referenced_files, source
 from sierra.provenance.dependency_model import Kind, Programs
 from sierra.store.row_types import UnusedChangeRow
 from sierra.store.store import Snapshot, Store
@@ -54,7 +55,12 @@ class _Inheriting(NamedTuple):
     run: str
     execution: str
     programs: str
+    observed: bool
+    """True if a run of its experiment was observed completely."""
+    complete: bool
+    """True if all observed executions that stand for it were observed completely, and asked no daemon."""
     sets: list[str]
+    """The sets of files that these executions used."""
 
 
 CANDIDATES = """
@@ -81,20 +87,33 @@ execution that was reused before may have been removed.
 """
 INHERITING = """
 WITH mine AS (
-    SELECT s.run, e.execution, e.session, e.programs, e.lamport, m.batch, m.ordinal
+    SELECT s.run, e.execution, e.session, e.programs, e.lamport, m.batch, m.ordinal, m.seed
     FROM sought s JOIN executions e USING (run) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
     ANTI JOIN imported_sessions i ON i.session = e.session
-    WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND e.programs <> $programs
+    WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules
+    AND (e.programs <> $programs OR list_contains($stale, e.session))
     AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0)
 ),
-sets AS (
-    SELECT e.session, m.batch, m.ordinal, list(DISTINCT o.files ORDER BY o.files) AS sets
+seen AS (
+    SELECT e.session, m.batch, m.ordinal, m.seed, o.files, o.reason IS NULL AND e.status = 'ok' AS good,
+           o.reason IS NULL AND len(o.notes) = 0 AS complete
     FROM observations o JOIN executions e USING (execution) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
-    WHERE e.purpose = 'run' GROUP BY ALL HAVING max(len(o.notes)) = 0 AND count(o.reason) = 0
+    WHERE e.purpose = 'run'
+),
+same_experiment AS (
+    SELECT session, batch, ordinal, bool_or(good) AS observed, bool_and(complete) AS complete, list(DISTINCT files) AS sets
+    FROM seen GROUP BY ALL
+),
+same_seed AS (
+    SELECT session, batch, seed, bool_and(complete) AS complete, list(DISTINCT files) AS sets FROM seen GROUP BY ALL
 )
-SELECT m.run, m.execution, m.programs, s.sets FROM mine m JOIN sets s USING (session, batch, ordinal) ORDER BY m.run, m.lamport
+SELECT m.run, m.execution, m.programs, coalesce(x.observed, false) AS observed,
+       coalesce(x.complete, false) AND coalesce(s.complete, true) AS complete,
+       list_sort(list_distinct(list_concat(coalesce(x.sets, []), coalesce(s.sets, [])))) AS sets
+FROM mine m LEFT JOIN same_experiment x USING (session, batch, ordinal) LEFT JOIN same_seed s USING (session, batch, seed)
+ORDER BY m.run, m.lamport
 """
-"""Executions that were not observed, with the sets of files of the observed ones of their experiments and sessions."""
+"""Executions that were not observed, with the sets of files of the observed ones of their sessions that stand for them."""
 TABLES = (
     "batch_runs",
     "reused_executions",
@@ -106,12 +125,18 @@ TABLES = (
 )
 
 
-def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reusable]:
-    """Return the executions that count for these runs of the plan, by run."""
+def find(
+    plan: Plan, snapshot: Snapshot, runs: Collection[str], stale: Collection[str]
+) -> tuple[dict[str, Reusable], frozenset[str]]:
+    """Return the executions that count for these runs of the plan, by run; and the runs of experiments that were not observed.
+
+    `stale` are the sessions whose executions do not count of themselves.
+    """
+    nothing: tuple[dict[str, Reusable], frozenset[str]] = ({}, frozenset())
     if not runs or plan.image is not None or plan.checkout is not None or plan.batch.spec.robots is not None:
-        return {}  # an image covers the programs; neither a checkout nor a robot has the current files here
+        return nothing  # an image covers the programs; neither a checkout nor a robot has the current files here
     if not snapshot.holds("observations"):
-        return {}
+        return nothing
     snapshot.views.make(TABLES)
     wanted = set(runs)
     sought = [run for run in {run.id: run for run in plan.batch.runs}.values() if run.id in wanted]
@@ -135,14 +160,29 @@ def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reu
     current = plan_files.current(plan)
     same = _unchanged(current, snapshot, {row.files for row in rows})
     found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
-    return found if len(found) == len(sought) else {**_inherited(plan, current, snapshot), **found}
+    if len(found) == len(sought):
+        return found, frozenset()
+    if any(one.shared for one in plan.batch.spec.around.services):
+        stale = ()  # such a service may have read a file for any run, whichever run was observed then
+    inherited, unobserved = _inherited(plan, current, snapshot, stale)
+    return {**inherited, **found}, unobserved - found.keys()
 
 
-def _inherited(plan: Plan, current: Current, snapshot: Snapshot) -> dict[str, Reusable]:
-    """Return executions of the sought runs that were not observed, and that count because those of their session do."""
-    rows = _inheriting(plan, snapshot)
-    same = _unchanged(current, snapshot, {files for row in rows for files in row.sets})
-    return {row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in rows if same.issuperset(row.sets)}
+def _inherited(
+    plan: Plan, current: Current, snapshot: Snapshot, stale: Collection[str]
+) -> tuple[dict[str, Reusable], frozenset[str]]:
+    """Return executions of the sought runs that were not observed, and that count because others that stand for them do.
+
+    Return also the runs for which no execution stands.
+    """
+    rows = _inheriting(plan, snapshot, stale)
+    complete = [row for row in rows if row.observed and row.complete]
+    same = _unchanged(current, snapshot, {files for row in complete for files in row.sets})
+    found = {
+        row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in complete if same.issuperset(row.sets)
+    }
+    observed = {row.run for row in rows if row.observed}
+    return found, frozenset({row.run for row in rows} - observed)
 
 
 def _unchanged(current: Current, snapshot: Snapshot, sets: Collection[str]) -> set[str]:
@@ -152,14 +192,13 @@ def _unchanged(current: Current, snapshot: Snapshot, sets: Collection[str]) -> s
     return unchanged(file_sets.load(snapshot, sets), current)
 
 
-def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:
-    """Return executions of the sought runs that were not observed, with programs that differ only in Python's distributions."""
-    rows = snapshot.select(_Inheriting, INHERITING, ingest_rules=context(plan).ingest_rules, programs=plan.programs.id)
-    now = _without_distributions(plan.programs)
+def _inheriting(plan: Plan, snapshot: Snapshot, stale: Collection[str]) -> list[_Inheriting]:
+    """Return executions of the sought runs that were not observed, with programs that differ only in what few runs load."""
+    parameters = {"ingest_rules": context(plan).ingest_rules, "programs": plan.programs.id, "stale": sorted(stale)}
+    rows = snapshot.select(_Inheriting, INHERITING, **parameters)
+    now = _certain(plan, plan.programs)
     alike = {
-        programs
-        for programs in {row.programs for row in rows}
-        if _without_distributions(_recorded_programs(snapshot, programs)) == now
+        programs for programs in {row.programs for row in rows} if _certain(plan, _recorded_programs(snapshot, programs)) == now
     }
     return [row for row in rows if row.programs in alike]
 
@@ -168,8 +207,15 @@ def _recorded_programs(snapshot: Snapshot, programs: str) -> Programs:
     return Programs(tuple(row.program() for row in row_queries.programs(snapshot, [programs])))
 
 
-def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
-    return {(one.called, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
+def _certain(plan: Plan, programs: Programs) -> set[tuple[str, str]]:
+    """Return the programs that all runs use, and not what is only there to be loaded."""
+    variables = plan.batch.spec.environment
+    return {
+        (one.called, one.sha256)
+        for one in programs.all
+        if one.kind != Kind.DISTRIBUTIONS
+        and not (one.kind == Kind.FILE and referenced_files.is_in_library_folder(one.name, variables))
+    }
 
 
 def _kin(spec: RunSpec) -> dict[str, str | list[str] | None]:
@@ -194,12 +240,17 @@ def recorded(snapshot: Snapshot) -> dict[str, str]:
 
 
 SOURCE_FILES = """
-SELECT any_value(files) FROM sources WHERE tree = (SELECT source FROM specs WHERE spec = $spec)
+SELECT files FROM sources WHERE tree = (SELECT source FROM specs WHERE spec = $spec) ORDER BY files LIMIT 1
 """
 
 
-def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusable]) -> Iterator[UnusedChangeRow]:
-    """Yield the files and programs that differ between reused executions and the plan, which the executions did not use."""
+def unused_changes(
+    plan: Plan, store: Store, session: str, found: Iterable[Reusable], stale: Mapping[str, str]
+) -> Iterator[UnusedChangeRow]:
+    """Yield the files and programs that differ between reused executions and the plan, which the executions did not use.
+
+    `stale`: the sessions whose executions do not count of themselves, each with a file that has changed.
+    """
     for spec, programs in sorted({(one.spec, one.programs) for one in found}):
         names: list[str] = []
         if spec != plan.batch.spec_id and plan.source is not None:
@@ -209,6 +260,8 @@ def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusa
         if programs != plan.programs.id:
             with store.snapshot() as snapshot:
                 names += _recorded_programs(snapshot, programs).unlike(plan.programs)
+        if not names:
+            names += sorted(set(stale.values()))
         for name in names[:MOST_CHANGES]:
             yield UnusedChangeRow(session, spec, programs, name)
 

@@ -1,26 +1,29 @@
 """Sessions whose executions used files that have changed since; their executions no longer count.
 
 Some executions of a session are observed: the store has the files that they used, with their content. The other executions of
-the session count only as long as these do, because they used the same programs.
+the session count only as long as these do, because they used the same programs. If a file of another experiment has changed, an
+execution may still count by what its own experiment used: see `sierra.execution.observation.reusable_executions`.
+
+An experiment of which no run was observed completely may have used other files than observed runs. Its executions count only
+as long as no file outside the project that these used has changed at all, even if the change is harmless to them.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Collection, Iterable, Mapping, Set
 from typing import NamedTuple
 
 from sierra.execution.observation import file_sets, plan_files
 from sierra.execution.observation.current_files import Current
-from sierra.execution.observation.file_sets import FileSets, UsedFile
-from sierra.execution.observation.unchanged_files import changes, found_differently
+from sierra.execution.observation.file_sets import PROJECT, FileSets, UsedFile
+from sierra.execution.observation.unchanged_files import compare, found_differently
 from sierra.execution.plan import Plan
 from sierra.provenance import source
 from sierra.store.store import Snapshot
-from sierra.util.text import few
+from sierra.util.text import counted, few
 
 NAMED = 3
-PROJECT = "{project}"
 
 
 class _Set(NamedTuple):
@@ -54,6 +57,17 @@ WRITTEN = """
 SELECT DISTINCT e.session, w.path FROM files_written w JOIN all_judgements e ON e.execution = w.execution
 WHERE list_contains($sessions, e.session)
 """
+OBSERVED = """
+SELECT DISTINCT e.session, m.batch, m.ordinal
+FROM observations o JOIN executions e USING (execution) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
+WHERE o.reason IS NULL AND e.status = 'ok' AND e.purpose = 'run'
+"""
+"""Experiments of which a session observed a successful run completely."""
+UNOBSERVED = f"""
+SELECT DISTINCT e.session FROM all_judgements e LEFT JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
+ANTI JOIN ({OBSERVED}) o ON o.session = e.session AND o.batch = m.batch AND o.ordinal = m.ordinal
+WHERE list_contains($sessions, e.session) AND e.programs = $programs AND e.status = 'ok' AND e.purpose = 'run'
+"""  # noqa: S608 - of our own parts
 PATHS = """
 SELECT environment, json_extract_string(variables, '$.PATH') AS search FROM environments
 WHERE list_contains($environments, environment)
@@ -69,17 +83,27 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
         return {}
     found, current = file_sets.load(snapshot, {one.files for one in sets}), plan_files.current(plan)
     written = _written(snapshot, {one.session for one in sets}) if snapshot.holds("files_written") else set()
-    changed = changes(found, current)
+    compared = compare(found, current)
     elsewhere = _elsewhere(plan, snapshot, sets, found, current)
     committed = source.paths(plan.source.manifest) if plan.source else None
     stale: dict[str, str] = {}
     for one in sets:
-        for file in changed.get(one.files, ()):
+        for file in compared.counting.get(one.files, ()):
             if (one.session, file.path) not in written and _counts(plan, one, file, committed):
                 stale.setdefault(one.session, file.path)
         if path := elsewhere.get((one.files, one.environment)):
             stale.setdefault(one.session, path)
-    return stale
+    others = {one.session: compared.harmless[one.files][0].path for one in sets if one.files in compared.harmless}
+    unobserved = _unobserved(plan, snapshot, others.keys() - stale.keys())
+    return {**stale, **{session: others[session] for session in unobserved}}
+
+
+def _unobserved(plan: Plan, snapshot: Snapshot, sessions: Collection[str]) -> set[str]:
+    """Return those of these sessions with executions of an experiment of which they observed no run completely."""
+    if not sessions:
+        return set()
+    snapshot.views.make(("executions", "batch_runs"))
+    return set(snapshot.values(str, UNOBSERVED, sessions=sorted(sessions), programs=plan.programs.id))
 
 
 def _written(snapshot: Snapshot, sessions: Iterable[str]) -> set[tuple[str, str]]:
@@ -92,7 +116,7 @@ def _counts(plan: Plan, one: _Set, file: UsedFile, committed: Set[bytes] | None)
 
     `committed` are these files; None for a recorded batch.
     """
-    if file.path != PROJECT and not file.path.startswith(f"{PROJECT}/"):
+    if not file.is_in_project:
         return True
     if plan.checkout is not None:
         own = committed is None or os.fsencode(file.path.removeprefix(f"{PROJECT}/")) in committed
@@ -130,4 +154,12 @@ def reason(stale: Mapping[str, str]) -> str:
     """Return the reason why executions of these sessions do not count."""
     return (
         f"earlier executions do not count, because files that they used have changed: {few(sorted(set(stale.values())), NAMED)}"
+    )
+
+
+def unobserved_reason(runs: int) -> str:
+    """Return the reason why so many runs execute again although it is not known that they used a file that has changed."""
+    return (
+        f"{counted(runs, 'run')} execute again because their experiments were not observed: "
+        "nobody knows whether they used what has changed"
     )

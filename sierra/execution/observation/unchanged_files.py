@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 
 from sierra.execution.observation import shared_libraries
 from sierra.execution.observation.current_files import Current, is_same, located
@@ -17,16 +18,27 @@ FOUND_ELSEWHERE = "found elsewhere"
 LOADED = ("read", "executed", "linked", "link")
 
 
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Files that have changed, by the set of files that they belong to; sets without any are left out."""
+
+    counting: Mapping[str, list[UsedFile]]
+    harmless: Mapping[str, list[UsedFile]]
+    """Files outside the project whose change could have had no effect on executions that used just these files."""
+
+
 def unchanged(sets: FileSets, current: Current) -> set[str]:
     """Return the sets in which every file has the same content, nothing that was missed has come, and programs are found."""
     return set(sets.names) - changes(sets, current).keys() - with_other_programs(sets, current)
 
 
-def changes(sets: FileSets, current: Current) -> dict[str, list[UsedFile]]:
-    """Return the files of each set that have changed; sets without any are left out.
+def changes(sets: FileSets, current: Current) -> Mapping[str, list[UsedFile]]:
+    """Return the files of each set whose change counts, as `compare` does."""
+    return compare(sets, current).counting
 
-    Not compared is whether the search path finds the same programs.
-    """
+
+def compare(sets: FileSets, current: Current) -> Changes:
+    """Return the files of each set that have changed. Not compared is whether the search path finds the same programs."""
     cache = HashCache()
     folders = ListedFolders(sets, current)
     changed, doubtful = [], []
@@ -40,26 +52,28 @@ def changes(sets: FileSets, current: Current) -> dict[str, list[UsedFile]]:
         elif not _is_same(one, current, cache):
             changed.append(one)
     cache.save()
-    found = sets.having(changed)
-    for name, file in _changed_for(sets, current, folders, doubtful):
-        found.setdefault(name, []).append(file)
-    return found
+    found, harmless = sets.having(changed), dict[str, list[UsedFile]]()
+    for name, file, counts in _changed_for(sets, current, folders, doubtful):
+        if counts or not file.is_in_project:
+            (found if counts else harmless).setdefault(name, []).append(file)
+    return Changes(found, harmless)
 
 
 def _changed_for(
     sets: FileSets, current: Current, folders: ListedFolders, doubtful: Collection[UsedFile]
-) -> Iterator[tuple[str, UsedFile]]:
-    """Yield the sets for which a change of these files counts, which depends on the other files of the set."""
+) -> Iterator[tuple[str, UsedFile, bool]]:
+    """Yield the sets with these files, and whether a change of the file counts, which depends on the other files of the set."""
     loader = shared_libraries.LoaderCache()
     having = sets.having(doubtful)
     members = sets.members(having)
     for name, files in having.items():
         for one in files:
             if one.use == "listed":
-                if not folders.is_harmless(one, members[name]):
-                    yield name, one
+                yield name, one, not folders.is_harmless(one, members[name])
             elif path := loader.found_elsewhere(located_paths(members[name], current, *LOADED)):
-                yield name, UsedFile(path, FOUND_ELSEWHERE, None)
+                yield name, UsedFile(path, FOUND_ELSEWHERE, None), True
+            else:
+                yield name, one, False
 
 
 def _is_same(one: UsedFile, current: Current, cache: HashCache) -> bool:

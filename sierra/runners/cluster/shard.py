@@ -206,6 +206,8 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
         record["observe"] = dict(job.observe)
         if job.budget is not None:
             record["budget"] = job.budget
+        if job.affordable is not None:
+            record["affordable"] = job.affordable
     return record
 
 

@@ -329,6 +329,7 @@ class Robots:
             client=robot.container.client(placed.argv, variables, waits=True) if robot.container else None,
             observe=robot.folders() if job.observe is not None else None,
             budget=None,
+            affordable=None,
             helps=None,
             members=(),
         )

@@ -68,7 +68,7 @@ def sql(root: Path, statement: str) -> list[dict[str, Any]]:
     return found
 
 
-@pytest.mark.parametrize(("observe", "count", "runner"), [("first", 1, "slurm"), ("all", 4, "slurm"), ("first", 1, "pbs")])
+@pytest.mark.parametrize(("observe", "count", "runner"), [("first", 2, "slurm"), ("all", 4, "slurm"), ("first", 2, "pbs")])
 def test_runs_on_nodes_have_the_same_set_of_files_as_local_ones(
     tmp_path: Path, slurm: Slurm, require: Callable[..., str], observe: str, count: int, runner: str
 ) -> None:

@@ -100,7 +100,7 @@ def test_the_distributions_that_an_execution_used_are_recorded(root: Path) -> No
     unused = root.parent / "one" / "bin" / "unused"
     unused.write_text("")
     run(root, "one")
-    assert sql(root, "SELECT distributions FROM observations") == [{"distributions": ["swarms==1.5"]}]
+    assert sql(root, "SELECT DISTINCT distributions FROM observations") == [{"distributions": ["swarms==1.5"]}]
 
 
 def test_a_changed_package_executes_all_runs_again(root: Path) -> None:

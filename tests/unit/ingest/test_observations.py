@@ -100,7 +100,7 @@ def test_a_batch_without_a_complete_observation_says_so(root: Path) -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize(("setting", "count"), [("first", 1), ("none", 0), ("all", 4)])
+@pytest.mark.parametrize(("setting", "count"), [("first", 2), ("none", 0), ("all", 4)])
 def test_the_setting_decides_which_runs_are_observed(root: Path, setting: str, count: int) -> None:
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace('observe = "all"', f'observe = "{setting}"\nobserve_budget = 0'))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from fractions import Fraction
 from itertools import pairwise
@@ -1081,6 +1081,47 @@ def test_runs_execute_again_if_a_library_that_git_ignores_is_rebuilt(tmp_path: P
         return count
 
     assert [executed("one"), executed("one"), executed("two")] == [1, 0, 1]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("name", "counts"), [("libforaging.so.1.2", True), ("CMakeFiles/output.log", False), ("x.so.o", False)]
+)
+def test_of_a_folder_of_libraries_only_libraries_count(tmp_path: Path, name: str, counts: bool) -> None:
+    """The runs are not observed. A build leaves logs and object files beside the libraries."""
+    folder = argos_project(tmp_path / "p")
+    config = folder / "sierra.toml"
+    config.write_text(f'observe = "none"\n{config.read_text()}')
+    (folder / ".gitignore").write_text(".sierra\nbuild/\n")
+    projects.commit(folder)
+    file = folder / "build" / name
+    file.parent.mkdir(parents=True)
+    file.write_text("one")
+    query = ("population_size=1", "--runs", "1")
+    assert projects.run(folder, *query)[0]["executed"] == 1
+    file.write_text("two")
+    assert projects.run(folder, *query)[0]["executed"] == int(counts)
+
+
+@pytest.mark.integration
+def test_a_library_that_no_observed_run_loaded_does_not_count(tmp_path: Path, require: Callable[..., str]) -> None:
+    """Of two runs, only the first is observed; the second one counts because the first one does."""
+    require("strace")
+    folder = argos_project(tmp_path / "p")
+    config = folder / "sierra.toml"
+    config.write_text(f"observe_budget = 0\n{config.read_text()}")
+    (folder / ".gitignore").write_text(".sierra\nbuild/\n")
+    (folder / "sim.py").write_text(SEEN + "open(sys.argv[0].replace('sim.py', 'build/libloaded.so')).read()\n")
+    projects.commit(folder)
+    (folder / "build").mkdir()
+    for name in ("libloaded.so", "libother.so"):
+        (folder / "build" / name).write_text("one")
+    query = ("population_size=1", "--runs", "2")
+    assert projects.run(folder, *query)[0]["executed"] == 2
+    (folder / "build" / "libother.so").write_text("two")
+    assert projects.run(folder, *query)[0]["executed"] == 0
+    (folder / "build" / "libloaded.so").write_text("two")
+    assert projects.run(folder, *query)[0]["executed"] == 2
 
 
 # Physics engines and devices

@@ -82,16 +82,33 @@ def test_a_sampled_run_is_observed_only_within_the_budget(folder: Path, require:
     assert [end["execution"] for end in execute(folder, *jobs) if end.get("observed")] == ["first", "ample"]
 
 
+def test_the_first_run_of_an_experiment_is_observed_only_if_it_is_affordable(folder: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    jobs = [job("unknown", "true", affordable=0.0), job("dear", "true", affordable=0.0), job("cheap", "true", affordable=1e9)]
+    assert [end["execution"] for end in execute(folder, *jobs) if end.get("observed")] == ["unknown", "cheap"]
+
+
 def test_the_account_allows_one_more_observation_only_if_it_fits() -> None:
     account = Account()
     assert account.allows(None)
     assert not account.allows(1.0), "no run has ended yet"
     account.add(100.0)
-    account.charge(0.5)
-    account.charge(0.5, observations=1)
-    assert account.allows(0.02), "two observations take 2 of 100 seconds"
+    account.charge(7.0, observations=7)
+    account.charge(0.5, sampled=True)
+    account.charge(0.5, observations=1, sampled=True)
+    assert account.allows(0.02), "one observation of the sample, and one more, take 2 of 100 seconds"
     assert not account.allows(0.0199)
     assert account.allows(None)
+
+
+def test_the_account_compares_an_observation_with_the_mean_run() -> None:
+    account = Account()
+    assert account.allows(times=0.0), "no run has ended yet"
+    account.add(3.0)
+    account.add(5.0)
+    account.charge(2.0, observations=1)
+    assert account.allows(times=0.5)
+    assert not account.allows(times=0.499)
 
 
 def test_hashes_that_are_known_are_used_as_long_as_the_file_is_unchanged(folder: Path, require: Callable[..., str]) -> None:

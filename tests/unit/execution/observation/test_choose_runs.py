@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sierra.execution.observation.choose_runs import SAMPLED, is_sampled
+from sierra.execution.observation.choose_runs import ALWAYS, PART, SAMPLED, affordable, is_sampled
 from tests import projects
 
 AMPLE = 1e9
@@ -52,10 +53,34 @@ def test_the_first_run_of_each_experiment_and_the_whole_sample_are_observed_if_t
 
 
 @pytest.mark.nightly
-def test_without_a_budget_only_the_first_run_is_observed(tmp_path: Path, require: Callable[..., str]) -> None:
+def test_without_a_budget_the_first_run_of_each_experiment_is_observed(tmp_path: Path, require: Callable[..., str]) -> None:
     require("strace")
-    runs, _, seen, _ = batch_of(tmp_path, "observe_budget = 0")
-    assert seen == {runs[0]}
+    _, first, seen, _ = batch_of(tmp_path, "observe_budget = 0")
+    assert seen == set(first)
+
+
+def test_a_few_experiments_are_observed_whatever_it_takes() -> None:
+    assert affordable("a", range(ALWAYS), 10) == {}
+    assert len(affordable("a", range(100), 100)) == 100 - ALWAYS
+
+
+@pytest.mark.parametrize(
+    ("experiments", "runs", "cost"), [(100, 100, 0.4), (100, 1000, 0.4), (40, 40, 0.05), (1000, 1000, 0.01)]
+)
+def test_as_many_experiments_are_observed_as_fit_into_the_runs_time(experiments: int, runs: int, cost: float) -> None:
+    """`cost` is that of an observation, in units of the mean time of a run."""
+    dear = sum(times < cost for times in affordable("a", range(experiments), runs).values())
+    observed = experiments - dear
+    assert observed == experiments or observed == max(ALWAYS, int(PART * runs / cost))
+
+
+def test_the_batch_decides_which_experiments_come_first() -> None:
+    """The order does not depend on which experiments a worker executes, or on their order."""
+    one, other = (sorted(times, key=times.__getitem__) for times in (affordable(batch, range(50), 50) for batch in ("a", "b")))
+    assert one != other
+    assert affordable("a", range(49, -1, -1), 50) == affordable("a", range(50), 50)
+    some = affordable("a", one[:20], 20)
+    assert all(some[before] <= some[after] for before, after in itertools.pairwise(o for o in one if o in some))
 
 
 def test_a_negative_budget_is_an_error(tmp_path: Path) -> None:
