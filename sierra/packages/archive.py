@@ -72,16 +72,16 @@ class Content(Protocol):
         """Return a binary stream from the beginning of the content."""
 
 
-def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str] = ()) -> str:
+def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str] = (), scratch: Path | None = None) -> str:
     """Write a package with these members; return its id. The file appears complete or not at all.
 
-    `executable`: the names of programs. Raises Damaged for names that are not safe, Missing if the disk is full, UsageError if
-    the file exists.
+    `executable`: the names of programs. `scratch`: a folder of the same file system for the unfinished file. Raises Damaged for
+    names that are not safe, Missing if the disk is full, UsageError if the file exists.
     """
     members.check_names([*contents, MANIFEST])
     check_new(path)
     programs = frozenset(executable)
-    unfinished = unfinished_beside(path)
+    unfinished = scratch / path.name if scratch else unfinished_beside(path)
     with disk_errors(path.parent):
         try:
             with zipfile.ZipFile(unfinished, "x", allowZip64=True) as file:

@@ -128,7 +128,7 @@ def pack(
         if not agree(preview):
             return None
         programs = [name for name, member in members.items() if member.executable]
-        return Packed(path, archive.write(path, members, programs), preview)
+        return Packed(path, archive.write(path, members, programs, folder), preview)
 
 
 def check_needs(project: LoadedProject, path: Path, options: Options, *, anonymous: bool) -> None:
