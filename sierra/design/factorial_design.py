@@ -283,14 +283,24 @@ def _with_changes(point: Point, first: tuple[Change, ...], why: str) -> Point:
 
 
 def _check_independent(spanned: Sequence[Spanned]) -> None:
-    """Raise QueryError if two axes set the same place, because one would overwrite the other's values."""
+    """Raise QueryError if two axes set the same place, because one would overwrite the other's values.
+
+    A controller or scenario may set what a point of another axis replaces.
+    """
     setters: dict[tuple[str, str | None], str] = {}
+    replaced = {_place(change) for _, points in spanned for point in points for change in point.replaces}
     for axis, points in spanned:
         for change in {change for point in points for change in point.changes if isinstance(change, Set)}:
             place = (change.path, change.attribute)
+            if axis.name in GROUPED and place in replaced:
+                continue
             other = setters.setdefault(place, axis.name)
             if other != axis.name:
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; use only one of them")
+
+
+def _place(change: Change) -> tuple[str, str | None] | None:
+    return (change.path, change.attribute) if isinstance(change, Set) else None
 
 
 def _check_count(query: Query, axes: Sequence[Axis], report: PlanningProgress) -> None:

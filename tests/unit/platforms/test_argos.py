@@ -784,7 +784,7 @@ BLOCKS = """
 [scenarios.few]
 changes = [{ set = "//arena/@size", value = "10,10,2" }, { set = "//foraging/@items", value = "3" }]
 [scenarios.many]
-changes = [{ set = "//arena/@size", value = "10,10,2" }, { set = "//foraging/@items", value = "30" }]
+changes = [{ set = "/argos-configuration/arena/@size", value = "10,10,2" }, { set = "//foraging/@items", value = "30" }]
 [scenarios."Sized.{x}x{y}x{z}"]
 changes = [{ set = "//arena/@size", value = "{x},{y},{z}" }]
 """
@@ -816,7 +816,7 @@ def test_a_scenario_with_an_arena_sets_the_rest_if_a_density_sets_the_arena(tmp_
     ("words", "message"),
     [
         (("scenario=Sized.10x10x2,few", "population_constant_density.5p0.I10.C2"), "leave scenario=Sized.10x10x2 out"),
-        (("scenario=few,many", "arena=20x20,30x30"), "arena=20x20 changes the same value later; use one of them\n"),
+        (("scenario=few", "arena=20x20,30x30"), "arena=20x20 changes the same value later; use one of them\n"),
     ],
 )
 def test_a_scenario_that_a_criterion_overwrites_is_refused_with_advice_that_helps(
