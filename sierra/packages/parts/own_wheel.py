@@ -20,7 +20,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
-import sierra
+from sierra import version
+from sierra.errors import Missing
 from sierra.packages.archive import info
 from sierra.packages.layout import OWN_REQUIREMENTS, SIERRA
 from sierra.packages.parts.python_packages import EXTRAS
@@ -51,12 +52,12 @@ class Locked(NamedTuple):
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
-    """Return SIERRA's wheel and its requirements, or a fact if it is not installed as a distribution."""
+    """Return SIERRA's wheel and its requirements, or a fact if it cannot be made of this installation."""
     try:
         own = metadata.distribution(OWN)
-    except metadata.PackageNotFoundError:
-        return Made((), facts=("SIERRA itself is not packed: it is not installed as a distribution here",))
-    path = wheel(own, subject.folder / "sierra")
+        path = wheel(own, subject.folder / "sierra")
+    except (metadata.PackageNotFoundError, Missing):
+        return Made((), facts=("SIERRA itself is not packed: pip or a like program has not installed it here",))
     name = SIERRA + path.name
     listed = f"./{name} \\\n    --hash=sha256:{sha256_file(path)}\n" + "".join(one.requirement for one in needed(own))
     editable = "SIERRA's wheel is made from an editable installation, and is not searched for names"
@@ -79,11 +80,13 @@ def is_editable(own: metadata.Distribution) -> bool:
 
 
 def wheel(own: metadata.Distribution, folder: Path) -> Path:
-    """Write SIERRA's wheel into a folder, unless it is there; return it."""
+    """Write SIERRA's wheel into a folder, unless it is there; return it. Raises Missing if its files are not listed here."""
     name = re.sub(r"[-_.]+", "_", own.name)
     path, described = folder / f"{name}-{own.version}-{TAG}.whl", f"{name}-{own.version}.dist-info"
     if path.exists():
         return path
+    if own.files is None:
+        raise Missing(f"the wheel of SIERRA cannot be made: {OWN} is installed here without a list of its files (RECORD)")
     folder.mkdir(exist_ok=True)
     about = f"Wheel-Version: 1.0\nGenerator: sierra {own.version}\nRoot-Is-Purelib: true\nTag: {TAG}\n"
     files = {**_code(), **_metadata(own, described), f"{described}/WHEEL": about.encode()}
@@ -96,7 +99,7 @@ def wheel(own: metadata.Distribution, folder: Path) -> Path:
 
 def _code() -> dict[str, bytes]:
     """Return the files of SIERRA by their names in a wheel, in order."""
-    folder = Path(sierra.__file__).parent
+    folder = Path(version.__file__).parent
     return {f"sierra/{path.relative_to(folder).as_posix()}": path.read_bytes() for path in sorted(_files(folder))}
 
 
