@@ -60,7 +60,9 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         return Made((), facts=("SIERRA itself is not packed: pip or a like program has not installed it here",))
     name = SIERRA + path.name
     listed = f"./{name} \\\n    --hash=sha256:{sha256_file(path)}\n" + "".join(one.requirement for one in needed(own))
-    editable = "SIERRA's wheel is made from an editable installation, and is not searched for names"
+    facts = ["SIERRA's wheel is made from an editable installation, and is not searched for names"]
+    facts = facts if subject.redacted and is_editable(own) else []
+    facts += [] if own.read_text(LOCK) else ["the Python packages that SIERRA needs are not locked: it has no lock here"]
     return Made(
         [
             Member(name, path, "SIERRA, which wrote this package; pip installs it"),
@@ -68,8 +70,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
                 OWN_REQUIREMENTS, listed.encode(), "versions and SHA-256 of SIERRA and of the Python packages that it needs"
             ),
         ],
-        notes=(editable,) if subject.redacted and is_editable(own) else (),
-        facts=() if own.read_text(LOCK) else ("the Python packages that SIERRA needs are not locked: it has no lock here",),
+        facts=tuple(facts),
     )
 
 
