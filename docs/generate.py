@@ -45,7 +45,7 @@ def commands() -> Iterator[str]:
             ("0", "success"),
             ("1", "a run failed, results differ, or the store is damaged"),
             ("2", "wrong usage: an option, a query, `sierra.toml`, or an unknown or ambiguous id"),
-            ("3", "something required is missing: a program, a file, a permission, disk space"),
+            ("3", "something required is missing or in use: a program, a file, a permission, disk space, a busy store"),
             ("130", "interrupted"),
         ],
     )

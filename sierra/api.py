@@ -1647,6 +1647,10 @@ class Project:
         from sierra.packages.anonymity.anonymous import Anonymity
         from sierra.packages.subject import Options
 
+        options = Options(image, wheels, tuple(pythons), tuple(machines), report, videos)
+        if allow and not anonymous:
+            raise UsageError("--allow accepts names in anonymous packages; add --anonymous")
+        pack.check_needs(self._loaded, Path(path), options, anonymous=anonymous)
         if claims:
             from sierra.deliverables.claims import evaluate
 
@@ -1654,9 +1658,6 @@ class Project:
             batches = (*batches, *(batch for ids in decide.values() for batch in ids))
         if not batches:
             raise UsageError("name the batches to be packed")
-        options = Options(image, wheels, tuple(pythons), tuple(machines), report, videos)
-        if allow and not anonymous:
-            raise UsageError("--allow accepts names in anonymous packages; add --anonymous")
         anonymity = Anonymity(self._loaded, allow) if anonymous else None
         return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=options, anonymity=anonymity)
 

@@ -1,7 +1,7 @@
 """The tree of SIERRA's errors. Each class carries the exit code with which the command line ends.
 
-Exit codes: 0 success, 1 failure or difference, 2 usage error, 3 something needed is missing, 130 interrupted. A message is one
-line: what is wrong, which thing is wrong, and what to do.
+Exit codes: 0 success, 1 failure or difference, 2 usage error, 3 something needed is missing or in use, 130 interrupted. A
+message is one line: what is wrong, which thing is wrong, and what to do.
 """
 
 from __future__ import annotations
@@ -64,6 +64,12 @@ class NotInstalled(Missing):
 
 class Full(Missing):
     """A scheduler that accepts no more jobs for now."""
+
+
+class Busy(SierraError):
+    """A store or folder that another process uses; the same command works when that has finished."""
+
+    exit_code = 3
 
 
 class Damaged(SierraError):

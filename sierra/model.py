@@ -218,6 +218,8 @@ class Point:
     """The number of the stream of seeds: the run numbers for its seeds begin at `stream * 2**16`."""
     parameters: Mapping[str, Value] = field(default_factory=dict)
     """Further values for expressions, by name: the numbers in the name of a scenario."""
+    replaces: frozenset[Change] = frozenset()
+    """Those of the changes that may replace values of a controller or scenario on another axis, which sets only the rest."""
 
 
 @dataclass(frozen=True, slots=True)

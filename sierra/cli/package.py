@@ -38,7 +38,8 @@ def package(
         ),
     ] = "none",
     wheels: Annotated[
-        bool, typer.Option("--wheels", help="Pack SIERRA and the project's Python packages, to install them without a network.")
+        bool,
+        typer.Option("--wheels", help="Pack all Python packages that SIERRA and the project need, for use without a network."),
     ] = False,
     pythons: Annotated[
         str,

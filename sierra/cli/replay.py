@@ -134,6 +134,7 @@ def _answer(answer: Replay) -> dict[str, object]:
         "kept": answer.kept,
         "built": asdict(answer.built) if answer.built else None,
         "same_files": answer.files.same if answer.files else None,
+        "used_gpu": answer.used_gpu,
         "experiments": [_experiment(experiment) for experiment in answer.experiments],
         "outputs": [_output(run, path, found) for run in answer.runs for path, found in run.outputs.items()],
     }
@@ -169,6 +170,7 @@ def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, obje
 
 
 def _print(answer: Replay, outputs: Mapping[str, Output]) -> None:
+    from sierra.replay.same_files import GPU_ADVICE
     from sierra.util.hashing import short
 
     if answer.interrupted:
@@ -195,6 +197,8 @@ def _print(answer: Replay, outputs: Mapping[str, Output]) -> None:
         print(f"the recorded code, inputs and machine, {answer.files.words if answer.files else 'and the image, are the same'}")
         print("the cause is randomness, the clock, threads, or something that is not recorded;")
         print("declare allowed differences in [outputs] or [equivalence]")
+    if answer.used_gpu:
+        print(GPU_ADVICE)
     if answer.kept:
         print(f"kept: {answer.kept}")
 

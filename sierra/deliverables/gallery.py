@@ -20,7 +20,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
-from sierra.deliverables.figures.gather import Batch, gather
+from sierra.deliverables.figures.gather import Batch, gather, varied
 from sierra.deliverables.models.models_of_batch import Models
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution import targets
@@ -28,7 +28,7 @@ from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store import equal_runs
 from sierra.store.derived_tables import Definition
-from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
+from sierra.store.samples import MIXED, AllFailed, Column, Frame, NoRuns, OutputTable, names_time
 from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
@@ -155,6 +155,10 @@ class Gallery:
         """Return the figures to draw, by name, and notes about them."""
         declared = self._config.figures
         figure_options.check(declared)
+        if why := self.frame.failure():
+            if name is not None:
+                raise AllFailed(why)
+            return {}, [why]
         found, notes = (dict(declared), []) if declared else self._default()
         if name is not None:
             everything = {**self._default()[0], **declared}
@@ -213,7 +217,7 @@ class Gallery:
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
-            proposed = stats.default_figures(output.name, columns, self._axes, series=series)
+            proposed = stats.default_figures(output.name, columns, varied(self._axes), series=series)
             for name, figure in proposed.items():
                 found[_file_name(name, found)] = figure
         return found, notes
@@ -513,6 +517,8 @@ class Gallery:
 
     def output(self, figure: Figure) -> OutputTable:
         """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
+        if why := self.frame.failure():
+            raise AllFailed(why)
         if name := self._from_sql(figure.sql) if figure.sql else figure.table:
             if name in self.frame.problems:
                 raise self.frame.problems[name]

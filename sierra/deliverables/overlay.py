@@ -196,8 +196,12 @@ def _check(drawings: Mapping[str, Drawing], word: Word) -> None:
 
 
 def _values(drawing: Drawing) -> str:
-    """Return the values of the variables."""
-    return "; ".join(f"{axis.name} = {', '.join(map(str, axis.values))}" for axis in drawing.axes)
+    """Return the values of all variables, also of those with one value, which are no axes of the drawing."""
+    values: dict[str, dict[str, None]] = {}
+    for cell in drawing.cells.values():
+        for name, value in cell.items():
+            values.setdefault(name, {})[str(value)] = None
+    return "; ".join(f"{name} = {', '.join(found)}" for name, found in values.items())
 
 
 def _units(drawing: Drawing) -> str:

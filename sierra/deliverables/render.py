@@ -23,7 +23,7 @@ from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
+from sierra.store.samples import AllFailed, Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
@@ -59,7 +59,7 @@ def figures(
             notes += gallery.models.notes([] if name else [*wanted])
             galleries.append(gallery)
         written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name)
-    notes += (*failed, *drawer.close())
+    notes += (*(one for one in failed if one not in notes), *drawer.close())
     _check_models(name, *galleries)
     return [*drawn, *written], notes
 
@@ -82,7 +82,7 @@ def _write_tables(
         except SierraError as error:
             if name is not None:
                 raise
-            failed.append(f"table {called}: {error}")
+            failed.append(str(error) if isinstance(error, AllFailed) else f"table {called}: {error}")
     return written, failed
 
 

@@ -115,7 +115,7 @@ def design(
     runs = overwritten.different_runs(designed)[: None if project.run_changes else 1]
     for cell, where, following in placed:
         report(0, len(cells), len(cells) * query.runs)
-        layers = (Layer("", common), *_layers(where, query.sets, following, seed, run_changes))
+        layers = (Layer("", common), *_layers(where, spans.theirs, query.sets, following, seed, run_changes))
         alike = tuple(layer.changes for layer in layers)
         if alike not in sure and not overwritten.check(template, designed, cell, layers):
             sure.add(alike)
@@ -130,9 +130,15 @@ class Follower:
 
     platform: Platform
     base: Changed
+    bases: dict[tuple[tuple[str, Value], ...], Changed] = field(default_factory=dict)
+    """The base with the values that its changes use: a controller that is an axis has another one in each experiment."""
 
     def __call__(self, document: Changed) -> tuple[Change, ...]:
-        return self.platform.follow(document, self.base) if isinstance(self.platform, Following) else ()
+        return self.platform.follow(document, self._base(document.values)) if isinstance(self.platform, Following) else ()
+
+    def _base(self, values: Mapping[str, Value]) -> Changed:
+        used = {kind: values[kind] for kind in GROUPED if kind in values}
+        return self.bases.setdefault(tuple(used.items()), replace(self.base, values={**self.base.values, **used}))
 
     def complete(self, document: Changed) -> Changed:
         """Return an input with the changes that follow from its own."""
@@ -167,6 +173,11 @@ class Spans:
     """True for each axis that is the platform's own."""
     points: Mapping[tuple[int, ...], tuple[tuple[Point, ...], ...]]
     """The points of each axis, by the places on the other axes; the key is () if no axis is the platform's own."""
+
+    @property
+    def theirs(self) -> frozenset[str]:
+        """The names of the platform's own axes."""
+        return frozenset(axis.name for axis, own in zip(self.axes, self.own, strict=True) if own)
 
     def at(self, places: tuple[int, ...]) -> list[Placed]:
         """Return one point of each axis, in the order of their changes: the platform's own last."""
@@ -272,14 +283,24 @@ def _with_changes(point: Point, first: tuple[Change, ...], why: str) -> Point:
 
 
 def _check_independent(spanned: Sequence[Spanned]) -> None:
-    """Raise QueryError if two axes set the same place, because one would overwrite the other's values."""
+    """Raise QueryError if two axes set the same place, because one would overwrite the other's values.
+
+    A controller or scenario may set what a point of another axis replaces.
+    """
     setters: dict[tuple[str, str | None], str] = {}
+    replaced = {_place(change) for _, points in spanned for point in points for change in point.replaces}
     for axis, points in spanned:
         for change in {change for point in points for change in point.changes if isinstance(change, Set)}:
             place = (change.path, change.attribute)
+            if axis.name in GROUPED and place in replaced:
+                continue
             other = setters.setdefault(place, axis.name)
             if other != axis.name:
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; use only one of them")
+
+
+def _place(change: Change) -> tuple[str, str | None] | None:
+    return (change.path, change.attribute) if isinstance(change, Set) else None
 
 
 def _check_count(query: Query, axes: Sequence[Axis], report: PlanningProgress) -> None:
@@ -421,14 +442,16 @@ def _cells(
 
 def _layers(
     placed: Sequence[Placed],
+    theirs: frozenset[str],
     sets: Sequence[Set],
     following: tuple[Change, ...],
     seed: tuple[Change, ...],
     run_changes: tuple[Change, ...],
 ) -> Iterator[Layer]:
-    """Yield all layers that follow the common changes of a batch, in order."""
+    """Yield all layers that follow the common changes of a batch, in order; `theirs` are the platform's own axes."""
     for axis, point in placed:
-        yield Layer(f"{axis.name}={point.value}", point.changes, axis=True)
+        name, last = f"{axis.name}={point.value}", axis.name in theirs
+        yield Layer(name, point.changes, axis=True, last=last, yields=axis.name in GROUPED, replaces=point.replaces)
     for change in sets:
         yield Layer(f"--set {change.path}", (change,))
     if following:

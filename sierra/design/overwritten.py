@@ -33,6 +33,11 @@ class Layer:
     changes: tuple[Change, ...]
     axis: bool = False
     each_run: bool = False
+    last: bool = False
+    """True for an axis of the platform's own, whose changes come after those of other axes in any order."""
+    yields: bool = False
+    """True for a controller or scenario, which sets only the rest where a criterion `replaces` what it sets."""
+    replaces: frozenset[Change] = frozenset()
 
     @property
     def sets(self) -> tuple[Set, ...]:
@@ -96,9 +101,12 @@ def check(template: Template, designed: Design, cell: Cell, layers: Layers) -> b
     doubtful = [number for number in setting if _by_value(layers, number) or not _lasts_marked(first, number)]
     for number, of_run in itertools.product(doubtful, runs):
         run_input, sets = replace(first, of_run=of_run), layers[number].sets
-        for change in () if run_input.holds(sets) else sets:
-            if not _lasts(run_input, number, change):
+        lost = () if run_input.holds(sets) else tuple(change for change in sets if not _lasts(run_input, number, change))
+        for change in lost:
+            if not _is_replaced(run_input, number, change):
                 raise QueryError(_overwritten(run_input, number, change))
+        if lost and len(lost) == len(layers[number].changes):
+            raise QueryError(_without_effect(run_input, number, lost[0]))
     return bool(doubtful)
 
 
@@ -169,13 +177,35 @@ def _marks(rendered: Rendered, mark: str) -> int:
     return sum(content.replace(b"\0", b"").count(mark.encode()) for content in contents)  # also in UTF-16
 
 
+def _is_replaced(run_input: Input, number: int, change: Set) -> bool:
+    """Return True if a value that a controller or scenario sets is overwritten only by changes that may replace it."""
+    if not run_input.layers[number].yields:
+        return False
+    kept = tuple(
+        replace(layer, changes=tuple(one for one in layer.changes if one not in layer.replaces)) for layer in run_input.layers
+    )
+    try:
+        return _lasts(replace(run_input, layers=kept), number, change)
+    except TemplateError:
+        return False
+
+
+def _without_effect(run_input: Input, number: int, change: Set) -> str:
+    name = run_input.layers[number].name
+    return f"{name} has no effect: {_later(run_input, number, change).name} sets all that it sets; leave {name} out"
+
+
 def _overwritten(run_input: Input, number: int, change: Set) -> str:
-    layer = run_input.layers[number]
-    found = next((n for n in range(number + 1, len(run_input.layers)) if _blamed(run_input, n, number, change)), None)
-    who = run_input.layers[found] if found is not None else Layer("a later change", ())
-    order = ", or in another order" if layer.axis and who.axis else ""
+    layer, who = run_input.layers[number], _later(run_input, number, change)
+    order = ", or in another order" if layer.axis and who.axis and not who.last else ""
     right = "only one of them can set it" if who.each_run else f"use one of them{order}"
     return f"{layer.name} is overwritten: {who.name} changes the same value later; {right}"
+
+
+def _later(run_input: Input, number: int, change: Set) -> Layer:
+    """Return the layer that overwrites a change of an earlier one."""
+    found = next((n for n in range(number + 1, len(run_input.layers)) if _blamed(run_input, n, number, change)), None)
+    return run_input.layers[found] if found is not None else Layer("a later change", ())
 
 
 def _blamed(run_input: Input, later: int, number: int, change: Set) -> bool:

@@ -6,7 +6,7 @@ import contextlib
 import time
 from dataclasses import dataclass, replace
 
-from sierra.errors import Missing, NotFound, SierraError
+from sierra.errors import Busy, Missing, NotFound
 from sierra.execution import sessions, sum_up
 from sierra.execution.attach import Attached, attach
 from sierra.execution.cluster_status import ClusterSession, counted, named, submitted
@@ -42,7 +42,7 @@ class Cancelled:
 def follow(store: Store, prefix: str, observer: Observer) -> Summary:
     """Follow a batch's unattended sessions, or one session, to the end; return the state of the batch then.
 
-    Raises NotFound if none is on a cluster, SierraError if other processes follow all of them.
+    Raises NotFound if none is on a cluster, Busy if other processes follow all of them.
     """
     rows = on_clusters(store, prefix)
     attached: list[Attached] = []
@@ -63,7 +63,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
         attached.append(attach(store, session, _tally(store, row, observer)))
         left += [row.session] if attached[-1].left else []
     if not attached:
-        raise SierraError("; ".join(busy))
+        raise Busy("; ".join(busy))
     parts = [one.unfinished for one in attached]
     found = sum_up.of_recorded(
         store,

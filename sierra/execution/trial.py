@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sierra import runners
 from sierra.design.expand import Expansion
-from sierra.errors import Missing, SierraError, UsageError
+from sierra.errors import Busy, Missing, SierraError, UsageError
 from sierra.execution import commands, session_records, show_record
 from sierra.execution.execute import check_packages
 from sierra.execution.observer import Observer, Progress, Relay, Tally
@@ -123,7 +123,7 @@ def choose(plan: Plan, experiment: int, seed: int | None) -> tuple[Run, Files]:
 def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: Observer, show: Show) -> Trial:
     """Execute one run, and return what it did. `project` has the paths of the project's store, which need not exist.
 
-    Raises the errors of a batch's session, and SierraError if another process tries a run of this project.
+    Raises the errors of a batch's session, and Busy if another process tries a run of this project.
     """
     if plan.batch.spec.robots is not None:
         raise UsageError("sierra try executes a run on this machine, and this one takes robots; use sierra run --runs 1")
@@ -212,7 +212,7 @@ def _place(project: StorePaths) -> Iterator[TrialPaths]:
         try:
             lock = locked(paths.lock, wait=False)
         except BlockingIOError as error:
-            raise SierraError("another sierra try is executing in this project; wait until it ends") from error
+            raise Busy("another sierra try is executing in this project; wait until it ends") from error
     try:
         _clear(paths.run, paths.store, paths.new)
         yield paths

@@ -19,7 +19,6 @@ import os
 import re
 import shlex
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +36,11 @@ from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
-from sierra.worker import worker
+from sierra.util.scratch import scratch
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
+UNFINISHED = ".sierra-inputs-"
+"""The beginning of the names of folders with unfinished inputs."""
 COLUMNS = ("run", "experiment", "number", "seed", "folder")
 OWN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_ROBOT", "SIERRA_ROBOTS")
 """The variables of a run that are not declared but mean the same everywhere."""
@@ -70,16 +71,12 @@ def write(plan: Plan, folder: Path, selection: Selection | None = None) -> Writt
     folder = Path.cwd() / folder
     check_target(folder)
     ordinals = frozenset(one.ordinal for one in plan.batch.experiments) if selection is None else selection.experiments
-    with disk_errors(folder):
-        unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}.unfinished-", dir=folder.parent))
-        try:
-            count = _write_all(plan, unfinished, ordinals)
-            unfinished.chmod(0o777 & ~_umask())
-            os.sync()
-            unfinished.rename(folder)
-        except BaseException:
-            worker.remove(str(unfinished))
-            raise
+    with disk_errors(folder), scratch(folder.parent, UNFINISHED) as place:
+        unfinished = place / folder.name
+        unfinished.mkdir()
+        count = _write_all(plan, unfinished, ordinals)
+        os.sync()
+        unfinished.rename(folder)
     return WrittenInputs(folder, plan.batch.id, len(ordinals), count, (*plan.notes, *_notes(plan, folder)))
 
 
@@ -181,10 +178,3 @@ def _notes(plan: Plan, folder: Path) -> Iterator[str]:
         yield f"the products of [build] are not up to date ({plan.build.reason}); sierra run and sierra try build them"
     if plan.image is not None:
         yield f"commands are for the image {plan.image.name}, with the project at {PROJECT}; start the container yourself"
-
-
-def _umask() -> int:
-    """Return the permissions that new files do not get."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -122,7 +122,7 @@ def collect(
     """Remove data that nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
     `project` is the folder whose figures, videos and reports are looked at for unfinished files; None for none.
-    Raises Missing if the disk is full, SierraError if another session has just begun; nothing is lost in either case.
+    Raises Missing if the disk is full, Busy if another session has just begun; nothing is lost in either case.
     """
     first = plan(store, project, damaged=damaged, raw=raw)
     if not first.nothing and not agree(first):

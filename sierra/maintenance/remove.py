@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 
-from sierra.errors import NotFound, SierraError
+from sierra.errors import Busy, NotFound
 from sierra.execution import recover
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
@@ -93,7 +93,7 @@ def plan(store: Store, prefixes: Sequence[str]) -> Removal:
 def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
     """Remove the records that these ids name, if `agree` returns true for the preview; return None if it returns false.
 
-    Raises NotFound for an unknown id, Missing if the disk is full, SierraError while one of the batches is executing or if the
+    Raises NotFound for an unknown id, Missing if the disk is full, Busy while one of the batches is executing or if the
     preview is out of date. If it raises, nothing changes.
     """
     recover.finish_dead(store)
@@ -108,7 +108,7 @@ def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], boo
             nonlocal made
             made = _plan(store, named)
             if made.removal != first.removal:
-                raise SierraError("the store changed since the preview; run the command again")
+                raise Busy("the store changed since the preview; run the command again")
             for group in groups(made.touched):
                 rewriting.write(group, made.drop)
             return made.seen

@@ -90,7 +90,7 @@ class _Loss:
 
 
 def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell = lambda text: None) -> Repair:
-    """Repair a store. Raises Missing if the disk is full, SierraError if others are at work; nothing is lost in either case."""
+    """Repair a store. Raises Missing if the disk is full, Busy if others are at work; nothing is lost in either case."""
     _ours(paths)
     checked = _checked(paths, root, tell)
     done = [*_fixed(paths, checked, dry_run), *_manifests(paths, checked, dry_run), *_strays(paths, checked, dry_run)]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 
-from sierra.errors import Missing, SierraError
+from sierra.errors import Busy, Missing
 from sierra.execution import sessions
 from sierra.execution.sessions import Session
 from sierra.store.compaction import Compaction, out_of_use, tidy
@@ -52,7 +52,7 @@ def publish(
     the names of the segments that it has read. `may` raises if other sessions must not be disturbed; no session can begin while
     it checks. `keep` names replaced segments that are put aside, not removed. `valid` decides from the names of the segments
     now, and of those that were read, whether the change is still right; by default, both must be the same. Raises Missing if
-    the file system has no locks, so that exclusive access is impossible, and SierraError if the store changed in each attempt.
+    the file system has no locks, so that exclusive access is impossible, and Busy if the store changed in each attempt.
     """
     for attempt in range(ATTEMPTS):
         rewriting = Compaction(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")
@@ -70,7 +70,7 @@ def publish(
                         aside(store, store.segments / name)
                     tidy(store, session.paths.root / "old")
                     return len(out_of_use(store))
-    raise SierraError("the store is busy; retry when other sierra processes have finished")
+    raise Busy("the store is busy; retry when other sierra processes have finished")
 
 
 def aside(store: StorePaths, path: Path) -> None:
@@ -82,7 +82,7 @@ def aside(store: StorePaths, path: Path) -> None:
 
 
 def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) -> None:
-    """Raise SierraError if a living session executes one of these batches, or if its batch stays unknown.
+    """Raise Busy if a living session executes one of these batches, or if its batch stays unknown.
 
     Call this within `sessions.exclusively`. A session that has just begun has not recorded its batch yet, so wait for that up
     to `PATIENCE_S` seconds in total.
@@ -96,9 +96,9 @@ def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) 
             time.sleep(0.05)
             batch = _batch(paths)
         if batch is None and paths.root.exists():
-            raise SierraError(f"another sierra process uses the store (session {paths.root.name}); retry when it has finished")
+            raise Busy(f"the store is busy (session {paths.root.name}); retry when other sierra processes have finished")
         if batch in batches:
-            raise SierraError(
+            raise Busy(
                 f"batch {short(str(batch))} is being executed (session {paths.root.name}); stop this session, or wait for it"
             )
 

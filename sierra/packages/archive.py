@@ -22,6 +22,7 @@ from typing import IO, Protocol
 
 from sierra.errors import Damaged, Missing, SierraError, UsageError
 from sierra.packages import members
+from sierra.packages.layout import SIERRA
 from sierra.packages.members import MANIFEST
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside, unfinished_beside
@@ -49,6 +50,11 @@ STORED = (
 """Endings of files that are compressed already."""
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 LEVEL = 6
+LARGEST_PLAIN = zipfile.ZIP64_LIMIT - (1 << 20)
+"""The largest number of bytes of a member in the plain form of zip, of which versions of Python write the same bytes.
+
+They write other versions into a member in the form for large files. A member may become a little larger when it is compressed.
+"""
 LARGEST_MANIFEST = 256 << 20
 """The largest number of bytes of a manifest that is read."""
 REGULAR = 0o100644
@@ -58,26 +64,29 @@ EXECUTABLE = 0o100755
 class Content(Protocol):
     """The content of a member, which can be read once."""
 
+    @property
+    def size(self) -> int:
+        """The number of bytes."""
+
     def open(self) -> IO[bytes]:
         """Return a binary stream from the beginning of the content."""
 
 
-def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str] = ()) -> str:
+def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str] = (), scratch: Path | None = None) -> str:
     """Write a package with these members; return its id. The file appears complete or not at all.
 
-    `executable`: the names of programs. Raises Damaged for names that are not safe, Missing if the disk is full, UsageError if
-    the file exists.
+    `executable`: the names of programs. `scratch`: a folder of the same file system for the unfinished file. Raises Damaged for
+    names that are not safe, Missing if the disk is full, UsageError if the file exists.
     """
     members.check_names([*contents, MANIFEST])
     check_new(path)
     programs = frozenset(executable)
-    unfinished = unfinished_beside(path)
+    unfinished = scratch / path.name if scratch else unfinished_beside(path)
     with disk_errors(path.parent):
         try:
             with zipfile.ZipFile(unfinished, "x", allowZip64=True) as file:
                 hashes = {name: _add(file, name, contents[name], executable=name in programs) for name in sorted(contents)}
-                with file.open(_info(MANIFEST, executable=False), "w") as member:
-                    member.write(members.written(hashes))
+                file.writestr(info(MANIFEST, _method(MANIFEST)), members.written(hashes))
             _name(unfinished, path)
         finally:
             unfinished.unlink(missing_ok=True)
@@ -98,20 +107,27 @@ def _name(unfinished: Path, path: Path) -> None:
 
 def _add(file: zipfile.ZipFile, name: str, content: Content, *, executable: bool) -> str:
     digest = hashlib.sha256()
-    with content.open() as source, file.open(_info(name, executable=executable), "w", force_zip64=True) as member:
+    member_info, large = info(name, _method(name), executable=executable), content.size > LARGEST_PLAIN
+    with content.open() as source, file.open(member_info, "w", force_zip64=large) as member:
         while block := source.read(CHUNK):
             digest.update(block)
             member.write(block)
     return digest.hexdigest()
 
 
-def _info(name: str, *, executable: bool) -> zipfile.ZipInfo:
-    info = zipfile.ZipInfo(name, MADE)
-    info.create_system = 3  # Unix, whatever the system is
-    info.external_attr = (EXECUTABLE if executable else REGULAR) << 16
-    info.compress_type = zipfile.ZIP_STORED if name.endswith(STORED) else zipfile.ZIP_DEFLATED
-    info._compresslevel = LEVEL  # type: ignore[attr-defined]  # the public argument exists for `writestr` only
-    return info
+def _method(name: str) -> int:
+    compressed = name.endswith(STORED) and not name.startswith(SIERRA)
+    return zipfile.ZIP_STORED if compressed else zipfile.ZIP_DEFLATED
+
+
+def info(name: str, method: int, *, executable: bool = False) -> zipfile.ZipInfo:
+    """Return the description of a member, which depends on no time and no system."""
+    made = zipfile.ZipInfo(name, MADE)
+    made.create_system = 3  # Unix, whatever the system is
+    made.external_attr = (EXECUTABLE if executable else REGULAR) << 16
+    made.compress_type = method
+    made._compresslevel = LEVEL  # type: ignore[attr-defined]  # the public argument exists for `writestr` only
+    return made
 
 
 class Opened(ABC):

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping
 
-from sierra.packages.layout import CRATE, INSTRUCTIONS, README
+from sierra.packages.layout import CRATE, INSTRUCTIONS, OWN_REQUIREMENTS, PROGRAM, README, REQUIREMENTS, SIERRA, WHEELS
 from sierra.packages.manifest import PackageManifest, PackedBatch
 from sierra.packages.members import MANIFEST
 from sierra.packages.needs import Machine
@@ -18,6 +18,10 @@ QUICK_S = 600
 SPARE, SLOWER = 2, "half the"
 """An evaluator's machine may be slower by this factor."""
 HOUR_S, MINUTE_S = 3600, 60
+ABOUT = """SIERRA executes experiments, and records each run with its code, inputs, environment and outputs. It executes
+recorded runs again, compares the results, and decides the claims of a paper by them."""
+VENV = "reproduction/venv"
+PIP = f"python3 -m venv {VENV}\n{VENV}/bin/pip install"
 DIFFERENCES = """
 | verdict | meaning |
 |---|---|
@@ -43,7 +47,7 @@ PLACES = {
     "source/": "other sources than that of the newest batch, and the history of commits as a git bundle",
     "figures/": "figures, tables and videos as they were made",
     "execution/": "what `reproduce.py` executes without SIERRA",
-    "environment/": "descriptions of the environment: files of the machine, image, wheels",
+    "environment/": "descriptions of the environment: files of the machine, image, SIERRA, wheels",
 }
 
 
@@ -54,8 +58,9 @@ def member(described: PackageManifest, members: Mapping[str, Member]) -> Member:
 
 
 def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterator[str]:
-    yield f"# {_text(described.title)}"
-    yield f"\nThis package has all that is needed to check the results below. SIERRA {described.sierra} wrote it from records."
+    yield f"# {_text(described.title)}\n"
+    yield from beginning(described.sierra, members)
+    yield "\nThis package has all that is needed to check the results below."
     if described.redacted:
         yield "\nIt is anonymous, for review: hosts, folders, commits and times in its records are not the original ones."
     yield "\n## Results\n"
@@ -83,6 +88,34 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield "In `project/` itself, commands write to the store, and the package would no longer be verified:\n"
     copy = "mkdir -p reproduction\ncp -r project reproduction/project\ncd reproduction/project"
     yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"
+
+
+def beginning(version: str, members: Mapping[str, Member]) -> Iterator[str]:
+    """Yield the command that needs nothing but Python, what SIERRA is, and the commands that install it from a package."""
+    yield f"```sh\npython3 {PROGRAM}\n```\n"
+    yield "This command checks all files of the package. It needs nothing but Python 3.8 or newer, and executes nothing of the"
+    yield f"package. `python3 {PROGRAM} --execute` also executes its runs again and compares them, after one question.\n"
+    yield f"{ABOUT}\n"
+    yield f"SIERRA {version} wrote this package. To install it for Python 3.11 or newer, in the extracted package:\n"
+    if any(name.startswith(WHEELS) for name in members):
+        yield f"- without a network, for the versions of Python and the processors that `{WHEELS}` has:\n"
+        yield _sh(f"{PIP} --no-index --find-links {WHEELS.rstrip('/')} --require-hashes -r {REQUIREMENTS}")
+        yield "- for others, with a network:\n"
+    yield _sh(f"{PIP} {_installed(version, members)}")
+    yield f"The command `sierra` is then `{VENV}/bin/sierra`."
+
+
+def _installed(version: str, members: Mapping[str, Member]) -> str:
+    """Return what pip installs with a network: SIERRA's own wheel and the locked packages, as far as the package has them."""
+    wheel = next((name for name in members if name.startswith(SIERRA) and name.endswith(".whl")), None)
+    if wheel is None:
+        return f"sierra-experiments=={version}"
+    locked = members[OWN_REQUIREMENTS].content
+    return f"--require-hashes -r {OWN_REQUIREMENTS}" if isinstance(locked, bytes) and b"==" in locked else wheel
+
+
+def _sh(commands: str) -> str:
+    return f"```sh\n{commands}\n```\n"
 
 
 def _claims(described: PackageManifest) -> Iterator[str]:
@@ -122,10 +155,9 @@ def _machine(one: Machine) -> str:
 
 def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
     """Yield how to check the files, and the shortest run of each experiment, within a short time."""
-    yield "Check the files. It takes seconds, needs only Python 3.8 or newer, and executes nothing of the package:\n"
-    yield "```sh\npython3 reproduce.py\n```\n"
-    yield "Then execute a few runs of each batch again. Both commands state what they execute, and ask first. SIERRA compares"
-    yield "values and decides the claims. Without it, bytes are compared:\n"
+    yield f"Check the files by `python3 {PROGRAM}`, which takes seconds. Then execute a few runs of each batch again. Both"
+    yield "commands state what they execute, and ask first. SIERRA compares values and decides the claims. Without it, bytes"
+    yield "are compared:\n"
     shortest = SPARE * sum(one.needs.shortest for one in batches if one.needs)
     yield f"```sh\nsierra reproduce . --budget {QUICK_S // MINUTE_S}m\n```\n"
     yield f"```sh\npython3 reproduce.py --execute --budget {QUICK_S // MINUTE_S}m\n```\n"

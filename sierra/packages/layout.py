@@ -19,6 +19,7 @@ works in it once it is extracted.
     execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
     environment/              used-files.txt: files of the machine that runs used; images.json: container images
     environment/images/       container images, by id
+    environment/sierra/       the wheel of the SIERRA that wrote the package, and requirements.txt, with which pip installs it
     environment/wheels/       Python packages, with their lock environment/requirements.lock
 """
 
@@ -43,6 +44,8 @@ EXECUTOR = f"{EXECUTION}execute_runs.py"
 PLAN = f"{EXECUTION}plan.json"
 IMAGES = "environment/images.json"
 IMAGE_FILES = "environment/images/"
+SIERRA = "environment/sierra/"
+OWN_REQUIREMENTS = f"{SIERRA}requirements.txt"
 WHEELS = "environment/wheels/"
 REQUIREMENTS = "environment/requirements.lock"
 

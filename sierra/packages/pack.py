@@ -16,7 +16,7 @@ from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
 from sierra.packages import archive, instructions, manifest
 from sierra.packages.anonymity import anonymous
-from sierra.packages.anonymity.anonymous import Anonymity
+from sierra.packages.anonymity.anonymous import Anonymity, anonymous_file
 from sierra.packages.crates import crate
 from sierra.packages.layout import INSTRUCTIONS, PACKAGE
 from sierra.packages.parts import (
@@ -29,6 +29,7 @@ from sierra.packages.parts import (
     images,
     licence,
     metadata,
+    own_wheel,
     report,
     sources,
     stored,
@@ -52,6 +53,7 @@ PARTS: tuple[Part, ...] = (
     used_files.members,
     execution.members,
     images.members,
+    own_wheel.members,
     wheels.members,
     figures.members,
     report.members,
@@ -103,12 +105,13 @@ def pack(
     `anonymity`: given for an anonymous package. Raises UsageError if `path` exists or an id is not that of a batch, Missing and
     ConfigError for what cannot be packed, Identifying if an anonymous package would name people or machines.
     """
-    path = path.parent.resolve() / path.name
-    archive.check_new(path)
+    path, chosen = path.parent.resolve() / path.name, options or Options()
+    check_needs(project, path, chosen, anonymous=anonymity is not None)
     batches = _batches(store, prefixes)
+    images.check(project.root, store, batches, chosen.image)
     with scratch(path.parent, SCRATCH) as folder:
         part = extract(store, batches, folder / "store")
-        subject = Subject(project, part, batches, folder, _date(project, part), options or Options())
+        subject = Subject(project, part, batches, folder, _date(project, part), chosen)
         if anonymity is not None:
             subject = anonymity.subject(subject)
         members, notes, facts = _collect(subject)
@@ -125,7 +128,17 @@ def pack(
         if not agree(preview):
             return None
         programs = [name for name, member in members.items() if member.executable]
-        return Packed(path, archive.write(path, members, programs), preview)
+        return Packed(path, archive.write(path, members, programs, folder), preview)
+
+
+def check_needs(project: LoadedProject, path: Path, options: Options, *, anonymous: bool) -> None:
+    """Check all that a package needs and that can be known before any work is done. Raises as `pack` does."""
+    archive.check_new(path)
+    metadata.files(project.config.package)
+    if options.wheels:
+        wheels.check(options)
+    if anonymous:
+        anonymous_file(project)
 
 
 def _batches(store: Store, prefixes: Sequence[str]) -> tuple[str, ...]:

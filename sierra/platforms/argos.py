@@ -377,9 +377,10 @@ class Argos:
         populations = tuple(_agents(name, size.area, scale.density) for size in sizes)
         if len(set(populations)) < len(populations):
             raise QueryError(_too_slow(name, first, scale, populations))
+        resized = tuple(self._resized(template, size, name) for size in sizes)
         points = tuple(
-            Point(n, (*self._resized(template, size, name), _quantity(path, n, name)))
-            for n, size in zip(populations, sizes, strict=True)
+            Point(n, (*shape, _quantity(path, n, name)), replaces=frozenset(shape))
+            for n, shape in zip(populations, resized, strict=True)
         )
         return Axis(name, populations, label=LABEL), points
 

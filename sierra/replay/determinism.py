@@ -16,6 +16,7 @@ from sierra.execution.run_options import RunOptions
 from sierra.replay import replay
 from sierra.replay.compare_values import Verdict
 from sierra.replay.options import ReplayOptions
+from sierra.replay.same_files import GPU_ADVICE
 from sierra.replay.verdicts import Compared
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -51,7 +52,7 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         return (f"run {short(run)} could not be executed a second time: {error}",)
     if answer.interrupted:
         raise KeyboardInterrupt
-    return tuple(_as_note(one) for one in answer.runs)
+    return (*(_as_note(one) for one in answer.runs), *((GPU_ADVICE,) if answer.used_gpu else ()))
 
 
 def _as_note(run: Compared) -> str:

@@ -36,7 +36,7 @@ from sierra.replay.comparison_rules import declared_rules
 from sierra.replay.finished_runs import Finished, finished
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
 from sierra.replay.options import ReplayOptions
-from sierra.replay.same_files import UsedFiles
+from sierra.replay.same_files import UsedFiles, used_gpu
 from sierra.replay.verdicts import OfExperiment, Replay, metric_rows, plain, verdict_rows
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_mapper import of_fields
@@ -181,6 +181,7 @@ class _Replaying:
             kept=self._kept,
             built=code.built,
             files=None if executed.interrupted else files,
+            used_gpu=self._differs_with_gpu(experiments),
             sessions=() if executed.interrupted else sessions,
         )
         if not executed.interrupted:
@@ -315,6 +316,11 @@ class _Replaying:
         experiments = tuple(judge(of.project, self._store, record, compared, of.metrics, of.rules))
         self._say(record.notes[before:])
         return experiments
+
+    def _differs_with_gpu(self, experiments: Iterable[OfExperiment]) -> bool:
+        """Return True if values differ, and the recorded executions used a GPU, which may be the cause."""
+        differ = any(run.verdict == "different" for one in experiments for run in one.runs)
+        return differ and used_gpu(self._store, [str(one.execution) for one in self._record.runs])
 
     def _keep(self, answer: Replay, code: _Code) -> None:
         """Record the replay and its verdicts."""

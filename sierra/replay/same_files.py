@@ -10,10 +10,12 @@ import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
+from sierra.containers.container_setup import GPU as GPU_DEVICE
 from sierra.execution.observation import file_sets
-from sierra.execution.observation.current_files import Current, located
+from sierra.execution.observation.current_files import GPU, Current, located
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.unchanged_files import FOUND_ELSEWHERE, changes, with_other_programs
+from sierra.provenance import tracer
 from sierra.store.store import Store
 from sierra.util.text import few
 
@@ -54,7 +56,8 @@ class UsedFiles:
         if self.same:
             return "and all files that the runs used, are the same"
         if not self.compared:
-            return "and the programs, are the same; what was loaded was not recorded (observe in sierra.toml records it)"
+            remedy = "observe in sierra.toml records it" if tracer.usable() else "that needs strace, which does not work here"
+            return f"and the programs, are the same; what was loaded was not recorded ({remedy})"
         if self.observed == self.executions:
             return "and the files that runs read, are the same; but programs, libraries or other files may be found elsewhere"
         rest = (
@@ -83,6 +86,15 @@ sets AS (
 SELECT DISTINCT files FROM sets
 """
 """The sets of these executions; for those without one, the sets of their sessions."""
+WITH_GPU = "SELECT count(*) FROM files_read WHERE path = $gpu AND list_contains($files, files)"
+CONTAINED_WITH_GPU = """
+SELECT count(*) FROM executions e JOIN isolations i USING (isolation)
+WHERE list_contains($e, e.execution) AND list_contains(i.devices, $gpu)
+"""
+GPU_ADVICE = (
+    "the recorded runs used a GPU: parallel atomic additions round otherwise each time; in PyTorch, call "
+    "torch.use_deterministic_algorithms(True), and set CUBLAS_WORKSPACE_CONFIG=:4096:8 in [environment]"
+)
 WRITTEN = """
 SELECT DISTINCT w.path FROM files_written w JOIN executions e USING (execution)
 WHERE e.session IN (SELECT session FROM executions WHERE list_contains($e, execution))
@@ -104,6 +116,14 @@ def compare(store: Store, executions: Collection[str], current: Current, known: 
         changed = sorted({file.path for file in inputs if not _is_among(file, elsewhere, current)})
         found = bool(sets.files) and not differing and not with_other_programs(sets, current)
     return UsedFiles(len(asked), observed, len(sets.files), tuple(changed), found)
+
+
+def used_gpu(store: Store, executions: Collection[str]) -> bool:
+    """Return True if executions were recorded to use a GPU: as observed, or by the access of their container."""
+    asked = sorted(set(executions))
+    with store.snapshot() as snapshot:
+        observed = snapshot.values(int, WITH_GPU, gpu=GPU, files=snapshot.values(str, SETS, e=asked))
+        return observed != [0] or snapshot.values(int, CONTAINED_WITH_GPU, gpu=GPU_DEVICE, e=asked) != [0]
 
 
 def _is_among(file: UsedFile, paths: Collection[str], current: Current) -> bool:

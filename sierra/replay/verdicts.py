@@ -76,6 +76,8 @@ class Replay:
     """The products that were built from the restored source; None without `[build]`."""
     files: UsedFiles | None = None
     """The files that the recorded executions used, compared with those now; None if an image has them."""
+    used_gpu: bool = False
+    """True if values differ, and the recorded executions used a GPU."""
     sessions: tuple[str, ...] = ()
     """The sessions of the compared executions: its own, and those of earlier replays whose executions count."""
 

@@ -35,7 +35,7 @@ from sierra.store.verified_files import verify
 from sierra.store.views import files_with, recording
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.scratch import scratch
-from sierra.util.text import like
+from sierra.util.text import counted, like, one_line
 
 if TYPE_CHECKING:
     import duckdb
@@ -55,6 +55,21 @@ HALF_RANGE = Decimal(2**126)
 """Numbers below this have differences that are whole numbers of 128 bits, the widest type."""
 NO_VALUES = ("run", "number", "row", "seed", "execution", "file", "batch", "experiment", "ordinal")
 """Columns of derived tables that say where a row belongs, and are no values; the axes are others."""
+
+
+FAILED = """
+SELECT (SELECT count(*) FROM membership) AS successful, count(*) AS runs, count(last.run) AS failed,
+       coalesce(arg_min(coalesce(last.reason, last.status), (w.ordinal, w.number)), '') AS reason
+FROM wanted w LEFT JOIN (
+    SELECT run, arg_max(reason, lamport) AS reason, arg_max(status, lamport) AS status
+    FROM all_judgements WHERE purpose = 'run' AND run IN (SELECT run FROM batch_runs WHERE batch = $b) GROUP BY run
+) last USING (run)
+"""
+"""SQL: the number of successful runs, of all runs and of executed runs, and the reason of the first one that was executed."""
+
+
+class AllFailed(SierraError):
+    """A batch without a successful run, so that it has no output; the message is the same for all that need one."""
 
 
 class NoRuns(UsageError):
@@ -169,6 +184,18 @@ class Frame:
             "JOIN all_judgements e ON e.judgement = c.judgement",
             {"b": self.batch} if these is None else {},
         )
+
+    def failure(self) -> str | None:
+        """Return why the batch has no results, if no run was successful and some failed: with the reason of the first one."""
+        return self.once(("failure",), self._failure)
+
+    def _failure(self) -> str | None:
+        [(successful, runs, failed, reason)] = self._snapshot.run(FAILED, {"b": self.batch})
+        if successful or not failed:
+            return None
+        all_failed = f"all {counted(runs, 'run')} failed"
+        those = all_failed if failed == runs else f"no run was successful, and {failed} of {runs} failed"
+        return f"{those}: {one_line(reason)}"
 
     def _output_files(self) -> dict[str, list[str]]:
         """Return the files of each output, from the segments that hold an effective execution."""

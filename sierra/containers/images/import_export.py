@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,10 @@ from sierra.containers.images.pins import all_pinned
 from sierra.containers.images.resolve import named, tag
 from sierra.errors import Damaged, Missing, UsageError
 from sierra.store.layout import StorePaths
+from sierra.util.scratch import scratch
+
+UNFINISHED = ".sierra-image-"
+"""The beginning of the names of folders with unfinished images."""
 
 
 def import_archive(root: Path, store: StorePaths, file: Path, name: str = "") -> Contents:
@@ -54,15 +57,14 @@ def export(root: Path, name: str, file: Path) -> Image:
     if not file.parent.is_dir():
         raise UsageError(f"the folder {file.parent} for {file.name} does not exist")
     image = all_pinned(root).get(name) or named(root, name)
-    unfinished = file.with_name(f".{file.name}.{os.getpid()}")
     try:
-        _write(root, image, unfinished)
-        _check(image, unfinished)
-        unfinished.replace(file)
+        with scratch(file.parent, UNFINISHED) as folder:
+            unfinished = folder / file.name
+            _write(root, image, unfinished)
+            _check(image, unfinished)
+            unfinished.replace(file)
     except OSError as error:
         raise Missing(f"{file} cannot be written: {error.strerror or error}") from error
-    finally:
-        unfinished.unlink(missing_ok=True)
     return image
 
 

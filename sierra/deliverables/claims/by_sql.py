@@ -51,10 +51,14 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> F
 def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | Found:
     """Return the number of successful runs; if too many are lost, what that means."""
     counts: list[tuple[int, int]] = []
+    reasons: list[str | None] = []
     for batch in batches.values():
         with Frame(store, batch) as frame:
             counts += frame.counts().values()
+            reasons.append(frame.failure())
     n, planned = (sum(part) for part in zip(*counts, strict=True))
+    if not n and (reason := next(filter(None, reasons), None)):
+        return Found(Verdict.cannot_tell, reason, 0)
     return lost(claim, n, planned) or n
 
 

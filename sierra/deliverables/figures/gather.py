@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -84,7 +84,7 @@ def gather(
     `seen` is the coverage of the output, which may have several rows at the same time. `rates` has the columns
     whose values 0 and 1 are a rate. `options` are the tables `[statistics.NAME]`.
     """
-    batch = labelled(arranged(batch, figure), figure.labels)
+    whole, batch = batch, labelled(arranged(batch, figure), figure.labels)
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
     source.check(columns, numeric=needs.numeric)
     source.check(needs.others, numeric=False)
@@ -94,7 +94,7 @@ def gather(
     if needs.statistics or needs.chosen or needs.runs:
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates, options=options)
-    only = "; ".join(_only(figure))
+    only = "; ".join((*_fixed(whole, batch.axes), *_only(figure)))
     return Drawing(
         name=name,
         figure=figure if figure.columns == columns else figure.model_copy(update={"columns": columns}),
@@ -124,7 +124,10 @@ def _only(figure: Figure) -> list[str]:
 
 
 def arranged(batch: Batch, figure: Figure) -> Batch:
-    """Return the batch with its variables in the order in which the figure uses them: `x`, `series`, others, `facet`."""
+    """Return the batch with its variables in the order in which the figure uses them: `x`, `series`, others, `facet`.
+
+    A variable with one value is left out, unless the figure names it or there is no other.
+    """
     named = {axis.name: axis for axis in batch.axes}
     for key, name in (("x", figure.x), ("series", figure.series), ("facet", figure.facet)):
         if name and name not in named:
@@ -135,10 +138,23 @@ def arranged(batch: Batch, figure: Figure) -> Batch:
     first = [named.pop(figure.x)] if figure.x else []
     second = [named.pop(figure.series)] if figure.series else []
     last = [named.pop(figure.facet)] if figure.facet else []
-    rest = list(named.values())
+    rest = varied(named.values())
+    if not (first or second or last or rest):
+        rest = list(batch.axes[:1])
     if second and not first and "x" in kind_of(figure).uses:
         first, rest = rest[:1], rest[1:]
     return replace(batch, axes=(*first, *second, *rest, *last))
+
+
+def varied(axes: Iterable[Axis]) -> list[Axis]:
+    """Return the variables with several values."""
+    return [axis for axis in axes if len(axis.values) > 1]
+
+
+def _fixed(batch: Batch, axes: Sequence[Axis]) -> list[str]:
+    """Return the value of each variable that is not among these axes."""
+    names = {axis.name for axis in axes}
+    return [f"{axis.name} = {value}" for axis in batch.axes if axis.name not in names for value in axis.values]
 
 
 def labelled(batch: Batch, labels: Mapping[str, str]) -> Batch:

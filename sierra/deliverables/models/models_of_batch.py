@@ -189,6 +189,8 @@ class Models:
     def _reason(self, name: str) -> str:
         """Return why no figure shows a model, as far as its table and column are the reason."""
         model = self.declared[name]
+        if why := self._frame.failure():
+            return why
         if model.table and model.table not in self._frame.names:
             return f"the batch has no output {model.table!r}; {like(model.table, self._frame.names)}"
         if not model.table and not self._frame.outputs_with(model.column):

@@ -24,7 +24,7 @@ from sierra.deliverables.report.parts import Place, Section, auto, details, note
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
+from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
 from sierra.util.text import digits_apart, few, short_number
 
@@ -167,7 +167,7 @@ def table_section(state: BatchState, place: Place) -> tuple[Section | None, list
         except (DamagedFile, Missing):
             raise
         except SierraError as error:
-            failed.append(f"table {name} could not be made: {error}")
+            failed += [] if isinstance(error, AllFailed) else [f"table {name} could not be made: {error}"]
             continue
         lines += _table(made, place)
     lines += map(note, failed)

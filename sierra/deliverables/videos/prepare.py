@@ -18,6 +18,7 @@ from sierra.deliverables.videos.subjects import Subject, subjects
 from sierra.deliverables.videos.survey import Survey, survey
 from sierra.deliverables.videos.tracks import frame_times, uneven
 from sierra.deliverables.videos.two_batches import films_of_two
+from sierra.store.samples import AllFailed
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
 from sierra.version import __version__
@@ -125,6 +126,8 @@ def _subjects(
         yield from films_of_two(name, video, galleries, notes, failed)
         return
     (gallery,) = galleries.values()
+    if why := gallery.frame.failure():
+        raise AllFailed(why)
     chosen, lost = films(name, video, Members(gallery.axes, gallery.cells, tuple(gallery.frame.runs())))
     failed += lost
     subject = subjects(video, gallery)

@@ -21,7 +21,7 @@ from sierra.packages.anonymity.content_search import ContentSearch
 from sierra.packages.anonymity.identifying_words import words
 from sierra.packages.anonymity.redact_store import rewrite
 from sierra.packages.anonymity.word_search import Search
-from sierra.packages.layout import PROJECT, STORED
+from sierra.packages.layout import PROJECT, SIERRA, STORED
 from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
@@ -81,6 +81,8 @@ class Anonymity:
         names = _Names(subject.store)
         search = ContentSearch(self.search, names.of)
         for name, member in sorted(members.items(), key=lambda item: (item[0].startswith(STORED), item[0])):
+            if name.startswith(SIERRA):  # what SIERRA itself is made of shows nothing of who packs
+                continue
             search.name(name, name)
             if not name.startswith(STORED):
                 search.known(member.sha256())
@@ -99,10 +101,15 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         return Made(())
     submodules = sorted({path for text in subject.store.values(str, SUBMODULES) for path in json.loads(text)})
     rewrite(subject.store, subject.folder / "redacted", subject.date)
-    file = subject.project.file
-    content = without_authors(file.read_text("utf-8"), subject.project.config.package, in_tool=file.name == PYPROJECT)
     notes = (COMMITS.format(few(submodules, 5)),) if submodules else ()
-    return Made([Member(PROJECT + file.name, content.encode(), "file that SIERRA reads")], notes)
+    name = PROJECT + subject.project.file.name
+    return Made([Member(name, anonymous_file(subject.project).encode(), "file that SIERRA reads")], notes)
+
+
+def anonymous_file(project: LoadedProject) -> str:
+    """Return the text of a project's file without authors. Raises ConfigError as `without_authors` does."""
+    package = anonymous(project.config.package)
+    return without_authors(project.file.read_text("utf-8"), package, in_tool=project.file.name == PYPROJECT)
 
 
 def anonymous(package: Package) -> Package:

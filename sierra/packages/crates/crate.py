@@ -19,6 +19,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from sierra.config.package_table import DOI, Author, Package
+from sierra.packages import instructions
 from sierra.packages.crates.actions import Around, Batch, add, batches, parameter
 from sierra.packages.crates.graph import Entity, Graph, local, moment, purl, ref
 from sierra.packages.layout import CRATE, INSTRUCTIONS, PROJECT, README, STORED
@@ -125,6 +126,7 @@ def _readme(subject: Subject, found: Mapping[str, Member]) -> bytes:
     package = subject.project.config.package
     parts = (
         f"# {package.title}",
+        "\n".join(instructions.beginning(__version__, found)),
         package.description.strip(),
         REDACTED if subject.redacted else "",
         f"`{INSTRUCTIONS}` tells how to check the results, and what that needs.",

@@ -10,7 +10,7 @@ against this id when it is written. The bytes do not depend on the place where a
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,14 +21,20 @@ from sierra.containers.images.image_contents import opened, rootfs
 from sierra.errors import Damaged, Missing
 from sierra.packages.layout import IMAGE_FILES, IMAGES, PROJECT
 from sierra.packages.members import unsafe
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import ImageForm, Made, Member, Subject
 from sierra.store.layout import StorePaths
 from sierra.store.row_types import ImageRow
+from sierra.store.store import Store
 from sierra.util.hashing import sha256_file
 
 USED = """
 SELECT DISTINCT ON (image) * FROM images
 WHERE image IN (SELECT image FROM specs UNION SELECT image FROM builds UNION SELECT image FROM isolations)
+ORDER BY image, name, file
+"""
+OF_BATCH = """
+SELECT DISTINCT ON (image) * FROM images
+WHERE image IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM batch_runs WHERE batch = $b))
 ORDER BY image, name, file
 """
 DESCRIBED = ("image", "kind", "architecture", "layers", "name", "variables", "recipe", "variants")
@@ -54,6 +60,19 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         "" if subject.options.image != "none" else f"container images are not packed, only described in {IMAGES}: see --image"
     )
     return Made(made, notes=tuple(notes), facts=(lacking,) if lacking else ())
+
+
+def check(root: Path, store: Store, batches: Iterable[str], wanted: ImageForm) -> None:
+    """Raise Missing for an image of batches that is wanted, and neither in its file nor in podman's storage."""
+    for batch in batches if wanted != "none" else ():
+        for row in store.select(ImageRow, OF_BATCH, b=batch):
+            there = row.variants or (row.file and (root / row.file).exists())
+            if not there and not (row.kind == Kind.OCI and podman_images.holds(row.image)):
+                raise _gone(root / (row.file or row.name or ""), row.image)
+
+
+def _gone(path: Path, image: str) -> Missing:
+    return Missing(f"the image file {path} no longer exists, and podman does not have {short(image)}; restore it")
 
 
 def _description(rows: Sequence[ImageRow]) -> bytes:
@@ -135,5 +154,5 @@ def _found(subject: Subject, image: Image) -> Image:
     if image.kind is Kind.OCI and podman_images.holds(image.id):
         return replace(image, file="")
     if not path.exists():
-        raise Missing(f"the image file {path} no longer exists, and podman does not have {short(image.id)}; restore it")
+        raise _gone(path, image.id)
     return image

@@ -7,7 +7,6 @@ resolves the lock from the wheels alone, as an offline installation will. pip's 
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import re
@@ -17,12 +16,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
 from sierra.packages.layout import REQUIREMENTS, WHEELS
+from sierra.packages.parts import own_wheel
 from sierra.packages.parts.python_packages import Target, needed, target
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Made, Member, Options, Subject
 from sierra.provenance.dependency_model import normalized, versions
 from sierra.provenance.pythons import OWN
 from sierra.util.hashing import sha256_file
@@ -47,13 +46,11 @@ class Wheel(NamedTuple):
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     """Return the requested wheels and their lock. Raises Missing if pip does not find one, UsageError for a wrong target."""
-    options = subject.options
-    if not options.wheels:
+    if not subject.options.wheels:
         return Made(())
-    pythons, machines = options.pythons or (HERE.python,), options.machines or (HERE.machine,)
-    targets = list(dict.fromkeys(target(python, machine) for python in pythons for machine in machines))
+    targets = _targets(subject.options)
     recorded = versions("".join(subject.store.values(str, RECORDED)))
-    own = _own(subject.folder / "own")
+    own = own_wheel.wheel(metadata.distribution(OWN), subject.folder / "sierra")
     wheels = {}
     for one in targets:
         wanted = needed(subject.project.config.requires, one, recorded)
@@ -63,6 +60,17 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     files = {wheel.path.name: wheel.path for ones in wheels.values() for wheel in ones}
     made = [Member(WHEELS + name, path, "Python package") for name, path in sorted(files.items())]
     return Made([*made, Member(REQUIREMENTS, lock(wheels).encode(), "versions and SHA-256 of the Python packages")])
+
+
+def check(options: Options) -> None:
+    """Raise UsageError for a wrong target, Missing if there is no pip here."""
+    _targets(options)
+    pip_version()
+
+
+def _targets(options: Options) -> list[Target]:
+    pythons, machines = options.pythons or (HERE.python,), options.machines or (HERE.machine,)
+    return list(dict.fromkeys(target(python, machine) for python in pythons for machine in machines))
 
 
 def lock(wheels: Mapping[Target, Sequence[Wheel]]) -> str:
@@ -79,25 +87,16 @@ def lock(wheels: Mapping[Target, Sequence[Wheel]]) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _own(folder: Path) -> Path | None:
-    """Make SIERRA's wheel if its install is editable, since no index has that version; return None otherwise."""
-    direct = json.loads(metadata.distribution(OWN).read_text("direct_url.json") or "{}")
-    if not direct.get("dir_info", {}).get("editable"):
-        return None
-    source = unquote(urlsplit(direct["url"]).path)
-    _pip("SIERRA", "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), source)
-    return next(folder.glob("*.whl"))
-
-
-def _download(folder: Path, one: Target, wanted: Mapping[str, str], own: Path | None) -> list[Wheel]:
-    """Download the wheels for a target; return all of it."""
-    texts = [text for name, text in wanted.items() if own is None or name != OWN]
+def _download(folder: Path, one: Target, wanted: Mapping[str, str], own: Path) -> list[Wheel]:
+    """Download the wheels for a target; return all of it, with SIERRA's own wheel."""
+    texts = [text for name, text in wanted.items() if name != OWN]
     folder.mkdir()
-    _pip(str(one), "download", "--no-deps", *one.options(), "--dest", str(folder), *texts, f"{PIP}=={_pip_version()}")
-    return sorted(_wheels([*folder.iterdir(), *([own] if own else [])]))
+    _pip(str(one), "download", "--no-deps", *one.options(), "--dest", str(folder), *texts, f"{PIP}=={pip_version()}")
+    return sorted(_wheels([*folder.iterdir(), own]))
 
 
-def _pip_version() -> str:
+def pip_version() -> str:
+    """Return the version of pip here. Raises Missing if there is none."""
     try:
         return metadata.version(PIP)
     except metadata.PackageNotFoundError as error:

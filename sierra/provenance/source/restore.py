@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Container
 from functools import partial
 from pathlib import Path
@@ -33,7 +32,10 @@ from sierra.provenance.source.manifest import (
 from sierra.provenance.source.selection import shown
 from sierra.provenance.source.stored_repositories import Content, data, nested
 from sierra.provenance.source.worktree_snapshot import of_tree
+from sierra.util.scratch import scratch
 
+UNFINISHED = ".sierra-source-"
+"""The beginning of the names of folders into which git writes."""
 HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 FETCH = "run sierra source fetch (after sierra source push has been run where the source was recorded)"
 
@@ -147,8 +149,8 @@ def _write(file: Path, mode: str, content: bytes) -> None:
 def _checkout(git: Git, files: Files, target: Path, commit: str | None) -> None:
     """Let git write the files, and those of nested repositories, by the attributes of the whole repository."""
     prefix = git.prefix
-    with tempfile.TemporaryDirectory(prefix=".sierra-", dir=target.parent) as scratch:
-        index, into = Path(scratch, "index"), Path(scratch, "files")
+    with scratch(target.parent, UNFINISHED) as folder:
+        index, into = folder / "index", folder / "files"
         into.mkdir()
         lines = written({prefix + path: what for path, what in files.items()}) + _attributes(git, commit or "HEAD")
         git("update-index", "-z", "--index-info", index=index, given=lines, at_top=True)

@@ -135,8 +135,8 @@ class Slurm:
     def submit(self, request: Request) -> str:
         status, out, err = _submit(self.script(request), request.folder)
         if status == 0:
-            if answer := SUBMITTED.search(out):
-                return answer[1]
+            if answers := [answer[1] for answer in SUBMITTED.finditer(out)]:  # a site's own program may print numbers before
+                return answers[-1]
             raise Missing(f"sbatch did not print a job id, but {_one_line(out + err)!r}; it is unknown whether the job exists")
         if not err.strip():
             raise Missing(f"sbatch ended with status {status} and without a message")

@@ -1,8 +1,8 @@
 """The conversion of an old project to the text of a `sierra.toml`, with a list of what is not carried over.
 
 The name of a controller stays `CATEGORY.NAME`; the changes of a category become those of the controllers' category. A scenario
-becomes `NAME.{x}x{y}x{z}`, which sets the size of the arena. Everything is tried on the template, so that the result loads and
-its changes fit.
+becomes `NAME.{x}x{y}x{z}`, which sets the arena, its walls and the area where robots start, as SIERRA 1.x does. Everything is
+tried on the template, so that the result loads and its changes fit.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from sierra.config.group_names import GROUP_NAME
 from sierra.errors import ConfigError, Missing, QueryError, SierraError, UsageError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.platforms.argos import ARENA, EXPERIMENT, PLACEHOLDER
-from sierra.platforms.base import Following
+from sierra.platforms.base import Following, Platform
 from sierra.query import grammar
 from sierra.setup.init import folder
 from sierra.setup.sierra1 import graphs as figures
-from sierra.setup.sierra1.changes import ADDS, REMOVES, RENAMES, SETS, Old, Trial, listed, translated, xpath
+from sierra.setup.sierra1.changes import ADDS, REMOVES, RENAMES, SETS, Old, Trial, first, listed, translated, xpath
 from sierra.setup.sierra1.old_project import Call, OldProject, read
 from sierra.store.layout import CONFIG
 from sierra.templates.base import Template
@@ -35,6 +35,21 @@ from sierra.util.text import one_line
 
 ORDER = (*SETS, *RENAMES, *ADDS, *REMOVES)
 HEIGHT = "{x},{y},{z}"
+WALL, INSET = 0.4, 0.88
+"""The thickness of walls, and the distance from the arena's edges to the area where robots start, in metres (SIERRA 1.x)."""
+PLACES = (
+    (".//arena/distribute/position", "min", f"{INSET},{INSET},0"),
+    (".//arena/distribute/position", "max", f"{{round(x - {INSET}, 9)}},{{round(y - {INSET}, 9)}},0"),
+    (".//arena/*[@id='wall_north']", "size", f"{{x}},{WALL},0.5"),
+    (".//arena/*[@id='wall_north']/body", "position", "{x / 2},{y},0"),
+    (".//arena/*[@id='wall_south']", "size", f"{{x}},{WALL},0.5"),
+    (".//arena/*[@id='wall_south']/body", "position", "{x / 2},0,0"),
+    (".//arena/*[@id='wall_east']", "size", f"{WALL},{{round(y + {WALL}, 9)}},0.5"),
+    (".//arena/*[@id='wall_east']/body", "position", f"{{round(x - {WALL / 2}, 9)}},{{y / 2}},0"),
+    (".//arena/*[@id='wall_west']", "size", f"{WALL},{{round(y + {WALL}, 9)}},0.5"),
+    (".//arena/*[@id='wall_west']/body", "position", "0,{y / 2},0"),
+)
+"""The start area and the walls of SIERRA 1.x, of an arena of a scenario's size."""
 SETUP = re.compile(r"exp_setup\.T([0-9]{1,9})(?:\.K([0-9]{1,5}))?(?:\.N[0-9]+)?")
 LENGTH, TICKS = 5000, 5
 """The defaults of SIERRA 1.x for ARGoS: seconds, and ticks per second."""
@@ -104,7 +119,7 @@ def convert(root: Path, target: Path, template: str | None = None) -> Converted:
     _devices(draft, old, content)
     common = _accepted(draft, content)
     _controllers(draft, old, content, common)
-    _scenarios(draft, old)
+    _scenarios(draft, old, content, common)
     _variables(draft, old, content, common)
     drawn = figures.graphs(old, _folder(old, content))
     draft.left_out += drawn.left_out
@@ -227,13 +242,17 @@ def _accepted(draft: Draft, template: Template) -> tuple[Change, ...]:
 
 
 def _with_options(options: Mapping[str, object], template: Template) -> tuple[Change, ...]:
-    table = {"template": "t.argos", "platform": "argos", "platforms": {"argos": dict(options)}}
-    platform = platforms.find("argos", project_file.parse(table, "the converted project"))
+    platform = _platform(options)
     changes = platform.changes(template)
     document = Trial(template, {"controller": "c"}, list(changes)).document()
     if isinstance(platform, Following):
         platform.follow(document, document)
     return changes
+
+
+def _platform(options: Mapping[str, object]) -> Platform:
+    table = {"template": "t.argos", "platform": "argos", "platforms": {"argos": dict(options)}}
+    return platforms.find("argos", project_file.parse(table, "the converted project"))
 
 
 def _controllers(draft: Draft, old: OldProject, template: Template, common: tuple[Change, ...]) -> None:
@@ -261,7 +280,7 @@ def _controller(
     category: str,
     member: Plain,
     shared: list[Old],
-    library: str | None,
+    library: str,
     template: Template,
     common: tuple[Change, ...],
 ) -> None:
@@ -300,19 +319,28 @@ def _sorted(changes: list[Old]) -> list[Old]:
     return sorted(changes, key=lambda change: ORDER.index(change.kind))
 
 
-def _library(old: OldProject) -> str | None:
+def _library(old: OldProject) -> str:
+    """Return the library's name in `main.yaml`, or the one that SIERRA 1.x derives from the name of the project."""
     sierra = old.section("main.yaml").get("sierra")
     run = sierra.get("run") if isinstance(sierra, dict) else None
     name = run.get("library_name") if isinstance(run, dict) else None
-    return name if isinstance(name, str) and name else None
+    return name if isinstance(name, str) and name else f"lib{_project(old)}"
 
 
-def _library_changes(library: str | None, template: Template) -> tuple[list[Old], list[Old]]:
-    """Return the changes that SIERRA 1.x makes for `library_name`: to the loop functions, and to the controller."""
+def _project(old: OldProject) -> str:
+    """Return the project's name as scripts give it, or as it follows from its folder."""
+    folder = old.folder.resolve()
+    given = (name for call in old.calls for name in call.options.get("project", ()))
+    fitting = (name for name in given if re.fullmatch(r"[\w.-]+", name) and name.rpartition(".")[2] == folder.name)
+    return next(fitting, f"{folder.parent.name}.{folder.name}")
+
+
+def _library_changes(library: str, template: Template) -> tuple[list[Old], list[Old]]:
+    """Return the changes that SIERRA 1.x makes for the library: to the loop functions, and to the controller."""
     where, found = "main.yaml: library_name", []
     for path in (".//loop_functions", f".//{PLACEHOLDER}"):
-        fits = library is not None and template.find(f"{path[1:]}/@library")
-        found.append([Old(where, "attr_change", (path, "library", library or ""))] if fits else [])
+        fits = template.find(f"{path[1:]}/@library")
+        found.append([Old(where, "attr_change", (path, "library", library))] if fits else [])
     return found[0], found[1]
 
 
@@ -346,7 +374,7 @@ def _folder(old: OldProject, template: Template) -> str:
     return leaf.strip("/") if isinstance(leaf, str) else ""
 
 
-def _scenarios(draft: Draft, old: OldProject) -> None:
+def _scenarios(draft: Draft, old: OldProject, template: Template, common: tuple[Change, ...]) -> None:
     """Make a scenario of each name in generators/scenario*.py and in scripts."""
     for call in old.calls:
         for scenario in call.options.get("scenario", ()):
@@ -354,13 +382,43 @@ def _scenarios(draft: Draft, old: OldProject) -> None:
                 draft.left_out.append(f"{call.origin}: scenario {scenario}: unknown form; expected a name such as A.10x10x2")
     written = [match for call in old.calls for s in call.options.get("scenario", ()) if (match := SCENARIO.fullmatch(s))]
     names = dict.fromkeys([*old.scenarios, *(match[1] for match in written)])
-    size = Set(f"{ARENA}/@size", HEIGHT, expect=1)
+    changes = _arena(draft, template, common) if names else ()
+    if any("population_constant_density" in text for call in old.calls for text in _criteria(call)):
+        draft.left_out.append(
+            f"population_constant_density: start area {INSET} m inside each arena: it grows with the arena instead"
+        )
     for name in names:
-        draft.scenarios[f"{name}.{{x}}x{{y}}x{{z}}"] = (size,)
+        draft.scenarios[f"{name}.{{x}}x{{y}}x{{z}}"] = changes
         draft.left_out.append(
             f"scenario {name}: it sets the arena; what else its function in generators/scenario.py does is Python: "
             "write it as changes"
         )
+
+
+def _arena(draft: Draft, template: Template, common: tuple[Change, ...]) -> tuple[Change, ...]:
+    """Return the changes that SIERRA 1.x makes for the arena of a scenario, or only its size if the others do not fit."""
+    size = Set(f"{ARENA}/@size", HEIGHT, expect=1)
+    trial = Trial(template, {"controller": "c", "x": 20, "y": 10, "z": 2}, list(common))
+    try:
+        places = [(first(trial, xpath(path, "c")), name, value) for path, name, value in PLACES]
+        found = [(path, name, value) for path, name, value in places if path and trial.count(f"{path}/@{name}")]
+        placed = tuple(Set(path, value, attribute=name) for path, name, value in found)
+        changes = (size, Set(ARENA, "{x / 2},{y / 2},{z / 2}", attribute="center"), *placed)
+        trial.changes += changes
+        _check_input(trial, Trial(template, trial.values, list(common)), _platform(draft.platform))
+    except SierraError as error:
+        draft.left_out.append(
+            f"scenarios: start area {INSET} m inside the arena, walls of {WALL} m: {error}; both follow the arena instead"
+        )
+        return (size,)
+    return changes
+
+
+def _check_input(trial: Trial, base: Trial, platform: Platform) -> None:
+    """Raise SierraError if a platform refuses an input, with all that follows from its changes."""
+    if isinstance(platform, Following):
+        trial.changes += platform.follow(trial.document(), base.document())
+    platform.check(trial.document(), trial.template)
 
 
 def _variables(draft: Draft, old: OldProject, template: Template, common: tuple[Change, ...]) -> None:
@@ -390,7 +448,7 @@ def _queries(draft: Draft, old: OldProject) -> None:
         draft.left_out += [
             f"{call.origin}: --{option}: is not carried over" for option in call.options if option not in OPTIONS
         ]
-        criteria = [_criterion(text) for name in ("batch-criteria", "bc") for text in call.options.get(name, ())]
+        criteria = [_criterion(text) for text in _criteria(call)]
         if not criteria:
             continue
         try:
@@ -403,6 +461,10 @@ def _queries(draft: Draft, old: OldProject) -> None:
             free = (stem, *(f"{stem}_{number}" for number in range(2, len(draft.queries) + 3)))
             if query not in draft.queries.values():
                 draft.queries[next(one for one in free if one not in draft.queries)] = query
+
+
+def _criteria(call: Call) -> Iterator[str]:
+    yield from (text for name in ("batch-criteria", "bc") for text in call.options.get(name, ()))
 
 
 def _criterion(text: str) -> str:

@@ -274,7 +274,7 @@ def test_attach_refuses_a_batch_that_another_process_follows(waiting: Waiting) -
     [now] = waiting.status()
     assert f"process {asking.pid} on " in now["attended"]
     done = waiting.project.quick("attach", waiting.batch())
-    assert done.returncode == 1
+    assert done.returncode == 3
     assert f"is followed by process {asking.pid} on " in done.stderr
     detached = waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach")
     assert detached.returncode == 0

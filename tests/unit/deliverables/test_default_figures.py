@@ -7,7 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.projects import make, quick
+import sierra
+from sierra.config import project_file
+from sierra.config.deliverable_tables import Figure
+from sierra.deliverables.gallery import Gallery
+from sierra.store.samples import Frame
+from tests.projects import CONFIG, make, quick
 
 WIDE = """\
 import random, sys
@@ -50,3 +55,26 @@ def test_a_note_proposes_the_mean_of_what_was_measured_and_not_of_the_number_of_
     with (folder / "sierra.toml").open("a") as file:
         file.write(table.replace("] ", "]\n", 1) + "\n")
     assert "way_mean_x_timeseries" in quick(folder, "figures").stdout
+
+
+def test_a_variable_with_one_value_is_no_dimension_of_figures(tmp_path: Path) -> None:
+    declared = '[figures.map]\nkind = "heatmap"\ncolumn = "coverage"\n[controllers.A]\n'
+    folder = make(tmp_path / "project", CONFIG + declared)
+    batch = sierra.open(folder).run("population_size=1,2", "noise=0,0.5", "controller=A", runs=1, figures=False).batch
+    with Frame(sierra.open(folder).store, batch) as frame:
+        gallery = Gallery(project_file.load(folder), sierra.open(folder).store, frame)
+        drawn = gallery.drawing("map", gallery.wanted("map")[0]["map"])
+        assert [axis.name for axis in drawn.axes] == ["population_size", "noise"]
+        assert "controller = A" in drawn.note.split("; ")
+        named = Figure(kind="summary", column="coverage", facet="controller")
+        assert [axis.name for axis in gallery.drawing("by", named).axes] == ["population_size", "noise", "controller"]
+        alone = Figure(kind="summary", column="coverage", where="population_size = 1 AND noise = 0.5")
+        assert [axis.name for axis in gallery.drawing("one", alone).axes] == ["population_size"]
+
+
+def test_default_figures_over_one_varied_variable_are_no_maps(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project")
+    batch = sierra.open(folder).run("population_size=1,2", "noise=0.5", runs=1, figures=False).batch
+    with Frame(sierra.open(folder).store, batch) as frame:
+        wanted, _ = Gallery(project_file.load(folder), sierra.open(folder).store, frame).wanted(None)
+    assert {figure.kind for figure in wanted.values()} == {"timeseries", "summary"}

@@ -195,7 +195,7 @@ def test_two_tries_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) ->
         until(lambda: list((project / ".sierra/try/store/work").glob("*/1/output/begun")))
         done = quick(project, "try")
         assert (done.returncode, done.stderr) == (
-            1,
+            3,
             "sierra: another sierra try is executing in this project; wait until it ends\n",
         )
         first.send_signal(signal.SIGINT)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,27 @@ def test_runs_and_inputs_are_those_that_a_batch_records(project: Path) -> None:
         assert done.returncode == 0
         [file] = (project.parent / "files" / row["run"]).rglob("input.xml")
         assert (project.parent / "inputs" / row["folder"] / "input.xml").read_bytes() == file.read_bytes()
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import sierra
+from sierra.execution import write_inputs
+write_inputs._write_all = lambda *of: os.kill(os.getpid(), signal.SIGKILL)
+project = sierra.open(".")
+project.write_inputs(project.plan("population_size=1", runs=1), Path("../first"))
+"""
+
+
+@pytest.mark.integration
+def test_the_next_inputs_remove_what_a_killed_command_has_left(project: Path) -> None:
+    before = {path.name for path in project.parent.iterdir()}
+    ended = subprocess.run([sys.executable, "-c", KILLED], cwd=project, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    assert len(list(project.parent.iterdir())) == len(before) + 1
+    assert written(project, "population_size=1")
+    assert {path.name for path in project.parent.iterdir()} == {*before, "inputs"}
 
 
 def test_a_command_works_in_the_output_folder_of_its_run(project: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.maintenance import gc
+from sierra.maintenance import gc, transaction
 from sierra.store.schema import RECORDED
 from tests import projects, stores
 from tests.conftest import held
@@ -115,6 +115,19 @@ def test_finished_runs_of_a_dead_session_are_recorded(simulate: Callable[..., An
     project.open()
     assert project.quick("run", "size=1", "--runs", "8", "--no-figures").returncode == 0
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
+
+
+@pytest.mark.parametrize("words", [("gc", "--yes"), ("rm", "{batch}", "--yes")])
+def test_a_store_that_another_process_has_just_begun_to_use_is_busy_and_not_damaged(
+    root: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(transaction, "PATIENCE_S", 0.05)
+    project = sierra.open(root)
+    called = [word.format(batch=project.batches[0].batch) for word in words]
+    with transaction.changing(project.store.paths):  # a session that has not recorded its batch yet
+        ended = projects.quick(root, *called)
+    assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+    assert ended.stderr.startswith("sierra: the store is busy")
 
 
 @pytest.mark.integration

@@ -207,7 +207,7 @@ def test_executing_batch_is_not_removed_but_other_batches_are(simulate: Callable
     project.until_executed(5, running)
     [mine] = project.sql(f"SELECT batch FROM batches WHERE batch <> '{other['batch']}'")
     refused = project.quick("rm", mine["batch"], "--yes")
-    assert refused.returncode == 1
+    assert refused.returncode == 3
     assert "is being executed" in refused.stderr
     assert project.quick("rm", other["batch"], "--yes").returncode == 0
     project.open()

@@ -26,6 +26,10 @@ MEMBERS = {"sierra.toml": b"runs = 1\n", "results/a.parquet": b"PAR1" * 9, "sour
 class Bytes:
     data: bytes
 
+    @property
+    def size(self) -> int:
+        return len(self.data)
+
     def open(self) -> io.BytesIO:
         return io.BytesIO(self.data)
 
@@ -201,10 +205,12 @@ def test_a_file_that_is_no_zip_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_members_above_4_gib_are_written_and_read(tmp_path: Path) -> None:
     class Zeros:
+        size = 5 << 30
+
         def open(self) -> io.BufferedReader:
             path = tmp_path / "zeros"
             with path.open("wb") as file:
-                file.truncate(5 << 30)
+                file.truncate(self.size)
             return path.open("rb")
 
     write(tmp_path / "x.zip", {"large.txt": Zeros()})
@@ -257,3 +263,11 @@ def test_a_member_of_5_gib_is_written_and_checked(tmp_path: Path) -> None:
         with pytest.raises(Damaged, match="at most"):
             found.read(member.name)
     assert (tmp_path / "x.zip").stat().st_size < 100 << 20
+
+
+def test_all_versions_of_python_write_the_same_bytes(tmp_path: Path) -> None:
+    """They differ in the form for files of more than 2 GiB, and mark it by a version of zip from 45 on."""
+    write(tmp_path / "x.zip", {name: Member(name, b"x" * 5000, "") for name in ("a.txt", "b.png")})
+    with zipfile.ZipFile(tmp_path / "x.zip") as file:
+        assert {(one.create_version, one.extract_version, one.extra) for one in file.infolist()} == {(20, 20, b"")}
+    assert (tmp_path / "x.zip").read_bytes()[:8] == b"PK\x03\x04\x14\x00\x00\x00"

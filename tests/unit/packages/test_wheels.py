@@ -12,7 +12,7 @@ import pytest
 
 import sierra
 from sierra.errors import UsageError
-from sierra.packages.parts import wheels
+from sierra.packages.parts import own_wheel, wheels
 from sierra.packages.parts.python_packages import needed, target
 from sierra.packages.parts.wheels import HERE, Wheel, lock
 from tests import projects
@@ -68,7 +68,9 @@ def test_wheels_come_from_the_users_index_and_are_checked_together(tmp_path: Pat
     wheel(index, "one", "1.0", "two>=2")
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(index))
-    monkeypatch.setattr(wheels, "_own", lambda folder: None)
+    (tmp_path / "own").mkdir()
+    own = wheel(tmp_path / "own", "sierra_experiments", metadata.version("sierra-experiments"))
+    monkeypatch.setattr(own_wheel, "wheel", lambda own_distribution, folder: own)
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
 
@@ -89,7 +91,7 @@ def test_wheels_come_from_the_users_index_and_are_checked_together(tmp_path: Pat
     assert (tmp_path / "x.zip").read_bytes() == (tmp_path / "y.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         names = [name for name in file.namelist() if name.startswith("environment/wheels/")]
-        assert [name.split("/")[-1].split("-")[0] for name in names] == ["one", "pip", "two"]
+        assert [name.split("/")[-1].split("-")[0] for name in names] == ["one", "pip", "sierra_experiments", "two"]
         assert not [name for name in file.namelist() if str(index).encode() in file.read(name)]
     assert projects.quick(root, "package", batch, "--no-report", "-o", "../z.zip", "--python", "3.12").returncode == 2
 

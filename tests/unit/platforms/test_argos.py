@@ -779,6 +779,52 @@ def test_a_fixed_arena_conflicts_with_a_growing_one(tmp_path: Path) -> None:
     assert "is overwritten: --set //arena/@size changes the same value later" in told
 
 
+BLOCKS = """
+[controllers.walking]
+[scenarios.few]
+changes = [{ set = "//arena/@size", value = "10,10,2" }, { set = "//foraging/@items", value = "3" }]
+[scenarios.many]
+changes = [{ set = "/argos-configuration/arena/@size", value = "10,10,2" }, { set = "//foraging/@items", value = "30" }]
+[scenarios."Sized.{x}x{y}x{z}"]
+changes = [{ set = "//arena/@size", value = "{x},{y},{z}" }]
+"""
+
+
+def inputs(folder: Path, *words: str) -> list[Made]:
+    """Return the inputs of a query's runs, in the order of their experiments."""
+    wrote = projects.quick(folder, "inputs", *words, "--to", str(folder.with_name("inputs")))
+    assert wrote.returncode == 0, wrote.stderr + wrote.stdout
+    return [etree.parse(file).getroot() for file in sorted(folder.with_name("inputs").glob("runs/*/*/input.argos"))]
+
+
+def test_controllers_are_compared_by_an_axis(tmp_path: Path) -> None:
+    made = inputs(argos_project(tmp_path / "p", CONFIG + BLOCKS), "controller=foraging,walking", "arena=10x10,20x20")
+    assert [(one(m, "//foot-bot/controller/@config"), m.find("controllers")[0].tag, one(m, "arena/@size")) for m in made] == [
+        (name, name, size) for name in ("foraging", "walking") for size in ("10,10,2", "20,20,2")
+    ]
+
+
+def test_a_scenario_with_an_arena_sets_the_rest_if_a_density_sets_the_arena(tmp_path: Path) -> None:
+    words = ("scenario=few,many", "population_constant_density.5p0.I10.C2")
+    made = inputs(argos_project(tmp_path / "p", CONFIG + BLOCKS), *words)
+    assert [(one(m, "//foraging/@items"), one(m, "arena/@size"), one(m, QUANTITY)) for m in made] == [
+        (items, size, robots) for items in ("3", "30") for size, robots in (("10,10,2", "5"), ("20,20,2", "20"))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("scenario=Sized.10x10x2,few", "population_constant_density.5p0.I10.C2"), "leave scenario=Sized.10x10x2 out"),
+        (("scenario=few", "arena=20x20,30x30"), "arena=20x20 changes the same value later; use one of them\n"),
+    ],
+)
+def test_a_scenario_that_a_criterion_overwrites_is_refused_with_advice_that_helps(
+    tmp_path: Path, words: tuple[str, ...], message: str
+) -> None:
+    assert message in refused(argos_project(tmp_path / "p", CONFIG + BLOCKS), *words)
+
+
 def test_a_density_with_different_populations_per_scenario_is_refused(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", CONFIG + BIG)
     told = refused(folder, "scenario=plain,big", "population_variable_density.1p0.3p0.C3")

@@ -302,6 +302,67 @@ def test_a_converted_project_runs_with_a_program_called_argos3(new: Path, tmp_pa
     assert "collected_data_energy_summary" in drawn.stdout
 
 
+def arena_of_input(new: Path, *words: str) -> dict[str, str]:
+    """Return the arena of the last input of a query, which is only generated."""
+    done = projects.quick(with_program(new), "inputs", *words, "--runs", "1", "--to", str(new.parent / "made"))
+    assert done.returncode == 0, done.stderr
+    made = etree.parse(sorted(new.parent.glob("made/runs/*/*/input.argos"))[-1])
+    places = {str(box.get("id")): f"{box.get('size')} {box.find('body').get('position')}" for box in made.iter("box")}
+    arena, position = made.find("arena"), made.find("arena/distribute/position")
+    return {"arena": f"{arena.get('size')} {arena.get('center')}", **position.attrib, **places}
+
+
+def test_a_scenario_has_the_walls_and_the_start_area_of_the_old_program(new: Path) -> None:
+    assert arena_of_input(new, "population_size=1", "--scenario", "LowBlockCount.20x10x2") == {
+        "arena": "20,10,2 10,5,1",
+        "method": "uniform",
+        "min": "0.88,0.88,0",
+        "max": "19.12,9.12,0",
+        "wall_north": "20,0.4,0.5 10,10,0",
+        "wall_south": "20,0.4,0.5 10,0,0",
+        "wall_east": "0.4,10.4,0.5 19.8,5,0",
+        "wall_west": "0.4,10.4,0.5 0,5,0",
+    }
+
+
+@pytest.mark.integration
+def test_a_density_keeps_the_converted_walls(new: Path) -> None:
+    words = ("population_constant_density.5p0.I10.C2", "--scenario", "LowBlockCount.20x10x2")
+    made = arena_of_input(new, *words)
+    assert (made["arena"], made["wall_east"], made["wall_north"]) == (
+        "30,20,2 15,10,1",
+        "0.4,20,0.5 29.8,10,0",
+        "30,0.4,0.5 15,19.8,0",
+    )
+
+
+def test_walls_of_other_names_follow_the_arena_and_the_difference_is_listed(tmp_path: Path) -> None:
+    old = old_project(tmp_path / "old")
+    (old / "exp/template.argos").write_text(TEMPLATE.replace("wall_east", "wall_e"))
+    (tmp_path / "new").mkdir()
+    done = projects.quick(tmp_path / "new", "init", "--from-sierra1", str(old), "--json")
+    assert done.returncode == 0, done.stderr
+    (line,) = [line for line in json.loads(done.stdout)["left_out"] if line.startswith("scenarios: ")]
+    assert "start area 0.88 m inside the arena, walls of 0.4 m" in line
+    assert all(len(group.changes) == 1 for group in loaded(tmp_path / "new").scenarios.values())
+
+
+@pytest.mark.parametrize(
+    ("script", "name"),
+    [(SCRIPT, "libprojects.old"), ("sierra-cli --project=mine.old\n", "libmine.old"), ("", "libprojects.old")],
+)
+def test_the_library_is_named_after_the_project_if_main_yaml_does_not_name_it(tmp_path: Path, script: str, name: str) -> None:
+    old = old_project(tmp_path / "old", main="sierra: {run: {run_metrics_leaf: metrics}}\n")
+    (old / "scripts/run.sh").write_text(script)
+    (tmp_path / "new").mkdir()
+    assert projects.quick(tmp_path / "new", "init", "--from-sierra1", str(old)).returncode == 0
+    groups = loaded(tmp_path / "new").controllers
+    libraries = [(c.set, c.value) for group in groups.values() for c in group.changes if c.attribute == "library"]
+    assert libraries == [
+        ("//loop_functions", name), ("//depth0.CRW", name), ("//depth0.DPO", name)
+    ]  # fmt: skip
+
+
 @pytest.mark.integration
 def test_the_input_is_what_the_old_project_meant(new: Path) -> None:
     projects.run(with_program(new), "population_size=3", "--scenario", "LowBlockCount.20x10x2", "--runs", "1")
@@ -312,7 +373,7 @@ def test_the_input_is_what_the_old_project_meant(new: Path) -> None:
     assert made.xpath("string(//crw_controller/params/nest[1]/@x)") == "7"
     assert made.xpath("string(//arena/@size)") == "20,10,2"
     assert made.xpath("string(//arena/@center)") == "10,5,1"
-    assert made.xpath("string(//box[@id='wall_east']/body/@position)") == "19.95,5,0"
+    assert made.xpath("string(//box[@id='wall_east']/body/@position)") == "19.8,5,0"
     assert made.xpath("string(//experiment/@length)") == "60"
     assert made.xpath("string(//entity/@quantity)") == "3"
 

@@ -131,6 +131,17 @@ print("tick,value", *(f"{tick},1" for tick in range(3)), sep="\\n", file=open("s
 
 
 @pytest.mark.integration
+def test_a_different_replay_of_runs_that_used_a_gpu_names_what_differs_there(root: Path) -> None:
+    library = root.parent / "library" / "libcuda.so.1"
+    (root / "sim.py").write_text(LIKE_A_GPU_PROGRAM.replace("{tick},1", "{tick},{os.getpid()}"))
+    library.touch()
+    projects.run(root, QUERY)
+    done = projects.quick(root, "replay", projects.sql(root, "SELECT batch FROM batches")[-1]["batch"], "--runs", "1")
+    assert done.returncode == 1
+    assert "torch.use_deterministic_algorithms(True), and set CUBLAS_WORKSPACE_CONFIG" in done.stdout
+
+
+@pytest.mark.integration
 def test_runs_that_use_a_gpu_depend_on_it_and_its_driver(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (root / "sim.py").write_text(LIKE_A_GPU_PROGRAM)
     (root.parent / "library" / "libcuda.so.1").touch()

@@ -271,7 +271,7 @@ def sbatch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], N
     return put
 
 
-@pytest.mark.parametrize("said", ["12", "12;tux", "You have 3 jobs.\\n12;tux", "12\\nThank you"])
+@pytest.mark.parametrize("said", ["12", "12;tux", "You have 3 jobs.\\n12;tux", "12\\nThank you", "7\\n12", "7;old\\n\\n12;tux"])
 def test_the_answer_of_sbatch_names_the_job(
     said: str, sbatch: Callable[[str], None], request_of: Callable[..., Request]
 ) -> None:
