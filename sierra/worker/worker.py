@@ -828,6 +828,9 @@ class Worker:
         self.begin: float | None = None
         self.wall = 0.0
         self.trusts = True  # that a tracer works which has worked before
+        self.doubtful: Job | None = None
+        """A run whose use of files must be compared with that of another one, which is observed as soon as it starts."""
+        self.compared = False
 
     @property
     def status(self) -> int:
@@ -976,6 +979,7 @@ class Worker:
 
     def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
+        job = self.with_comparison(job)
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
@@ -1122,6 +1126,28 @@ class Worker:
         unobserved["unobserved"] = reason
         self.execute(unobserved, slot)
 
+    def with_comparison(self, job: Job) -> Job:
+        """Return the job, which is observed if an observed run before it was doubtful: once, whatever it takes."""
+        if "client" in job or "waits" in job or "unobserved" in job:
+            return job
+        with self.lock:
+            first, self.doubtful = self.doubtful, None
+            if first is None:
+                return job
+            self.compared = True
+        job = job.copy()
+        job["observe"] = first["observe"]
+        if "helps" in first:
+            job["helps"] = first["helps"]
+        job.pop("budget", None)
+        return job
+
+    def compare(self, job: Job, trace: Trace) -> None:
+        """Let another run be observed if this one wrote and read the same files outside its folder."""
+        with self.lock:
+            if not self.compared and (trace.reread or trace.reread_new):
+                self.doubtful = job
+
     def observe(self, job: Job, folder: str) -> Observation | None:
         """Begin to observe a run, if that is requested and takes no more time than it may."""
         if "observe" not in job or "client" in job or not self.account.allows(job.get("budget")):
@@ -1159,6 +1185,7 @@ class Worker:
             disturbed = trace.disturbed
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
+            self.compare(job, seen)
             shared = services.seen() if services else None
             with self.observing:
                 contents = self.contents(job, seen, names, running.observation.began)
