@@ -402,7 +402,7 @@ class Running:
         self.started = time.monotonic()
         self.stopped: str | None = None
         self.kill_at: float | None = None
-        self.look_at = self.started + 1.0
+        self.look_at = self.continue_at = self.started + 1.0
         self.stalled_since: float | None = None
         self.switches: dict[int, int] = {}
         """How often each traced process had left its processor when the worker last looked at it."""
@@ -458,6 +458,14 @@ class Running:
             return False  # so that the others need not be searched
         states = {self.state_of(pid) for pid in self.pids() if pid != self.pid or not self.conducted}
         return b"T" in states and states <= {b"T", b"Z", None}
+
+    def continue_conductor(self, now: float) -> None:
+        """Continue the conductor at intervals if it is stopped, but nothing else of the run: a run may stop its parent."""
+        if now < self.continue_at or self.meter:
+            return
+        self.continue_at = now + 1.0
+        if self.state_of(self.pid) == b"T" and all(self.state_of(pid) != b"T" for pid in self.pids() if pid != self.pid):
+            signal_process(self.pid, signal.SIGCONT)
 
     def state_of(self, pid: int) -> bytes | None:
         """Return the state of a process: T if a signal has stopped it, also under the tracer; None if there is no process."""
@@ -828,6 +836,7 @@ class Worker:
         self.begin: float | None = None
         self.wall = 0.0
         self.trusts = True  # that a tracer works which has worked before
+        self.parent = os.getppid()
         self.doubtful: Job | None = None
         """A run whose use of files must be compared with that of another one, which is observed as soon as it starts."""
         self.compared = False
@@ -1278,6 +1287,7 @@ class Worker:
             reap()
         if self.services is not None:
             self.services.look()
+        continue_ending(self.parent)
         for container in list(self.containers.values()):
             if self.stopping:
                 container.stop()
@@ -1287,6 +1297,8 @@ class Worker:
                 container.kill()
             container.expire(now)
         for one in running:
+            if one.conducted:
+                one.continue_conductor(now)
             if one.meter:
                 one.meter.read(now)
                 due.append(one.meter.due)
@@ -2110,6 +2122,20 @@ def keep_reason(folder: str, reason: str) -> bool:
     except OSError:
         return False
     return True
+
+
+ENDING_MASK = sum(1 << number - 1 for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM))
+"""The signals that end a program, as in /proc/PID/status."""
+
+
+def continue_ending(pid: int) -> None:
+    """Continue a process that is stopped, if a signal waits that would end it: a run may stop the process of its session."""
+    if stat_of(pid)[:1] == [b"T"]:
+        pending = [
+            line.split()[1] for line in read_proc("%d/status" % pid).splitlines() if line[:7] in (b"SigPnd:", b"ShdPnd:")
+        ]
+        if any(int(mask, 16) & ENDING_MASK for mask in pending):
+            signal_process(pid, signal.SIGCONT)
 
 
 def nobody(pid: int) -> bool:
