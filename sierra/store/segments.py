@@ -181,6 +181,8 @@ class Writer:
     def __init__(self, folder: Path, batch: str) -> None:
         self.folder = folder
         self.batch = batch[:12]
+        self.published: Path | None = None
+        """The segment; None if there is none, or if the store had the same one already."""
         shutil.rmtree(folder, ignore_errors=True)
         with disk_errors(folder):
             folder.mkdir(parents=True)
@@ -234,6 +236,7 @@ class Writer:
             target = inside(segments, self.seal())
             try:
                 self.folder.rename(target)
+                self.published = target
             except OSError as error:
                 if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
                     raise
