@@ -105,6 +105,8 @@ LOGS = ("stdout", "stderr")
 OBSERVED = "observed.json"  # in a run's folder: what the run did with files
 TRACER = "file_trace.py"  # beside this file: it observes runs
 CONDUCTOR = "conductor.py"  # beside this file: it executes what is around a run's command
+PROGRAM = re.compile(rb"\0-I\0-S\0[^\0]*/(?:worker|conductor)\.py\0")
+"""The words of SIERRA's own program in a container."""
 CONDUCTED = "\2"  # the first word of a job that the conductor executes; the second is its plan
 REPORT = os.path.join("home", ".sierra-conductor")  # the conductor's, in the run's folder
 REPORT_BYTES = 1 << 16
@@ -837,6 +839,7 @@ class Worker:
         self.wall = 0.0
         self.trusts = True  # that a tracer works which has worked before
         self.parent = os.getppid()
+        self.continue_at = 0.0
         self.doubtful: Job | None = None
         """A run whose use of files must be compared with that of another one, which is observed as soon as it starts."""
         self.compared = False
@@ -1277,6 +1280,17 @@ class Worker:
         }
         self.journal.write(event, job.get("seal"))
 
+    def continue_inside(self, now: float) -> None:
+        """Continue, at intervals, a worker or a conductor in a container that is stopped: a run may stop its parent."""
+        if now < self.continue_at:
+            return
+        self.continue_at = now + 1.0
+        with self.lock:
+            roots = [*self.running, *(container.pid for container in list(self.containers.values())), *orphans()]
+        for pid in {pid for root in roots for pid in descendants(root)}:
+            if stat_of(pid)[:1] == [b"T"] and PROGRAM.search(read_proc("%d/cmdline" % pid)):
+                signal_process(pid, signal.SIGCONT)
+
     def watch(self) -> float:
         """Enforce the limits that are due, and return the seconds until the next check."""
         with self.lock:
@@ -1285,6 +1299,7 @@ class Worker:
         due = []
         if self.contains:
             reap()
+            self.continue_inside(now)
         if self.services is not None:
             self.services.look()
         continue_ending(self.parent)

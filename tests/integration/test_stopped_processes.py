@@ -74,6 +74,19 @@ def test_runs_that_stop_the_worker_again_fail_and_the_session_goes_on(make: Call
 
 
 @pytest.mark.each_case
+@pytest.mark.parametrize("observe", ["none", "first"])
+def test_the_program_that_executes_what_is_around_a_run_is_continued(
+    make: Callable[..., Path], observe: str, require: Callable[..., str]
+) -> None:
+    require("strace")
+    folder = make(f"{STOP_WORKER}\ntime.sleep(0.1)", runs=2)
+    config = folder / "sierra.toml"
+    config.write_text(f'before = "true"\n{config.read_text()}'.replace("'none'", f"'{observe}'"))
+    done = query(folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("code", "number"),
     [(STOP_WORKER, signal.SIGTERM), (STOP_SESSION, signal.SIGINT), ("os.kill(0, signal.SIGSTOP)", signal.SIGHUP)],

@@ -14,6 +14,12 @@ REASON = "use at the same time; execute with --jobs 1, in a container, or pass {
 pytestmark = pytest.mark.integration
 
 
+def assert_own(folder: Path) -> None:
+    """Check that no run that counts has the rows of another one: each run writes its seed."""
+    if projects.sql(folder, OK)[0]["n"]:
+        assert projects.sql(folder, "SELECT * FROM swarm JOIN runs r USING (run) WHERE value <> r.seed") == []
+
+
 @pytest.fixture
 def execute(tmp_path: Path, require: Callable[..., str]) -> Callable[..., tuple[int, str]]:
     """Execute runs of a shell script, and return how many count, and what SIERRA has said. `$D` is a folder outside."""
@@ -28,6 +34,7 @@ def execute(tmp_path: Path, require: Callable[..., str]) -> Callable[..., tuple[
             projects.make(folder, config)
         (folder / "sim.sh").write_text(f"D={outside}\n{script}\n")
         done = projects.quick(folder, "run", query, "--jobs", str(jobs), "--no-figures")
+        assert_own(folder)
         return projects.sql(folder, OK)[0]["n"], done.stdout + done.stderr
 
     return execute
@@ -49,19 +56,25 @@ WRITE = '{{ echo tick,value; echo "0,$1"; }} > {0}; sleep 0.05'
         f"rm -f $D/out.csv; {WRITE.format('$D/out.csv')}; ln $D/out.csv swarm.csv",
         f"mkdir -p $D/work; {WRITE.format('$D/work/out.csv')}; cat $D/work/out.csv > swarm.csv",
         f"t=$(mktemp $D/XXXXXX); {WRITE.format('$t')}; mv $t $D/out.csv; cp $D/out.csv swarm.csv",
+        f"exec 8<>$D/out.csv; {WRITE.format('/dev/fd/8')}; cat /dev/fd/8 $D/out.csv | tail -n 2 > swarm.csv",
         f"{WRITE.format('/dev/shm/sierra-test-out.csv')}; cp /dev/shm/sierra-test-out.csv swarm.csv",
     ],
-    ids=["copied", "moved", "linked", "folder", "replaced", "memory"],
+    ids=["copied", "moved", "linked", "folder", "replaced", "both", "memory"],
 )
 def test_runs_that_share_a_file_do_not_count(execute: Callable[..., tuple[int, str]], script: str) -> None:
     counted, said = execute(script)
-    assert (counted, REASON in said) == (0, True), said
+    assert counted < 10, said  # a run that was alone counts
+    assert REASON in said
 
 
 def test_with_one_job_they_count(execute: Callable[..., tuple[int, str]]) -> None:
     script = f"{WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv"
-    assert execute(script)[0] == 0
+    assert execute(script)[0] < 10
     assert execute(script, jobs=1)[0] == 10
+
+
+def test_an_output_that_has_another_name_outside_is_the_runs_own(execute: Callable[..., tuple[int, str]]) -> None:
+    assert execute(f"{WRITE.format('$D/out.csv')}; ln $D/out.csv swarm.csv", jobs=1)[0] == 10
 
 
 def test_two_runs_at_once_are_compared_although_only_one_was_observed(execute: Callable[..., tuple[int, str]]) -> None:
@@ -90,3 +103,16 @@ def test_runs_with_names_of_their_own_count(execute: Callable[..., tuple[int, st
 def test_two_runs_with_names_of_their_own_count(execute: Callable[..., tuple[int, str]]) -> None:
     counted, said = execute(f"{WRITE.format('$D/$$.csv')}; cp $D/$$.csv swarm.csv", query="population_size=1", runs=2)
     assert counted == 2, said
+
+
+def test_two_sessions_at_once_share_a_file(execute: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
+    script = f"{WRITE.format('$D/out.csv')}; sleep 0.3; cp $D/out.csv swarm.csv"
+    execute(script, query="population_size=3", runs=6, jobs=1)
+    folder = tmp_path / "project"
+    started = [projects.start(folder, "run", f"population_size={size}", "--jobs", "1", "--no-figures") for size in (1, 2)]
+    for process in started:
+        process.communicate(timeout=100)
+    assert projects.sql(folder, "SELECT count(*) > 0 AS failed FROM executions WHERE reason LIKE 'writes and reads%'") == [
+        {"failed": True}
+    ]
+    assert_own(folder)
