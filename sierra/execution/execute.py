@@ -89,6 +89,9 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         if session.paths not in executor.left:
             session_records.close(plan, store, session, summary, begun)
         return summary
+    except Exception:
+        session_records.withdraw(store, session)
+        raise
     finally:
         session.close()
 

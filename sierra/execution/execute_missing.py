@@ -21,6 +21,7 @@ from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.execution.supervised.conduct import UNATTENDED, Conduct
+from sierra.ingest import shared_use
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import reevaluate
 from sierra.ingest.success import Doubt
@@ -30,6 +31,7 @@ from sierra.runners.base import Runner
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 from sierra.templates.base import Files
+from sierra.util.hashing import short
 from sierra.util.json_types import JsonView
 from sierra.util.signals import noted
 from sierra.util.text import counted, few
@@ -37,6 +39,7 @@ from sierra.util.text import counted, few
 JOIN_S = 0.2
 ENDING_S = 3.0
 """The seconds in which another session that has executed supervised trials must have ended."""
+SECOND = "run {} is executed again and observed, because one observed run wrote a file elsewhere and read it: do others, too?"
 NOTED = 4
 """Maximum number of reported reasons why runs cannot be evaluated again."""
 
@@ -104,7 +107,39 @@ class Executor:
         return self._claimed - self.attempted - self._skipped
 
     def answer(self) -> None:
-        """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave."""
+        """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave.
+
+        At the end, observe one more run if nobody knows otherwise whether the runs share a file.
+        """
+        self._answer()
+        if not self.left:
+            self._compare()
+
+    def _compare(self) -> None:
+        """Execute one run again, observed, if this tells whether runs share a file; those that most likely do have failed."""
+        run = shared_use.undecided(self.store, self._context)
+        if run is None:
+            return
+        runner = self._runner()
+        if not (self.interrupted or runner.remote or runner.stays):
+            self._options.observer.notice(SECOND.format(short(run)))
+            service = self._prepared(self._code(), stays=False)
+            followed = service.execute(
+                runner,
+                self._context,
+                self._inputs({run}),
+                1,
+                self.plan.programs,
+                self._tally,
+                doubt=self._doubt,
+                attempt=1,
+                observed=True,
+            )
+            self.notes += tuple(note for note in followed.notes if note not in self.notes)
+            self.interrupted = followed.interrupted
+        self.failed |= shared_use.find(self.store, self.session.paths, self._context, settle=True)
+
+    def _answer(self) -> None:
         while not (self.interrupted or self.left):
             recorded = len(self.store.segments())
             wanted = self._wanted()

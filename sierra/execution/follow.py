@@ -61,7 +61,9 @@ def follow(
         else:
             following.execute(work, signals, enough)
         complete = recorder.context.purpose == Purpose.RUN and (work is not None or not following.left)
-        odd = find_odd(store, session.paths, recorder.context) | recorder.find_astray() if complete else set()
+        odd: set[str] = set()
+        if complete:
+            odd = find_odd(store, session.paths, recorder.context, recorder.lost, settle=runner.stays) | recorder.find_astray()
         return Followed(following.left, bool(signals) and not detach, odd, tuple(recorder.notes()))
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import traceback
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from sierra.execution import sessions, unrecorded
 from sierra.execution.observer import Observer
 from sierra.ingest.recording_context import Context
 from sierra.model import LateFiles, Result, Status
-from sierra.runners.journal_reader import Journal, Row
+from sierra.runners.journal_reader import Event, Journal, Row, Started
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
@@ -116,8 +118,23 @@ def recover(store: Store, paths: SessionPaths) -> int:
     recorder.add_late(late)
     added = [recorder.add(result) for result in missing]
     recorder.flush()
-    find_odd(store, paths, context)
+    find_odd(store, paths, context, min(recorder.lost, _lost(events)))
     return sum(status is not Status.INTERRUPTED for status in added)
+
+
+def _lost(events: Iterable[Event]) -> float:
+    """Return the time before which all runs that have no result were started, or infinity if there is none.
+
+    It is the end of the last run that had ended when the first of them was started.
+    """
+    last, since = 0.0, {}
+    for event in events:
+        if isinstance(event, Started):
+            since[event.execution] = last
+        elif isinstance(event, Result):
+            since.pop(event.execution, None)
+            last = max(last, event.ended)
+    return min(since.values(), default=math.inf)
 
 
 def _is_here(paths: SessionPaths, late: LateFiles) -> bool:

@@ -130,11 +130,13 @@ class Service:
         kept: Path | None = None,
         attempt: int = 0,
         experiments: Collection[int] = (),
+        observed: bool = False,
     ) -> Followed:
         """Execute `count` runs of these experiments with these inputs, and record them. Raises the runner's errors.
 
         `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
-        `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before.
+        `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before. `observed`:
+        the first of them is observed as if it were the session's first.
         """
         executing = runner.runner if isinstance(runner, WatchedRunner) else runner
         on_robots = self._setup.spec.robots is not None
@@ -148,6 +150,7 @@ class Service:
                 ((run, builder.job(run, files, attempt)) for run, files in inputs),
                 context.batch,
                 programs,
+                set() if observed else self._begun,
                 choose_runs.affordable(context.batch, experiments, count),
             ),
             count,
@@ -194,9 +197,14 @@ class Service:
         return replace(limits, output_bytes=limits.output_bytes + sum(row.size for row in self._beside))
 
     def _observed(
-        self, jobs: Iterable[tuple[Run, Job]], batch: str, programs: Programs, affordable: Mapping[int, float]
+        self,
+        jobs: Iterable[tuple[Run, Job]],
+        batch: str,
+        programs: Programs,
+        begun: set[int],
+        affordable: Mapping[int, float],
     ) -> Iterable[Job]:
-        """Return the jobs; those that are to be observed have the folders that names of files refer to."""
+        """Return the jobs; those that are to be observed have the folders that names of files refer to (see `choose`)."""
         project = self._setup.project
         if not self._is_observed():
             return (job for _, job in jobs)
@@ -207,7 +215,7 @@ class Service:
             named["project:given"] = root  # links in a checkout may lead there
         named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
         helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
-        return choose_runs.choose(jobs, batch, project.config, named, helps, self._begun, affordable)
+        return choose_runs.choose(jobs, batch, project.config, named, helps, begun, affordable)
 
     def _is_observed(self) -> bool:
         """Return whether runs may be observed."""

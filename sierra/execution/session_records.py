@@ -11,18 +11,20 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.images import record
 from sierra.containers.images.image import Image, ImageVariants, every
-from sierra.errors import Damaged, Missing, QueryError
+from sierra.errors import Damaged, Missing, QueryError, SierraError
 from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
 from sierra.execution.plan import Plan, context
 from sierra.execution.reuse import FileCheck, check
 from sierra.execution.sessions import Session
+from sierra.ingest.recording_context import Context
 from sierra.model import Batch
 from sierra.provenance import source
 from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
+from sierra.store.read_lock import alone
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import (
     BatchRow,
@@ -99,6 +101,37 @@ def _check_axes(batch: Batch, snapshot: Snapshot) -> None:
                 f"{axis!r} and the recorded variable {other[axis.lower()]!r} differ only in upper and lower case, which SQL "
                 "ignores, so that their values would be in one column; rename the variable in sierra.toml"
             )
+
+
+def withdraw(store: Store, session: Session) -> None:
+    """Remove what a session has recorded if its request was refused: nothing was started, and no other session needs it."""
+    own = [segment for folder, segment in store.published if folder == session.paths.segment]
+    with sessions.exclusively(store.paths) as locked, alone(store.paths.reading) as unread:
+        if not (locked and unread) or _has_begun(session.paths):
+            return
+        others = [paths for paths in sessions.all_of(store.paths) if paths.root.name != session.id]
+        batches = {_batch_of(paths) for paths in others}
+        if own and not batches & {None, *(segment.name.partition("-")[0] for segment in own)}:
+            for number, segment in enumerate(reversed(own)):
+                with contextlib.suppress(OSError):
+                    segment.rename(session.paths.root / f"withdrawn.{number}")
+
+
+def _has_begun(session: SessionPaths) -> bool:
+    """Check whether a worker, or a job on a cluster, may have executed runs of a session."""
+    if session.journal.exists():
+        return True
+    from sierra.runners.cluster import submission_record
+
+    return session.sent.exists() and any(submission_record.jobs(session))
+
+
+def _batch_of(session: SessionPaths) -> str | None:
+    """Return the beginning of the id of a session's batch, as segments have it; None if it is unknown yet."""
+    try:
+        return Context.load(session.context).batch[:12]
+    except (OSError, ValueError, LookupError, TypeError, SierraError):
+        return None
 
 
 def keep_variants(plan: Plan, store: Store, session: Session) -> None:

@@ -343,6 +343,6 @@ WHERE o.execution = $e AND f.use IN ('executed', 'read') ORDER BY ALL
 OBSERVATION = """
 SELECT o.method, o.reason, count(*) FILTER (f.use = 'executed') AS executed, count(*) FILTER (f.use = 'read') AS read,
        count(*) FILTER (f.use = 'missed') AS missed, count(*) FILTER (f.use = 'listed') AS listed,
-       (SELECT count(*) FROM files_written w WHERE w.execution = $e) AS written, o.notes
+       (SELECT count(DISTINCT w.path) FROM files_written w WHERE w.execution = $e) AS written, o.notes
 FROM observations o LEFT JOIN files_read f USING (files) WHERE o.execution = $e GROUP BY ALL
 """

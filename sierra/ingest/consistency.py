@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output
+from sierra.ingest import shared_use
 from sierra.ingest.event_tables import of_events
 from sierra.ingest.messages import difference
 from sierra.ingest.model import Group, Siblings
@@ -26,7 +28,18 @@ from sierra.util.text import counted, verb
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"
 
 
-def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
+def find_odd(
+    store: Store, session: SessionPaths, context: Context, lost: float = math.inf, *, settle: bool = False
+) -> set[str]:
+    """Find executions that may be wrong although they have ended well, record findings, and return their runs.
+
+    Their tables differ from their siblings', or they shared a file with other runs: see `shared_use.find`, also for `lost` and
+    `settle`.
+    """
+    return shared_use.find(store, session, context, lost, settle=settle) | _find_odd_tables(store, session, context)
+
+
+def _find_odd_tables(store: Store, session: SessionPaths, context: Context) -> set[str]:
     """Find executions whose tables differ from their siblings', record findings, and return their runs.
 
     Siblings are the successful executions of one experiment with the same programs, whenever they were recorded. The majority

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -117,6 +118,8 @@ class Recorder:
         """The reasons why runs could not be observed by a tracer."""
         self._astray: set[str] = set()
         """The files that executions wrote, but not among their outputs."""
+        self.lost = math.inf
+        """The time since which a run was executing that was interrupted, and so is not recorded, in seconds since the epoch."""
         self._left_nothing = False
         """True if some execution has left no file."""
         self._silent = SilentRuns()
@@ -138,6 +141,7 @@ class Recorder:
         status, reason = judge(result, self.context.outputs, self.context.success)
         if status is Status.INTERRUPTED:
             self._parts.pop(result.execution, None)
+            self.lost = min(self.lost, result.started)
             self._put_away(result)
         else:
             trial = self.context.trial

@@ -19,7 +19,7 @@ from sierra import runners
 from sierra.config.project_file import LoadedProject
 from sierra.containers.images.image import here
 from sierra.errors import Missing, UsageError
-from sierra.execution import commands, expected_durations, plan_from_record, recover, targets
+from sierra.execution import commands, expected_durations, plan_from_record, recover, session_records, targets
 from sierra.execution.build.recorded import Rebuilt, rebuild
 from sierra.execution.checkout import Checkout
 from sierra.execution.observer import Observer, Relay, Tally
@@ -64,6 +64,9 @@ def replay(
     try:
         session.take_number()
         return _Replaying(prepared, session, observer or Observer()).answer()
+    except Exception:
+        session_records.withdraw(store, session)
+        raise
     finally:
         session.close()
 

@@ -11,29 +11,37 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import ClassVar, cast
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.errors import Missing
-from sierra.model import Job, Limits, Result
+from sierra.model import Job, Limits, Result, Status
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
-from sierra.util import open_files
+from sierra.util import open_files, signals
 from sierra.util.lazy_logger import Log, shown
 from sierra.worker import worker
 
 log = Log(__name__)
 ORPHANS_S = 10.0
+LATE_S = 4.0
+"""The seconds after the grace time of runs in which a worker that was told to end must have ended."""
+STOPPED = "stopped the worker (SIGSTOP) although it had been continued before, or executed beside a run that did"
 
 
 class Local:
-    """The runner `local`. The worker ends all runs as soon as this process is gone, because the pipe closes."""
+    """The runner `local`. The worker ends all runs as soon as this process is gone, because the pipe closes.
+
+    A run may stop the worker (SIGSTOP). It is continued once; the next time, it is killed, the runs that it executes have
+    failed, and another worker executes the rest. If a worker that was told to end does not, it is killed too.
+    """
 
     name = "local"
     stays = False
@@ -44,13 +52,28 @@ class Local:
         self._slots = slots
         self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None
-        self._stopped = False
-        self._running: set[str] = set()
+        self._end_by: float | None = None
+        """When a worker that was told to end is killed, by the monotonic clock."""
+        self._killed = False
+        self._continued = False
+        self._grace = worker.GRACE_S
+        self._sent: dict[str, Job] = {}
+        """The jobs without a result that the worker has got, by execution."""
+        self._forget: Callable[[], None] = lambda: None
+        self._running: dict[str, float] = {}
+        """When this process has learnt of the start of each running execution."""
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._session = session
         self._journal = Journal(session.journal)
         self._journal.skip()
+        self._jobs = iter(work.jobs)
+        self._forget = signals.at_quit(self._kill)
+        self._start(())
+
+    def _start(self, again: Sequence[Job]) -> None:
+        """Start a worker for these jobs and all that no other has got."""
+        session = self._session
         argv = (sys.executable, "-I", "-S", worker.__file__, str(session.runs), str(self._slots), str(session.journal))
         log.debug("worker: %s", shown(argv))
         self._process = subprocess.Popen(
@@ -62,7 +85,9 @@ class Local:
             env={**os.environ, "SIERRA_SESSION": session.root.name},
         )
         open_files.restore(self._process.pid)
-        threading.Thread(target=self._feed, args=(work.jobs, self._process), daemon=True).start()
+        jobs = chain(again, self._jobs)
+        self._feeder = threading.Thread(target=self._feed, args=(jobs, self._process), daemon=True)
+        self._feeder.start()
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("local runs ended with the process that started them")
@@ -74,6 +99,8 @@ class Local:
             for number, job in enumerate(jobs):
                 if number == 0:
                     log.debug("first run: %s", shown(job.client.argv if job.client else job.argv))
+                self._sent[job.execution] = job
+                self._grace = max(self._grace, job.limits.grace_s + (worker.CLEAN_S if job.client else 0.0))
                 pipe.write(line(job))
             pipe.write(b'{"end": true}\n')
             pipe.flush()
@@ -87,24 +114,92 @@ class Local:
                 pipe.close()
 
     def look(self) -> Look:
+        notes = list(self._watch())
         ended = self._process is None or self._process.poll() is not None
-        results, notes = [], []
+        results = []
         events, more = self._journal.some()
         for event in events:
             match event:
                 case Started():
-                    self._running.add(event.execution)
+                    self._running[event.execution] = time.time()
                 case Stalled():
                     notes.append(event.message())
                 case Result():
-                    self._running.discard(event.execution)
+                    self._running.pop(event.execution, None)
+                    self._sent.pop(event.execution, None)
                     results.append(event)
         if ended and not more and self._process is not None:
-            self._check(self._process)
+            if self._killed:
+                results += self._lost()
+                ended = not self._go_on()
+            else:
+                self._check(self._process)
         return Look(tuple(results), len(self._running), alive=not ended or more, notes=tuple(notes))
 
+    def _watch(self) -> Iterator[str]:
+        """Continue a worker that was stopped, or kill it, and one that does not end; yield what was done."""
+        process = self._process
+        if process is None or process.poll() is not None:
+            return
+        late = self._end_by is not None and time.monotonic() > self._end_by
+        stopped = worker.stat_of(process.pid)[:1] == [b"T"]
+        if late or (stopped and self._continued and self._end_by is None):
+            self._kill()
+            yield "the worker was stopped again, and was killed" if stopped and not late else "the worker was killed"
+        elif stopped:
+            os.kill(process.pid, signal.SIGCONT)
+            if self._end_by is None:
+                self._continued = True
+                yield "a run (or another process) stopped the worker; it was continued, and will be killed the next time"
+
+    def _kill(self) -> None:
+        """Kill the worker and its runs."""
+        if self._process is not None and self._process.poll() is None:
+            self._killed = True
+            self._process.kill()
+            self._process.wait()
+            end_orphans([self._session])
+
+    def _lost(self) -> Iterator[Result]:
+        """Yield the results of the runs that a killed worker was executing: failed, or interrupted if it was told to end."""
+        for execution, since in self._running.items():
+            if job := self._sent.pop(execution, None):
+                yield Result(
+                    job.run,
+                    execution,
+                    str(self._session.runs),
+                    since,
+                    time.time(),
+                    exit_code=None,
+                    signal=None,
+                    stopped=None if self._end_by is None else Status.INTERRUPTED,
+                    user_s=None,
+                    system_s=None,
+                    max_rss_bytes=None,
+                    host=os.uname().nodename,
+                    slot=0,
+                    outputs=(),
+                    error=STOPPED if self._end_by is None else None,
+                )
+        self._running = {}
+
+    def _go_on(self) -> bool:
+        """Start another worker for the rest of the jobs after one was killed; return whether there are any."""
+        self._feeder.join()
+        self._killed = False
+        if self._trouble is not None:
+            return True  # the next look raises it
+        if self._end_by is not None:
+            return False
+        following = next(self._jobs, None)
+        rest = [*self._sent.values(), *(() if following is None else (following,))]
+        self._sent = {}
+        if rest:
+            self._start(rest)
+        return bool(rest)
+
     def stop(self) -> None:
-        self._stopped = True
+        self._end_by = self._end_by or time.monotonic() + self._grace + LATE_S
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
@@ -112,7 +207,7 @@ class Local:
         raise NotImplementedError("local runs end with this process")
 
     def close(self) -> None:
-        pass
+        self._forget()
 
     def _check(self, process: subprocess.Popen[bytes]) -> None:
         """Raise the error of a worker that has failed. It has ended, and everything that it recorded has been read."""
@@ -120,7 +215,9 @@ class Local:
         log.debug("worker: %s", ending)
         if self._trouble is not None:
             raise self._trouble
-        unprepared = self._stopped and process.returncode == -signal.SIGTERM  # it was told to stop before it could listen
+        unprepared = (
+            self._end_by is not None and process.returncode == -signal.SIGTERM
+        )  # it was told to stop before it could listen
         if process.returncode not in (0, 1) and not unprepared:
             end_orphans([self._session])
             raise Missing(f"the worker ended with {ending}; the finished runs are kept")

@@ -550,7 +550,11 @@ class FileWrittenRow(NamedTuple):
 
     execution: Annotated[str, "the execution"]
     path: Annotated[str, "its path, as in files_read; outside the run's own folder {run}, it is known of observed runs only"]
-    use: Annotated[str, "written or removed"]
+    use: Annotated[
+        str,
+        "written, removed, or reread (written and read again, so that other executions may have written it meanwhile); "
+        "reread_new if the execution made the name itself, or a folder above it",
+    ]
 
 
 class EnvironmentRow(NamedTuple):

@@ -245,6 +245,8 @@ class Writer:
         self.batch = batch[:12]
         self._tables: dict[str, int] = {}
         """The numbers of the tables of outputs, by name."""
+        self.published: Path | None = None
+        """The segment; None if there is none, or if the store had the same one already."""
         shutil.rmtree(folder, ignore_errors=True)
         with disk_errors(folder):
             folder.mkdir(parents=True)
@@ -316,6 +318,7 @@ class Writer:
             renew(StorePaths(segments.parent))
             try:
                 self.folder.rename(target)
+                self.published = target
             except OSError as error:
                 if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
                     raise

@@ -87,6 +87,8 @@ class Store:
         check_folder(root)
         self.paths = StorePaths(root)
         self.rules = rules
+        self.published: list[tuple[Path, Path]] = []
+        """The segments that this process has published, each with the folder in which it was written."""
         self.settings: tuple[str, ...] = ()
         """Statements that set up each snapshot's connection."""
         self.opened: Callable[[Snapshot], None] = _ignored
@@ -141,7 +143,11 @@ class Store:
 
     def publish(self, writer: Writer) -> bool:
         """Add a written segment to the store as a whole. Return False if it was empty."""
-        return writer.publish(self.paths.segments)
+        try:
+            return writer.publish(self.paths.segments)
+        finally:
+            if writer.published:
+                self.published.append((writer.folder, writer.published))
 
     def replayed(self, replays: Iterable[str]) -> Store:
         """Return this store, to be read as if the executions of these replays were the only ones of their runs.

@@ -7,11 +7,36 @@ import os
 import signal
 import stat
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from sierra.util import terminal
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+_at_quit: list[Callable[[], None]] = []
+"""What ends the processes that this one has started, when SIGQUIT ends it."""
+
+
+def at_quit(end: Callable[[], None]) -> Callable[[], None]:
+    """Call `end` before SIGQUIT ends this process. Return a function that takes it back; it may be called again."""
+    _at_quit.append(end)
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGQUIT) is signal.SIG_DFL:
+        signal.signal(signal.SIGQUIT, _quit)
+
+    def forget() -> None:
+        if end in _at_quit:
+            _at_quit.remove(end)
+
+    return forget
+
+
+def _quit(number: int, frame: object) -> None:
+    signal.signal(number, signal.SIG_DFL)
+    for end in _at_quit:
+        with contextlib.suppress(Exception):
+            end()
+    os.kill(os.getpid(), number)
 
 
 def handle() -> None:

@@ -893,6 +893,7 @@ class Execution:
         self._begun: Set[str] = set()
         self._ended = 0
         self._stopping = False
+        self._continued = self._killed = False
         self._check_at = 0.0
 
     def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
@@ -921,6 +922,8 @@ class Execution:
         pause = BUSY_S
         while True:
             over = self._process.poll() is not None
+            if not over and self._is_stopped():
+                self._continue()
             events = self._journal.read()
             now = time.monotonic()
             self._check_stop(now)
@@ -934,6 +937,20 @@ class Execution:
                 return
             pause = BUSY_S if events or self._held else min(IDLE_S, 1.2 * pause)
             time.sleep(pause)
+
+    def _is_stopped(self) -> bool:
+        """Return whether a signal has stopped the worker, which a run may do to its parent."""
+        state: List[bytes] = self._worker.stat_of(self._process.pid)[:1]
+        return state == [b"T"]
+
+    def _continue(self) -> None:
+        """Continue the worker that a run has stopped; kill it the second time, unless it is to end anyway."""
+        if self._continued and not self._stopping:
+            self._killed = True
+            self._process.kill()
+        else:
+            self._continued = True
+            self._process.send_signal(signal.SIGCONT)
 
     def _handle(self, now: float, event: "Event") -> None:
         """Record at once that a run has begun; hold a run's end back."""
@@ -1041,6 +1058,8 @@ class Execution:
         while self._process.poll() is None:
             self._stopping = True
             self._signal(signal.SIGTERM if self._stop.times > 1 else signal.SIGHUP)
+            if self._is_stopped():
+                self._continue()
             time.sleep(IDLE_S)
         self._worker.end_orphans(None)
         self._stderr = self._process.stderr.read() if self._process.stderr else b""
@@ -1058,6 +1077,7 @@ class Execution:
         if code not in (0, 1):
             lines = self._stderr.decode("utf-8", "replace").strip().splitlines()
             reason = "the worker ended with %s" % (code if code > 0 else "signal %d" % -code)
+            reason = "a run stopped the worker (SIGSTOP) although it had been continued before" if self._killed else reason
             raise CannotContinue(": ".join([reason, *lines[-1:]]))
         return code == 0
 

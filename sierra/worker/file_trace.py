@@ -64,6 +64,10 @@ the run. Names are str with surrogate escapes (os.fsdecode), because a name need
 - `written`: files, links and folders that the run made or opened for writing, and did not remove or rename later.
 - `removed`: names that existed before, and that the run removed or renamed, and did not make again. What the run made and
   removed again is in neither list. Unnamed files (O_TMPFILE) count when they are linked to a name.
+- `reread`: regular files that the run wrote and later read, executed, or moved into its own folder, so that another run which
+  writes a file of this name at the same time may replace what it reads. A file that is opened for both counts, unless it is
+  only a lock: it has the name of one, or nobody has written to it. `reread_new` has those of which the run made the name itself
+  (O_EXCL, as mkstemp does) or a folder above it: no other run can have the same name, unless it found that folder.
 
 Not seen: changes of rights, owners, times and attributes; what was open before the program started; files that another process
 has opened and passed through a socket (`notes` say that the run connected to one; recvmsg is not traced, because it may be
@@ -187,6 +191,8 @@ class Trace(NamedTuple):
     listed: tuple[str, ...] = ()
     written: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
+    reread: tuple[str, ...] = ()
+    reread_new: tuple[str, ...] = ()
     links: Mapping[str, str] = {}
     reasons: tuple[str, ...] = ()
     disturbed: str | None = None
@@ -271,6 +277,8 @@ class Way(Protocol):
         """
 
 
+REREAD = ("reread", "reread_new")
+MOST_REREAD = 1000
 LISTS = frozenset(("executed", "read", "found", "missed", "refused", "listed", "written", "removed"))
 
 
@@ -606,6 +614,9 @@ PRESENT = frozenset(
 CONNECTED = frozenset((None, b"EINPROGRESS", b"EAGAIN", b"EINTR"))
 UNREADABLE = frozenset((b"EFAULT", b"?"))
 FLAG = re.compile(rb"O_[A-Z]+")
+CONTENT = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC"))
+"""Flags of a call that may change the content of a file."""
+LOCK = re.compile(rb"(?:.*[/._-])?lo?ck(?:file)?", re.I | re.S)
 FOLDERS = frozenset((b"O_PATH", b"O_DIRECTORY"))
 WRITING = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC", b"O_CREAT"))
 MADE = b""
@@ -685,6 +696,11 @@ class Log:
         self._removed: set[bytes] = set()
         self._links: dict[bytes, bytes] = {}
         self._read_links: set[bytes] = set()
+        self._changed: set[bytes] = set()
+        """Names under which the run has written content, also if it has removed them since."""
+        self._reread: dict[bytes, bool] = {}
+        """Those that it has used again, and whether it did more than to open them once for reading and writing."""
+        self._reread_new: set[bytes] = set()
         self._origins: dict[bytes, bytes] = {}
         self._moved_old = False
         """Whether the run has moved anything that existed before."""
@@ -1000,6 +1016,7 @@ class Log:
             self._reasons["it executed a file through /proc"] = None
         elif not path.startswith(b"/proc/"):
             self._executed[path] = None
+            self._use_again(self._real_name(path))
 
     def open(self, call: Call) -> None:
         path = self._path(call, ONE if call.name in (b"open", b"creat") else ONE_AT)
@@ -1023,11 +1040,23 @@ class Log:
         self._use(path, real, flags)
 
     def _use(self, path: bytes, real: bytes, flags: set[bytes]) -> None:
-        empty = b"O_TRUNC" in flags or flags >= {b"O_CREAT", b"O_EXCL"}
+        new = flags >= {b"O_CREAT", b"O_EXCL"}
+        empty = b"O_TRUNC" in flags or new
         if b"O_WRONLY" not in flags and not empty:
             self._read_file(path, real)
         if flags & WRITING:
-            self._write(real, made=empty, new=flags >= {b"O_CREAT", b"O_EXCL"})
+            self._write(real, made=empty, new=new, content=bool(flags & CONTENT))
+        if not (new or b"O_WRONLY" in flags):
+            self._use_again(real, surely=b"O_TRUNC" in flags or not flags & CONTENT)
+
+    def _use_again(self, real: bytes, *, surely: bool = True) -> None:
+        """A file is read, or moved, that the run may have written itself: note it then."""
+        if real not in self._changed:
+            return
+        if any(name in self._new for name in with_folders(real)):
+            self._reread_new.add(real)
+        else:
+            self._reread[real] = surely or self._reread.get(real, False)
 
     def _read_file(self, path: bytes, real: bytes) -> None:
         origin = self._origin(real)
@@ -1042,8 +1071,10 @@ class Log:
         if path != real and not path.startswith(b"/proc/") and self._real_name(path) not in self._origins:
             self._links[path] = real
 
-    def _write(self, real: bytes, *, made: bool = True, new: bool = False) -> None:
+    def _write(self, real: bytes, *, made: bool = True, new: bool = False, content: bool = True) -> None:
         self._written.add(real)
+        if content:
+            self._changed.add(real)
         self._removed.discard(real)
         self._absent.discard(real)
         if made:
@@ -1120,14 +1151,21 @@ class Log:
         nameless = old.startswith(b"/proc/") or b"AT_EMPTY_PATH" in call.words.rpartition(b'"')[2]
         origin = MADE if nameless else self._origin(source)
         self._write(target, new=True)
+        self._take(source, target)
         self._set_origin(target, source if origin is None else origin)
+
+    def _take(self, source: bytes, target: bytes) -> None:
+        """A name is given to something that has another one: a run that takes it into its own folder uses it."""
+        if target.startswith(os.path.dirname(self._cwd) + b"/"):
+            self._use_again(source)
 
     def rename(self, call: Call) -> None:
         pair = self._pair(call, TWO if call.name == b"rename" else TWO_AT)
         if pair is None:
             return
         old, new = pair
-        if b"RENAME_EXCHANGE" in call.words.rpartition(b'"')[2]:
+        flags = call.words.rpartition(b'"')[2]
+        if b"RENAME_EXCHANGE" in flags:
             self._reasons["it exchanged two names"] = None
         source, target = self._real_name(old), self._real_name(new)
         if source == target:
@@ -1135,9 +1173,10 @@ class Log:
         origin = self._origin(source)
         if source in self._holders:
             self._move_folder(source + b"/", target + b"/")
+        self._take(source, target)
         self._remove(source)
         self._new.discard(target)
-        self._write(target)
+        self._write(target, new=b"RENAME_NOREPLACE" in flags)
         self._set_origin(target, source if origin is None else origin)
 
     def _move_folder(self, old: bytes, new: bytes) -> None:
@@ -1147,7 +1186,7 @@ class Log:
             self._reasons["it renamed too many folders"] = None
             return
         self._folders.clear()
-        for names in (self._written, self._new, self._absent):
+        for names in (self._written, self._new, self._absent, self._changed):
             for name in [name for name in names if name.startswith(old)]:
                 names.discard(name)
                 names.add(new + name[len(old) :])
@@ -1250,6 +1289,8 @@ class Log:
         }
         trace = Trace(
             way,
+            reread=tuple(sorted(os.fsdecode(path) for path, surely in self._reread.items() if not is_lock(path, surely))),
+            reread_new=tuple(sorted(map(os.fsdecode, self._reread_new))),
             links={os.fsdecode(path): os.fsdecode(self._links[path]) for path in sorted(self._links)},
             reasons=tuple(one_line(reason) for reason in (*self._reasons, *(self._now_unknown() if living else ()))),
             disturbed=self._disturbed and one_line(self._disturbed),
@@ -1305,6 +1346,20 @@ class Log:
             elif interpreter and depth <= SCRIPTS:
                 pending.append((os.fsencode(interpreter), depth + 1))
         return programs
+
+
+def is_lock(path: bytes, surely: bool) -> bool:
+    """Return whether a file that a run wrote and read has no content for others: a lock, or no regular file.
+
+    `surely`: the run did more than to open it once for both. Else it is also a lock if nobody has written to it.
+    """
+    if LOCK.fullmatch(path):
+        return True
+    try:
+        status = os.stat(path)
+    except OSError:
+        return False
+    return not stat.S_ISREG(status.st_mode) or (status.st_size == 0 and not surely)
 
 
 def missing_interpreter(path: bytes) -> list[bytes]:
@@ -1760,6 +1815,15 @@ UNLISTED = "unlisted"
 CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
 CACHING = ("fontconfig", "matplotlib", "mesa_shader_cache", "mesa_shader_cache_db", "nvidia", "pip", "uv/.lock")
 """Folders in a user's cache that only make programs faster. All else there may be an input: an environment, a model."""
+KEPT_CACHES = re.compile(
+    r".*/(?:"
+    r"\.?(?:s?ccache|numba|numba_cache|triton|theano|inductor|pycuda|cupy|pocl|pyopencl|keops|jax|ptxas)(?:[_.-][\w.-]*)?|"
+    r"\.nv|ComputeCache|GLCache|mesa_shader_cache\w*|qtshadercache[\w.-]*|qtpipelinecache[\w.-]*|QtProject|gstreamer-\d[\w.]*|"
+    r"torchinductor_[^/]*|torch_extensions|fontconfig|font[\w-]*cache|matplotlib|ksycoca\w*|dconf|__pycache__"
+    r")/.*|.*\.py[co](?:\.\d+)?|/dev/shm/(?:sem\.)?(?:fastrtps|fastdds|fast_datasharing|iceoryx|iox)[^/]*",
+    re.S,
+)
+"""Files that programs keep to be faster, or in order to talk to each other, wherever they are: no data of a run."""
 PYTHON_CACHE = "__pycache__"
 
 
@@ -1817,6 +1881,10 @@ class Names:
         """Return whether a path counts in the folder that it is in, if a run lists this folder."""
         return path not in self._unlisted and not self.left_out(path)
 
+    def _is_data(self, path: str) -> bool:
+        """Return whether a file that a run wrote and read may have data of another run."""
+        return not (self.left_out(path) or KEPT_CACHES.fullmatch(path))
+
     def inputs(self, trace: Trace) -> Trace:
         """Return a trace without what is left out.
 
@@ -1830,7 +1898,9 @@ class Names:
         lists["missed"] = [path for path in lists["missed"] if not any(is_below(path, one) for one in self._lacking)]
         lists["found"] = [path for path in lists["found"] if path not in self._above and os.path.realpath(path) not in sources]
         links = {path: real for path, real in trace.links.items() if not self.left_out(path) and not self.left_out(real)}
-        return filled(trace._replace(links=links), {name: tuple(paths) for name, paths in lists.items()})
+        again, new = (tuple(filter(self._is_data, paths))[:MOST_REREAD] for paths in (trace.reread, trace.reread_new))
+        trace = trace._replace(links=links, reread=again, reread_new=new)
+        return filled(trace, {name: tuple(paths) for name, paths in lists.items()})
 
 
 def lacking(roots: Mapping[str, str]) -> Iterator[str]:
@@ -1921,7 +1991,7 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
         "written": sorted(
             {
                 (names.name(path), use)
-                for use in ("written", "removed")
+                for use in ("written", "removed", *REREAD)
                 for path in getattr(trace, use)
                 if path not in contents.files
             }

@@ -105,6 +105,8 @@ LOGS = ("stdout", "stderr")
 OBSERVED = "observed.json"  # in a run's folder: what the run did with files
 TRACER = "file_trace.py"  # beside this file: it observes runs
 CONDUCTOR = "conductor.py"  # beside this file: it executes what is around a run's command
+PROGRAM = re.compile(rb"\0-I\0-S\0[^\0]*/(?:worker|conductor)\.py\0")
+"""The words of SIERRA's own program in a container."""
 CONDUCTED = "\2"  # the first word of a job that the conductor executes; the second is its plan
 REPORT = os.path.join("home", ".sierra-conductor")  # the conductor's, in the run's folder
 REPORT_BYTES = 1 << 16
@@ -404,7 +406,7 @@ class Running:
         self.started = time.monotonic()
         self.stopped: str | None = None
         self.kill_at: float | None = None
-        self.look_at = self.started + 1.0
+        self.look_at = self.continue_at = self.started + 1.0
         self.stalled_since: float | None = None
         self.switches: dict[int, int] = {}
         """How often each traced process had left its processor when the worker last looked at it."""
@@ -460,6 +462,14 @@ class Running:
             return False  # so that the others need not be searched
         states = {self.state_of(pid) for pid in self.pids() if pid != self.pid or not self.conducted}
         return b"T" in states and states <= {b"T", b"Z", None}
+
+    def continue_conductor(self, now: float) -> None:
+        """Continue the conductor at intervals if it is stopped, but nothing else of the run: a run may stop its parent."""
+        if now < self.continue_at or self.meter:
+            return
+        self.continue_at = now + 1.0
+        if self.state_of(self.pid) == b"T" and all(self.state_of(pid) != b"T" for pid in self.pids() if pid != self.pid):
+            signal_process(self.pid, signal.SIGCONT)
 
     def state_of(self, pid: int) -> bytes | None:
         """Return the state of a process: T if a signal has stopped it, also under the tracer; None if there is no process."""
@@ -830,6 +840,11 @@ class Worker:
         self.begin: float | None = None
         self.wall = 0.0
         self.trusts = True  # that a tracer works which has worked before
+        self.parent = os.getppid()
+        self.continue_at = 0.0
+        self.doubtful: Job | None = None
+        """A run whose use of files must be compared with that of another one, which is observed as soon as it starts."""
+        self.compared = False
 
     @property
     def status(self) -> int:
@@ -978,6 +993,7 @@ class Worker:
 
     def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
+        job = self.with_comparison(job)
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
@@ -1124,6 +1140,28 @@ class Worker:
         unobserved["unobserved"] = reason
         self.execute(unobserved, slot)
 
+    def with_comparison(self, job: Job) -> Job:
+        """Return the job, which is observed if an observed run before it was doubtful: once, whatever it takes."""
+        if "client" in job or "waits" in job or "unobserved" in job:
+            return job
+        with self.lock:
+            first, self.doubtful = self.doubtful, None
+            if first is None:
+                return job
+            self.compared = True
+        job = job.copy()
+        job["observe"] = first["observe"]
+        if "helps" in first:
+            job["helps"] = first["helps"]
+        job.pop("budget", None)
+        return job
+
+    def compare(self, job: Job, trace: Trace) -> None:
+        """Let another run be observed if this one wrote and read the same files outside its folder."""
+        with self.lock:
+            if not self.compared and (trace.reread or trace.reread_new):
+                self.doubtful = job
+
     def observe(self, job: Job, folder: str) -> Observation | None:
         """Begin to observe a run, if that is requested and takes no more time than it may."""
         if "observe" not in job or "client" in job or not self.account.allows(job.get("budget"), job.get("affordable")):
@@ -1161,6 +1199,7 @@ class Worker:
             disturbed = trace.disturbed
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
+            self.compare(job, seen)
             shared = services.seen() if services else None
             with self.observing:
                 contents = self.contents(job, seen, names, running.observation.began)
@@ -1244,6 +1283,17 @@ class Worker:
         }
         self.journal.write(event, job.get("seal"))
 
+    def continue_inside(self, now: float) -> None:
+        """Continue, at intervals, a worker or a conductor in a container that is stopped: a run may stop its parent."""
+        if now < self.continue_at:
+            return
+        self.continue_at = now + 1.0
+        with self.lock:
+            roots = [*self.running, *(container.pid for container in list(self.containers.values())), *orphans()]
+        for pid in {pid for root in roots for pid in descendants(root)}:
+            if stat_of(pid)[:1] == [b"T"] and PROGRAM.search(read_proc("%d/cmdline" % pid)):
+                signal_process(pid, signal.SIGCONT)
+
     def watch(self) -> float:
         """Enforce the limits that are due, and return the seconds until the next check."""
         with self.lock:
@@ -1252,8 +1302,10 @@ class Worker:
         due = []
         if self.contains:
             reap()
+            self.continue_inside(now)
         if self.services is not None:
             self.services.look()
+        continue_ending(self.parent)
         for container in list(self.containers.values()):
             if self.stopping:
                 container.stop()
@@ -1263,6 +1315,8 @@ class Worker:
                 container.kill()
             container.expire(now)
         for one in running:
+            if one.conducted:
+                one.continue_conductor(now)
             if one.meter:
                 one.meter.read(now)
                 due.append(one.meter.due)
@@ -2094,6 +2148,20 @@ def keep_reason(folder: str, reason: str) -> bool:
     except OSError:
         return False
     return True
+
+
+ENDING_MASK = sum(1 << number - 1 for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM))
+"""The signals that end a program, as in /proc/PID/status."""
+
+
+def continue_ending(pid: int) -> None:
+    """Continue a process that is stopped, if a signal waits that would end it: a run may stop the process of its session."""
+    if stat_of(pid)[:1] == [b"T"]:
+        pending = [
+            line.split()[1] for line in read_proc("%d/status" % pid).splitlines() if line[:7] in (b"SigPnd:", b"ShdPnd:")
+        ]
+        if any(int(mask, 16) & ENDING_MASK for mask in pending):
+            signal_process(pid, signal.SIGCONT)
 
 
 def nobody(pid: int) -> bool:

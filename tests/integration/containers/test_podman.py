@@ -647,3 +647,20 @@ def test_commands_of_inputs_have_the_paths_in_the_image(tmp_path: Path, busybox:
     command = json.loads((tmp_path / "inputs" / "runs" / "0" / "0" / "command.json").read_text())
     assert command["argv"] == ["sh", "/run/sierra/project/sim.sh", "../input.xml"]
     assert command["image_id"] in (folder / "sierra.lock").read_text()
+
+
+# ---------------------------------------------------------------- refusals, and stopped processes
+
+
+def test_a_request_without_a_device_of_its_runs_leaves_no_record(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, 'devices = ["/dev/no-such-device"]')
+    for _ in range(2):
+        assert "submitted before" not in says(folder, *RUN, code=3)
+        assert json.loads(quick(folder, "ls", "--json").stdout) == []
+    assert not list((folder / ".sierra" / "segments").iterdir())
+
+
+def test_a_run_that_stops_the_worker_in_its_container_does_not_hang(tmp_path: Path, python: Path) -> None:
+    simulator = f"{containers.SIMULATOR}kill -STOP $PPID; sleep 1\n"
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=simulator)
+    assert "4 runs: 4 executed, 0 reused" in says(folder, *RUN)

@@ -261,6 +261,17 @@ def test_the_start_of_a_run_that_kills_its_array_task_is_recorded_if_it_runs_alo
 
 
 @pytest.mark.integration
+def test_a_stopped_worker_is_continued_once(folder: Folder) -> None:
+    folder.set(slots=1)
+    folder.deal(many(3, 'kill -STOP $PPID; [ "$NAME" = run0 ] || exec sleep 60; sleep 0.3; echo 1 > out.csv'))
+    code, _ = folder.run()
+    assert code != 0
+    assert sorted(folder.ended()) == ["run0"]
+    [trouble] = folder.events(Trouble)
+    assert trouble.reason.endswith("a run stopped the worker (SIGSTOP) although it had been continued before")
+
+
+@pytest.mark.integration
 def test_sigterm_stops_the_runs_of_an_array_task_without_results(folder: Folder) -> None:
     folder.deal([job("quick", "true"), job("long", "trap 'exit 0' TERM; sleep 60 & wait"), job("never", "true")])
     folder.set(slots=1)

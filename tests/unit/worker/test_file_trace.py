@@ -71,6 +71,52 @@ def test_a_log_is_read() -> None:
     assert any("ld-" in path or "ld." in path for path in trace.executed)
 
 
+OUT = 'openat(AT_FDCWD</w>, "/x/out", O_WRONLY|O_CREAT|O_TRUNC, 0666) = 3</x/out>'
+IN = 'openat(AT_FDCWD</w>, "/x/out", O_RDONLY) = 3</x/out>'
+MADE = 'openat(AT_FDCWD</w>, "/x/out", O_RDWR|O_CREAT|O_EXCL, 0600) = 3</x/out>'
+
+
+@pytest.mark.parametrize(
+    ("lines", "reread", "new"),
+    [
+        ((OUT, IN), True, False),
+        ((IN, OUT), False, False),
+        ((OUT.replace("O_TRUNC", "O_APPEND"),), False, False),
+        ((OUT.replace("WRONLY", "RDWR"),), True, False),
+        ((MADE, IN), False, True),
+        (('mkdir("/x", 0777) = 0', OUT, IN), False, True),
+        (('mkdir("/x", 0777) = -1 EEXIST (File exists)', OUT, IN), True, False),
+        ((MADE, 'unlink("/x/out") = 0', IN), True, False),
+        ((MADE.replace("out", "tmp"), 'rename("/x/tmp", "/x/out") = 0', IN), True, False),
+        (
+            (MADE.replace("out", "tmp"), 'renameat2(AT_FDCWD, "/x/tmp", AT_FDCWD, "/x/out", RENAME_NOREPLACE) = 0', IN),
+            False,
+            True,
+        ),
+        (('mkdir("/y", 0777) = 0', OUT.replace("/x", "/y"), 'rename("/y", "/x") = 0', IN), True, False),
+        ((OUT, 'rename("/x/out", "/x/log") = 0'), False, False),
+        ((OUT, 'rename("/x/out", "/r/output/in") = 0'), True, False),
+        ((OUT, 'link("/x/out", "/r/output/in") = 0'), True, False),
+        ((OUT, 'execve("/x/out", [...], 0x7ffe /* 3 vars */) = 0'), True, False),
+        (('openat(AT_FDCWD</w>, "/x/out", O_RDONLY|O_CREAT|O_NOCTTY, 0666) = 3</x/out>',), False, False),
+    ],
+)
+def test_a_file_that_a_run_wrote_and_then_used_is_noted(lines: tuple[str, ...], reread: bool, new: bool) -> None:
+    first = '7 execve("/bin/true", [...], 0x7ffe /* 3 vars */) = 0'
+    trace = read("\n".join([first, *("7 " + line for line in lines), "7 " + ENDED, ""]), "/r/output")
+    assert (trace.reread, trace.reread_new) == (("/x/out",) * reread, ("/x/out",) * new)
+
+
+def test_locks_and_caches_are_no_data_of_a_run(tmp_path: Path) -> None:
+    (tmp_path / "empty").touch()
+    (tmp_path / "full").write_text("x")
+    opened = 'openat(AT_FDCWD</w>, "{0}", O_RDWR|O_CREAT, 0666) = 3<{0}>'
+    paths = (f"{tmp_path}/empty", f"{tmp_path}/full", "/x/a.lock", "/x/.lock", "/x/block", "/dev/shm/fastrtps_port7411")
+    caches = ("/x/.cache/mesa_shader_cache/index", "/x/__pycache__/a.pyc", "/x/a.pyc.12", "/x/torchinductor_me/a", "/x/.nv/c")
+    trace = calls(*(opened.format(path) for path in (*paths, *caches)))
+    assert Names({"run": "/r"}).inputs(trace).reread == (f"{tmp_path}/full", "/x/block")
+
+
 def test_a_log_that_is_cut_anywhere_is_never_complete() -> None:
     for size in range(len(LOG)):
         assert not read(LOG[:size]).complete, LOG[:size][-80:]

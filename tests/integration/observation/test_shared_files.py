@@ -1,0 +1,118 @@
+"""Runs that write one file outside their folders and read it again have each other's data: they do not count."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+
+OK = "SELECT count(*) AS n FROM runs WHERE status = 'ok'"
+REASON = "use at the same time; execute with --jobs 1, in a container, or pass {output}"
+pytestmark = pytest.mark.integration
+
+
+def assert_own(folder: Path) -> None:
+    """Check that no run that counts has the rows of another one: each run writes its seed."""
+    if projects.sql(folder, OK)[0]["n"]:
+        assert projects.sql(folder, "SELECT * FROM swarm JOIN runs r USING (run) WHERE value <> r.seed") == []
+
+
+@pytest.fixture
+def execute(tmp_path: Path, require: Callable[..., str]) -> Callable[..., tuple[int, str]]:
+    """Execute runs of a shell script, and return how many count, and what SIERRA has said. `$D` is a folder outside."""
+    require("strace")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+
+    def execute(script: str, *, query: str = "population_size=1,2", runs: int = 5, jobs: int = 2) -> tuple[int, str]:
+        folder = tmp_path / "project"
+        if not folder.exists():
+            config = projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {seed}").replace("runs = 2", f"runs = {runs}")
+            projects.make(folder, config)
+        (folder / "sim.sh").write_text(f"D={outside}\n{script}\n")
+        done = projects.quick(folder, "run", query, "--jobs", str(jobs), "--no-figures")
+        assert_own(folder)
+        return projects.sql(folder, OK)[0]["n"], done.stdout + done.stderr
+
+    return execute
+
+
+TEMPFILE = (
+    'import sys, tempfile; f = tempfile.NamedTemporaryFile("w+", dir=sys.argv[1]); f.write("tick,value\\n0," + sys.argv[2]); '
+    'f.write("\\n"); f.flush(); open("swarm.csv", "w").write(open(f.name).read())'
+)
+WRITE = '{{ echo tick,value; echo "0,$1"; }} > {0}; sleep 0.05'
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    "script",
+    [
+        f"{WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv",
+        f"{WRITE.format('$D/out.csv')}; mv $D/out.csv swarm.csv || cp $D/x swarm.csv",
+        f"rm -f $D/out.csv; {WRITE.format('$D/out.csv')}; ln $D/out.csv swarm.csv",
+        f"mkdir -p $D/work; {WRITE.format('$D/work/out.csv')}; cat $D/work/out.csv > swarm.csv",
+        f"t=$(mktemp $D/XXXXXX); {WRITE.format('$t')}; mv $t $D/out.csv; cp $D/out.csv swarm.csv",
+        f"exec 8<>$D/out.csv; {WRITE.format('/dev/fd/8')}; cat /dev/fd/8 $D/out.csv | tail -n 2 > swarm.csv",
+        f"{WRITE.format('/dev/shm/sierra-test-out.csv')}; cp /dev/shm/sierra-test-out.csv swarm.csv",
+    ],
+    ids=["copied", "moved", "linked", "folder", "replaced", "both", "memory"],
+)
+def test_runs_that_share_a_file_do_not_count(execute: Callable[..., tuple[int, str]], script: str) -> None:
+    counted, said = execute(script)
+    assert counted < 10, said  # a run that was alone counts
+    assert REASON in said
+
+
+def test_with_one_job_they_count(execute: Callable[..., tuple[int, str]]) -> None:
+    script = f"{WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv"
+    assert execute(script)[0] < 10
+    assert execute(script, jobs=1)[0] == 10
+
+
+def test_an_output_that_has_another_name_outside_is_the_runs_own(execute: Callable[..., tuple[int, str]]) -> None:
+    assert execute(f"{WRITE.format('$D/out.csv')}; ln $D/out.csv swarm.csv", jobs=1)[0] == 10
+
+
+def test_two_runs_at_once_are_compared_although_only_one_was_observed(execute: Callable[..., tuple[int, str]]) -> None:
+    counted, said = execute(f"{WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv", query="population_size=1", runs=2)
+    assert (counted, "is executed again and observed" in said) == (1, True), said
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    "script",
+    [
+        f"{WRITE.format('$D/$$.csv')}; cp $D/$$.csv swarm.csv",
+        f"t=$(mktemp); {WRITE.format('$t')}; cp $t swarm.csv; echo $1 >> $D/log",
+        f"t=$(mktemp -d $D/XXXXXX); {WRITE.format('$t/out.csv')}; cp $t/out.csv swarm.csv",
+        f"t=$(mktemp $D/XXXXXX); {WRITE.format('$t')}; cp $t swarm.csv; exec 9<>$D/lock; flock 9",
+        f"TMPDIR=$(mktemp -d $D/XXXXXX); export TMPDIR; t=$(mktemp); {WRITE.format('$t')}; mv $t swarm.csv",
+        f"python3 -c '{TEMPFILE}' $D $1",
+    ],
+    ids=["pid", "mktemp", "folder", "lock", "tmpdir", "tempfile"],
+)
+def test_runs_with_names_of_their_own_count(execute: Callable[..., tuple[int, str]], script: str) -> None:
+    counted, said = execute(script, runs=10, jobs=4)
+    assert counted == 20, said
+
+
+def test_two_runs_with_names_of_their_own_count(execute: Callable[..., tuple[int, str]]) -> None:
+    counted, said = execute(f"{WRITE.format('$D/$$.csv')}; cp $D/$$.csv swarm.csv", query="population_size=1", runs=2)
+    assert counted == 2, said
+
+
+def test_two_sessions_at_once_share_a_file(execute: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
+    script = f"{WRITE.format('$D/out.csv')}; sleep 0.3; cp $D/out.csv swarm.csv"
+    execute(script, query="population_size=3", runs=6, jobs=1)
+    folder = tmp_path / "project"
+    started = [projects.start(folder, "run", f"population_size={size}", "--jobs", "1", "--no-figures") for size in (1, 2)]
+    for process in started:
+        process.communicate(timeout=100)
+    assert projects.sql(folder, "SELECT count(*) > 0 AS failed FROM executions WHERE reason LIKE 'writes and reads%'") == [
+        {"failed": True}
+    ]
+    assert_own(folder)
