@@ -79,6 +79,9 @@ def located(path: str, named: Mapping[str, Path]) -> str | None:
         if name not in named:
             return None
         path = f"{named[name]}{rest}"
-    if "\\x" in path and not os.path.lexists(path):  # escapes stand for bytes that are not UTF-8
-        return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))
-    return path
+    return unescaped(path) if "\\x" in path and not os.path.lexists(path) else path
+
+
+def unescaped(path: str) -> str:
+    """Return a path with the bytes that are not UTF-8, for which a record has escapes."""
+    return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))

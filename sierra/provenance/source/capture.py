@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sierra.errors import ConfigError
@@ -57,6 +57,8 @@ class Source:
     """True if the working tree differs from this source, so that runs need a checkout of it."""
     notes: tuple[str, ...] = ()
     """Messages for the user, one line each."""
+    converted: Mapping[str, str] = field(default_factory=dict)
+    """The SHA-256 of files whose bytes on disk git would not restore, by path: see `sierra.provenance.source.converted`."""
 
     @property
     def id(self) -> str:
@@ -142,6 +144,7 @@ def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Sou
     if dirty == "refuse":
         _refuse(root, now)
     differs = bool(now.changed) and dirty != "ignore"
+    lossy = now.converted if dirty != "ignore" else {}  # the commit's files are executed then
     source = Source(
         tree=SWHID + now.tree,
         vcs="git",
@@ -153,8 +156,9 @@ def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Sou
         described=origin.describe(git, now.commit, dirty=differs),
         folder=git.prefix.decode("utf-8", "replace").rstrip("/") or ".",
         submodules=json.dumps(now.submodules, sort_keys=True) if now.submodules else None,
-        checkout=dirty == "ignore" and bool(now.changed or now.absent),
+        checkout=dirty == "ignore" and bool(now.changed or now.absent or now.converted),
         notes=tuple(_notes(root, now)) if dirty != "ignore" else (),
+        converted={path.decode("utf-8", "backslashreplace"): sha256 for path, sha256 in lossy.items()},
     )
     return source, now.files
 
@@ -175,6 +179,11 @@ def _notes(root: Path, now: worktree_snapshot.WorktreeState) -> Iterator[str]:
     if hollow:
         remedy = "fetch them with git submodule update --init"
         yield f"{shown(hollow)}: submodules that are not checked out are not part of the source; {remedy}"
+    if now.converted:
+        yield (
+            f"{shown(sorted(now.converted))}: git would restore other bytes than those on disk (line endings, or another filter); "
+            "runs are reused only while these bytes stay the same"
+        )
 
 
 def _leading_out(root: Path, links: Sequence[bytes]) -> Iterator[str]:
