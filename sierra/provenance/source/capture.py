@@ -181,7 +181,7 @@ def _notes(root: Path, now: worktree_snapshot.WorktreeState) -> Iterator[str]:
         yield f"{shown(hollow)}: submodules that are not checked out are not part of the source; {remedy}"
     if now.converted:
         yield (
-            f"{shown(sorted(now.converted))}: git would restore other bytes than those on disk (line endings, or another filter); "
+            f"{shown(sorted(now.converted))}: git would restore other bytes than those on disk (line endings, or a filter); "
             "runs are reused only while these bytes stay the same"
         )
 

@@ -7,14 +7,13 @@ the SHA-256 of such a file's bytes is recorded with the programs of executions, 
 Only files to which such an attribute applies, or all files with core.autocrlf, are looked at. Where git restores what it has
 committed, the file's own hash shows whether it is the same. For the others, one call of git restores all of them into a
 temporary folder. A pointer of git-lfs has the SHA-256 of its data. A cache beside SIERRA's index keeps the answers as long as a
-file's status, its attributes and git's settings are the same. 50,000 files with an attribute take 0.2 s then.
+file's status, its attributes and git's settings are the same. 50,000 files with an attribute take half a second then.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import tempfile
 import time
@@ -23,7 +22,7 @@ from pathlib import Path
 
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.lfs import POINTER
-from sierra.provenance.source.manifest import Files, git_hash, parts, read
+from sierra.provenance.source.manifest import Files, git_hash, parts, read, written
 from sierra.util.fs import RACY_NS, state, write_whole
 from sierra.util.hashing import sealed, sha256, sha256_file, unsealed
 
@@ -49,13 +48,13 @@ def find(git: Git, files: Files, index: Path | None = None) -> dict[bytes, str]:
     given = b"".join([path + b"\0" for path in wanted])
     attributes = git("check-attr", "--stdin", "-z", *ATTRIBUTES, index=index, given=given)
     memory = _Memory(git, sha256(settings + attributes))
-    states = {path: now for path in wanted if (now := _state(git.root, path)) is not None}
-    answers = {path: known for path, now in states.items() if (known := memory.get(path, now, wanted[path])) is not None}
-    unknown = {path: parts(wanted[path])[1] for path in states.keys() - answers.keys()}
-    crlf = autocrlf not in (None, "input", *OFF) or _last(settings, b"core.eol") == "crlf"
-    restored = _Restored(git, index, _by_path(attributes), unknown, crlf=crlf)
-    answers.update(restored.answers())
-    memory.save(answers, states, wanted)
+    seen = {path: b"%s %s" % (now, what) for path, what in wanted.items() if (now := _state(git.root, path))}
+    answers = {path: known for path, now in seen.items() if (known := memory.get(path, now)) is not None}
+    if len(answers) < len(seen):
+        crlf = autocrlf not in (None, "input", *OFF) or _last(settings, b"core.eol") == "crlf"
+        unknown = {path: parts(wanted[path])[1] for path in seen.keys() - answers.keys()}
+        answers.update(_Restored(git, index, _by_path(attributes), unknown, crlf=crlf).answers())
+        memory.save(answers, seen)
     return {path: answer for path, answer in sorted(answers.items()) if answer}
 
 
@@ -74,11 +73,12 @@ def _by_path(attributes: bytes) -> dict[bytes, dict[str, str]]:
     return found
 
 
-def _state(root: Path, path: bytes) -> list[int] | None:
+def _state(root: Path, path: bytes) -> bytes:
+    """Return the status of a file; nothing if it is not checked out."""
     try:
-        return state(os.path.join(root, os.fsdecode(path)))  # noqa: PTH118 - for speed
+        return b"%d %d %d %d %d" % tuple(state(b"%s/%s" % (os.fsencode(root), path)))
     except OSError:
-        return None  # not checked out
+        return b""
 
 
 class _Restored:
@@ -148,26 +148,28 @@ class _Memory:
 
     def __init__(self, git: Git, settings: str) -> None:
         self._file = git.folder / "sierra" / f"converted-{sha256(git.prefix)[:16]}"
-        self._settings = settings
-        self._known = self._read()
+        self._settings = settings.encode()
         self._began = time.time_ns()
+        self._known: dict[bytes, bytes] = {}
+        with contextlib.suppress(OSError):
+            known = unsealed(self._file.read_bytes()) or b""
+            if known.startswith(self._settings):
+                self._known = read(known.removeprefix(self._settings))
 
-    def _read(self) -> dict[str, list[int | str]]:
-        with contextlib.suppress(OSError, ValueError, RecursionError):
-            record = json.loads(unsealed(self._file.read_bytes()) or b"{}")
-            if record.get("settings") == self._settings:
-                return dict(record["files"])
-        return {}
+    def get(self, path: bytes, seen: bytes) -> str | None:
+        known, _, answer = self._known.get(path, b"").rpartition(b" ")
+        return answer.decode() if known == seen else None
 
-    def get(self, path: bytes, now: list[int], what: bytes) -> str | None:
-        known = self._known.get(os.fsdecode(path))
-        return str(known[-1]) if known and known[:-1] == [*now, what.decode()] else None
-
-    def save(self, answers: Mapping[bytes, str], states: Mapping[bytes, list[int]], files: Files) -> None:
+    def save(self, answers: Mapping[bytes, str], seen: Mapping[bytes, bytes]) -> None:
         """Keep the answers, except for files that were changed so recently that another change may not be visible."""
-        settled = {path: now for path, now in states.items() if path in answers and max(now[3:]) < self._began - RACY_NS}
-        kept = {os.fsdecode(path): [*now, files[path].decode(), answers[path]] for path, now in settled.items()}
-        if kept != self._known:
-            with contextlib.suppress(OSError):  # without the cache, the next call is slower
-                self._file.parent.mkdir(exist_ok=True)
-                write_whole(self._file, sealed(json.dumps({"settings": self._settings, "files": kept}).encode()))
+        settled = self._began - RACY_NS
+        known = ((path, seen[path], answer) for path, answer in answers.items())
+        kept = {path: b"%s %s" % (now, answer.encode()) for path, now, answer in known if _changed(now) < settled}
+        with contextlib.suppress(OSError):  # without the cache, the next call is slower
+            self._file.parent.mkdir(exist_ok=True)
+            write_whole(self._file, sealed(self._settings + written(kept)))
+
+
+def _changed(seen: bytes) -> int:
+    """Return when a file with this status was changed."""
+    return max(map(int, seen.split(b" ")[3:5]))
