@@ -50,7 +50,7 @@ def programs_in(
     files = referenced_files.files(named, root, source.paths(manifest), data, project or root)
     words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))
     declared = commands.declared(variables, root, project)
-    found = programs.find(words, declared, root, files, project=project, around=around)
+    found = programs.find(words, declared, root, files, project=project, around=around, named=commands.named_programs(spec))
     return _without_leftovers(programs.of_project(found, (root, project or root)), spec, data, made)
 
 

@@ -1679,7 +1679,30 @@ SMALL = 1 << 16
 """The largest file in a virtual environment in which paths are looked for."""
 VENV = "pyvenv.cfg"
 COSMETIC = frozenset((b"command", b"executable", b"prompt", b"relocatable", b"uv", b"virtualenv"))
-"""Keys of pyvenv.cfg that Python does not read: they say how the environment was made."""
+"""Keys of pyvenv.cfg that Python does not read, and that did not count in earlier versions of this program."""
+COUNTED = frozenset((b"home", b"include-system-site-packages"))
+"""Keys of pyvenv.cfg that Python reads. All others say which tool has made the environment."""
+OF_INSTALLER = re.compile(rb"[^/,]+\.dist-info/(?:INSTALLER|REQUESTED|uv_cache\.json|uv_build\.json),")
+"""Lines of RECORD about files in which a tool notes its own work."""
+PYTHON_LINE = re.compile(rb"\A(#!(?:/bin/sh\n'''exec' )?[\"']?\{prefix\}/bin/python)(?:\d(?:\.\d+)?t?)?(?=[\"'\s])")
+CALLER = re.compile(
+    rb"(#!.*\n(?:'''exec' .*\n' '''\n)?)(?:# -\*- coding: utf-8 -\*-\n)?(?:import re\n)?import sys\n+"
+    rb"from ([\w.]+) import (\w+)\n+if __name__ == ['\"]__main__['\"]:\n"
+    rb"(?:    (?:el)?if sys\.argv\[0\]\.endswith\(['\"](?:-script\.pyw|\.exe)['\"]\):\n"
+    rb"        sys\.argv\[0\] = sys\.argv\[0\]\[:-\d+\]\n"
+    rb"|    sys\.argv\[0\] = sys\.argv\[0\]\.removesuffix\(['\"]\.exe['\"]\)\n"
+    rb"|    sys\.argv\[0\] = re\.sub\(r['\"]\(-script\\\.pyw\??\|\\\.exe\)\?\$['\"], ['\"]{2}, sys\.argv\[0\]\)\n)*"
+    rb"    sys\.exit\((\3[\w.]*)\(\)\)\n?"
+)
+"""A script that only calls a function of a package. Each tool has its own words for it."""
+CALL_BY_PIP = rb"""\1# -*- coding: utf-8 -*-
+import re
+import sys
+from \2 import \3
+if __name__ == '__main__':
+    sys.argv[0] = re.sub(r'(-script\\.pyw|\\.exe)?$', '', sys.argv[0])
+    sys.exit(\4())
+"""
 NAME_BYTE = rb"[\w.+~\x80-\xff-]"
 
 
@@ -1700,38 +1723,45 @@ class Environments:
         return self._known[folder]
 
 
-def sha256_of(path: str, environments: Environments, check_stop: Callable[[], None] = nothing) -> str:
-    """Return the SHA-256 of a file's content, or of what counts of it if it is a small file in a virtual environment."""
+def sha256_of(path: str, environments: Environments, check_stop: Callable[[], None] = nothing, *, former: bool = False) -> str:
+    """Return the SHA-256 of a file's content, or of what counts of it if it is a small file in a virtual environment.
+
+    `former`: what counted of it in earlier versions of this program.
+    """
     digest = hashlib.sha256()
     folder = environments.of(path)
     with open(path, "rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
         if folder and (size <= SMALL or is_record(path)):
-            return hashlib.sha256(counted(path, file.read(), folder)).hexdigest()
+            return hashlib.sha256(counted(path, file.read(), folder, former=former)).hexdigest()
         for chunk in iter(lambda: file.read(CHUNK), b""):
             check_stop()
             digest.update(chunk)
     return digest.hexdigest()
 
 
-def counted(path: str, content: bytes, environment: str) -> bytes:
-    """Return what counts of the content of a file in a virtual environment: the same wherever the environment lies.
+def counted(path: str, content: bytes, environment: str, *, former: bool = False) -> bytes:
+    """Return what counts of the content of a file in a virtual environment: the same wherever and however it was made.
 
-    The path of the environment itself does not count: it is in the first line of each script, for example. All other words of
-    that line count, and so does the path of another environment. Nor does it count how the environment was made (`pyvenv.cfg`),
-    and what RECORD says about scripts, in which that path is, and about compiled modules.
+    The path of the environment itself does not count: it is in the first line of each script, for example. Nor does it count
+    by which of its names a script calls the environment's Python (`python3.11`), and how a tool writes a script that only calls
+    a function. All other words count, and so does the path of another environment. Only what Python reads of `pyvenv.cfg`
+    counts. What RECORD says about scripts, about compiled modules and about the tool that has installed it does not count.
     """
     kept = content
     if path == os.path.join(environment, VENV):
         lines = (line.strip() for line in content.splitlines())
-        kept = b"\n".join(sorted(line for line in lines if line.partition(b"=")[0].strip().lower() not in COSMETIC))
+        keys = ((line.partition(b"=")[0].strip().lower(), line) for line in lines)
+        kept = b"\n".join(sorted(line for key, line in keys if (key not in COSMETIC if former else key in COUNTED)))
         kept = without(kept, os.path.expanduser("~"), b"{home}")
     elif is_record(path):
         lines = (line.rstrip() for line in content.splitlines())
-        kept = b"\n".join(sorted(line for line in lines if not line.startswith(b"..") and b".pyc," not in line))
+        lines = (line for line in lines if not line.startswith(b"..") and b".pyc," not in line)
+        kept = b"\n".join(sorted(line for line in lines if former or not OF_INSTALLER.match(line)))
     elif b"\0" not in content:
         for folder in {environment, os.path.realpath(environment)}:
             kept = without(kept, folder, b"{prefix}")
+        kept = kept if former else CALLER.sub(CALL_BY_PIP, PYTHON_LINE.sub(rb"\g<1>3", kept))
     return content if kept == content else b"{prefix}\0" + kept
 
 
