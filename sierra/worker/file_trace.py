@@ -1553,7 +1553,8 @@ def contents(
 
     `began` is `Observation.began`. A file is unusable if it was changed since then, or while it is hashed, because the run may
     have read something else; and so is a link or a folder. A time in the future counts as changed if it is the ctime, which
-    programs cannot set. Also unusable: a path that is missing now or exists now, unlike in the run. Devices have no content.
+    programs cannot set. If it is more than a day in the future, a clock is wrong: the file is unusable, but has its content.
+    Also unusable: a path that is missing now or exists now, unlike in the run. Devices have no content.
     """
     reader = Reader(began, cache, check_stop)
     for path in sorted({*trace.executed, *trace.read}):
@@ -1641,6 +1642,8 @@ class Reader:
         if self._changed(status):
             self.unusable[path] = CHANGED
             return
+        if self._is_later(status):
+            self.unusable[path] = LATER  # and yet its content is recorded, for what depends on the bytes alone
         sha256 = self._cache(path, status, lambda: self._hashed(path))
         if key_of(os.stat(path)) != key_of(status):
             self.unusable[path] = CHANGED
@@ -1655,6 +1658,8 @@ class Reader:
         if self._changed(before):
             self.unusable[path] = "it was changed after the run had listed it"
             return
+        if self._is_later(before):
+            self.unusable[path] = LATER
         paths = ((name, os.path.join(path, name)) for name in os.listdir(path) if name != PYTHON_CACHE)
         kept = [name for name, entry in paths if entry not in own and is_listed(entry)]
         kept.sort(key=os.fsencode)
@@ -1669,11 +1674,22 @@ class Reader:
         status = os.lstat(path)
         if os.path.realpath(path) != real or (stat.S_ISLNK(status.st_mode) and self._changed(status)):
             self.unusable[path] = "its link was changed after the run had followed it"
+        elif self._is_later(status):
+            self.unusable[path] = LATER
 
     def _changed(self, status: os.stat_result) -> bool:
+        """Return whether a file may have been changed in the run, by its times."""
+        if self._is_later(status):
+            return False
         return status.st_ctime_ns >= self._began or self._began <= status.st_mtime_ns <= time.time_ns()
 
+    def _is_later(self, status: os.stat_result) -> bool:
+        """Return whether a file was changed by another clock: so long after now that no change in the run can be meant."""
+        return status.st_ctime_ns > time.time_ns() + LATER_NS
 
+
+LATER = "its times are in the future, so that a clock is or was wrong"
+LATER_NS = 24 * 3600 * 10**9
 CHANGED = "it was changed after the run had opened it"
 SMALL = 1 << 16
 """The largest file in a virtual environment in which paths are looked for."""
