@@ -105,6 +105,8 @@ class Checkout:
     """The recorded SHA-256 of the project's files that executions were observed to use, by name."""
     kept: Callable[[str], bytes | None] = lambda _: None
     """Function that returns the content of a file that the store keeps, by its SHA-256."""
+    use_git: bool = True
+    """False if the project sets `git = false` under `[source]`."""
 
     def make(self, root: Path) -> None:
         """Create `root` and write the code into it.
@@ -120,7 +122,15 @@ class Checkout:
         if self.spec.source is None:
             root.mkdir(parents=True)
         else:
-            source.restore(self.spec.source, self.manifest, self.project, root, self.content, commit=self.commit)
+            source.restore(
+                self.spec.source,
+                self.manifest,
+                self.project,
+                root,
+                self.content,
+                commit=self.commit,
+                use_git=self.use_git,
+            )
 
     def bring(self, root: Path, names: Iterable[str]) -> None:
         """Copy these files of the project into `root`, unless they exist there: the names are those of programs.
@@ -204,7 +214,7 @@ class Checkout:
         The text is empty if there are none.
         """
         brought = (name.removeprefix(IN_PROJECT) for name, _ in self.used if name.startswith(IN_PROJECT))
-        return source.ignored(self.project, (STORE, FIGURES, *brought))
+        return source.ignored(self.project, (STORE, FIGURES, *brought)) if self.use_git else ""
 
     def programs_in(self, root: Path) -> Programs:
         """Return the programs that the command starts in the checkout `root`, and the files that it needed, as they are now."""

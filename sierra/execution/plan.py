@@ -92,7 +92,8 @@ class Plan:
         mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(container_setup.MOUNTS)))
         converted = self.source.converted if self.source else {}
         recorded = {f"{IN_PROJECT}{path}": sha256 for path, sha256 in converted.items()}
-        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted, recorded=recorded)
+        git = self.project.config.source.git
+        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted, recorded=recorded, use_git=git)
 
 
 def versioned(plan: Plan) -> Plan:
