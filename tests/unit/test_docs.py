@@ -99,7 +99,7 @@ def test_every_command_is_executed_or_has_a_reason_why_not() -> None:
 
 
 ID = re.compile(r"(?<![\w./:-])(?=[0-9]*[a-f])(?=[a-f]*[0-9])[0-9a-f]{10}(?:[0-9a-f]{2,54})?(?![\w-])")
-CALL = re.compile(r"(?:^|[`$ ])sierra [a-z-]+ [^\n]*")
+CALL = re.compile(r"(?m)(?:^|[`$ ])sierra [a-z-]+ [^\n]*")
 PREFIX = re.compile(r"(?<![\w./-])(?=[a-f]*[0-9])[0-9a-f]{4,64}(?![\w.])")
 NO_IDS = {"7e5d2f2a41": "a commit", "c6bc2e0f1f40fd4c": "a segment"}
 SAID = "self.random.normalvariate(0, self.noise)", "self.random.gauss(0, self.noise)"
