@@ -176,6 +176,8 @@ def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, eng
     box = project.config.container if spec.image else None
     store = StorePaths(ProjectPaths(root).store)
     recipe = build_recipe.complete(build_recipe.declared(table, spec, code.manifest), root, root, box)
+    used = replace(recipe.programs, all=(*recipe.programs.all, *_converted(code, root)))
+    recipe = replace(recipe, programs=used)
     return look(recipe, root, Store(store.root) if store.format.is_file() else None)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import sierra
 from sierra.provenance import source
 from sierra.provenance.source import converted
 from sierra.provenance.source.capture import Source
@@ -266,3 +267,30 @@ def test_a_package_has_the_bytes_that_were_executed(git: Git, tmp_path: Path) ->
     [program] = (tmp_path / "out").rglob("reproduce.py")
     done = subprocess.run(["python3", str(program), "--execute", "--yes"], capture_output=True, text=True, cwd=program.parent)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.integration
+def test_a_build_is_repeated_for_other_bytes_with_the_same_id(git: Git, tmp_path: Path) -> None:
+    built = 'echo "echo tick,size > swarm.csv; echo 0,$(wc -c < data.txt) >> swarm.csv" > sim.sh\n'
+    config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {input}").replace("runs = 2", "runs = 1")
+    root = sized(git, tmp_path / "p")
+    (root / "sierra.toml").write_text(config + '[build]\ncommand = "sh build.sh"\nproduces = ["sim.sh"]\n')
+    (root / ".gitignore").write_text(".sierra\nfigures\nsim.sh\n")
+    (root / "build.sh").write_text(built)
+    batch = projects.run(root, *QUERY)[0]["batch"]
+    assert projects.sql(root, LAST) == [{"size": 6}]
+    (root / "data.txt").write_bytes(b"a\nb\n")
+    assert projects.run(root, *QUERY)[0]["batch"] == batch
+    assert projects.sql(root, LAST) == [{"size": 4}]
+    done = projects.quick(root, "replay", batch[:10], "--json")
+    assert (done.returncode, json.loads(done.stdout)["verdict"]) == (0, "identical"), done.stderr
+
+
+@pytest.mark.integration
+def test_a_copy_for_other_hosts_has_the_bytes_on_disk(git: Git, tmp_path: Path) -> None:
+    root = sized(git, tmp_path / "p")
+    plan = sierra.open(root).plan(*QUERY[:1])
+    checkout = plan.snapshot(lambda blob: None)
+    checkout.make(tmp_path / "copy")
+    assert (tmp_path / "copy" / "data.txt").read_bytes() == b"a\r\nb\r\n"
+    assert checkout.programs_in(tmp_path / "copy").id == plan.programs.id
