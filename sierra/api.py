@@ -937,13 +937,20 @@ class Project:
         """Push the recorded sources, including submodules, to a git remote: see `sierra.provenance.source.share_refs`."""
         from sierra.provenance import source
 
+        self._check_git()
         return source.share(self.root, "push", remote)
 
     def fetch_sources(self, remote: str | None = None) -> list[Shared]:
         """Fetch the sources that others have pushed, including submodules: see `sierra.provenance.source.share_refs`."""
         from sierra.provenance import source
 
+        self._check_git()
         return source.share(self.root, "fetch", remote)
+
+    def _check_git(self) -> None:
+        """Raise UsageError if the project's source is identified without git."""
+        if not self.config.source.git:
+            raise UsageError("[source] git = false: the store has the code, and git has none to share; remove the setting")
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
         """Check all records and files: see `sierra.maintenance.fsck.Report`. `tell` receives the progress.

@@ -18,7 +18,7 @@ def attach(
 
     \b
     Example:
-      sierra attach 774d
+      sierra attach 9e1c
     """
     from sierra.cli import open_project, render_summary
     from sierra.cli.progress import watching

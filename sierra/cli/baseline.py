@@ -49,7 +49,7 @@ def set_(
     \b
     Examples:
       sierra baseline set v1
-      sierra baseline set v1 3f2a
+      sierra baseline set v1 9e1c
       sierra baseline set published results.zip
     """
     from sierra.cli.open_project import project

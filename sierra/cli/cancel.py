@@ -20,7 +20,7 @@ def cancel(
 
     \b
     Example:
-      sierra cancel 774d
+      sierra cancel 9e1c
     """
     from sierra.cli import open_project
     from sierra.cli.progress import Display

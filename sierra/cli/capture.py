@@ -43,7 +43,7 @@ def capture(
     \b
     Examples:
       sierra capture
-      sierra capture 3f9a1c --runs 2
+      sierra capture 722b00 --runs 2
       sierra capture && sierra video
     """
     from sierra.cli import open_project

@@ -62,10 +62,10 @@ def diff(
 
     \b
     Examples:
-      sierra diff 774d 0cdc
-      sierra diff 774d 0cdc --patch
+      sierra diff 9e1c c3e4
+      sierra diff 9e1c c3e4 --patch
       sierra diff ours.zip theirs.zip
-      sierra diff 774d theirs.zip
+      sierra diff 9e1c theirs.zip
     """
     from sierra.cli.open_project import project
 

@@ -69,13 +69,13 @@ def figures(
     \b
     Examples:
       sierra figures
-      sierra figures 3f9a1c
+      sierra figures 722b00
       sierra figures --target robots
       sierra figures --target sim,robots
-      sierra figures 3f9a1c swarm_coverage_summary
+      sierra figures 722b00 swarm_coverage_summary
       sierra figures --format pdf,html
-      sierra figures calm=3f9a1c noisy=518b72
-      sierra figures 3f9a1c --check
+      sierra figures calm=722b00 noisy=518b72
+      sierra figures 722b00 --check
     """
     from sierra.cli.open_project import project
 

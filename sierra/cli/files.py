@@ -59,11 +59,11 @@ def files(
 
     \b
     Examples:
-      sierra files 4f2c
-      sierra files 4f2c swarm.csv
-      sierra files 774d --to recorded
-      sierra files 774d "*.csv" stderr --to recorded
-      sierra files 4f2c "*.bag" --to recovered --recover
+      sierra files 4fc1
+      sierra files 4fc1 swarm.csv
+      sierra files 9e1c --to recorded
+      sierra files 9e1c "*.csv" stderr --to recorded
+      sierra files 4fc1 "*.bag" --to recovered --recover
     """
     from sierra.cli.open_project import project
     from sierra.store.export_recorded_files import extract, listing

@@ -39,8 +39,8 @@ def models(
     \b
     Examples:
       sierra models
-      sierra models 3f9a1c mean_field
-      sierra models 3f9a1c --format csv -o models.csv
+      sierra models 722b00 mean_field
+      sierra models 722b00 --format csv -o models.csv
     """
     from sierra.cli.open_project import project
 

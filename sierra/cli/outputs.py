@@ -38,7 +38,7 @@ def outputs(
     \b
     Examples:
       sierra outputs
-      sierra outputs 774d
+      sierra outputs 9e1c
       sierra outputs population_size.Log8
       sierra outputs --target robots
       sierra outputs --write

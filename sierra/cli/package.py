@@ -72,11 +72,11 @@ def package(
 
     \b
     Examples:
-      sierra package 3f2a -o results.zip
+      sierra package 9e1c -o results.zip
       sierra package --claims -o results.zip
-      sierra package 3f2a -o results.zip --image both
-      sierra package 3f2a -o results.zip --wheels --python 3.12,3.13
-      sierra package 3f2a -o review.zip --anonymous
+      sierra package 9e1c -o results.zip --image both
+      sierra package 9e1c -o results.zip --wheels --python 3.12,3.13
+      sierra package 9e1c -o review.zip --anonymous
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.open_project import project

@@ -60,12 +60,12 @@ def replay(
 
     \b
     Examples:
-      sierra replay 774d
-      sierra replay 774d --runs 2 --json
-      sierra replay 774d --set-tolerance swarm.coverage=rel:1e-9
-      sierra replay 774d --on slurm
-      sierra replay 774d --junit replay.xml --keep
-      sierra replay 774d --no-record
+      sierra replay 9e1c
+      sierra replay 9e1c --runs 2 --json
+      sierra replay 9e1c --set-tolerance swarm.coverage=rel:1e-9
+      sierra replay 9e1c --on slurm
+      sierra replay 9e1c --junit replay.xml --keep
+      sierra replay 9e1c --no-record
     """
     from sierra.cli import junit as junit_file
     from sierra.cli import open_project

@@ -47,8 +47,8 @@ def report(
     \b
     Examples:
       sierra report
-      sierra report 3f9a1c --to report.html
-      sierra report 3f9a1c 518b72
+      sierra report 722b00 --to report.html
+      sierra report 722b00 518b72
       sierra report --all
       sierra report results.zip
     """

@@ -39,8 +39,8 @@ def rm(
 
     \b
     Examples:
-      sierra rm 774d --dry-run
-      sierra rm 774d 03ab --yes
+      sierra rm 9e1c --dry-run
+      sierra rm 9e1c c3e4 --yes
     """
     from sierra.cli import open_project
     from sierra.cli.confirm import agreed

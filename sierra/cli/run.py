@@ -102,7 +102,7 @@ def run(
       sierra run scalability noise=0,0.1 --dry-run --explain
       sierra run population_size.Log8 --only "population_size<=4"
       sierra run population_size.Log8 --target sim,robots
-      sierra run 774d
+      sierra run 9e1c
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain

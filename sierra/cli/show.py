@@ -63,9 +63,9 @@ def show(
 
     \b
     Examples:
-      sierra show 3f9a1c
-      sierra show 3f9a1c --long
-      sierra show figures/3f9a1c0b12/swarm_coverage_summary.pdf
+      sierra show 722b00
+      sierra show 722b00 --long
+      sierra show figures/722b00d418/swarm_coverage_summary.pdf
     """
     from sierra.cli.open_project import project
     from sierra.execution.around import commands_of_robots, described, recorded

@@ -66,9 +66,9 @@ def sql(
     Examples:
       sierra sql "SHOW TABLES"
       sierra sql "DESCRIBE executions"
-      sierra sql -b 774d "SELECT noise, avg(coverage) FROM swarm GROUP BY 1"
+      sierra sql -b 9e1c "SELECT noise, avg(coverage) FROM swarm GROUP BY 1"
       sierra sql "FROM runs" --format parquet -o runs.parquet
-      sierra sql -b 774d "FROM distances"    # made by [tables.distances]
+      sierra sql -b 9e1c "FROM distances"    # made by [tables.distances]
       sierra sql - < snapshot.sql
     """
     from sierra.cli.open_project import project

@@ -113,7 +113,7 @@ def stats(
     \b
     Examples:
       sierra stats swarm coverage
-      sierra stats swarm coverage -b 774d --format latex -o coverage.tex
+      sierra stats swarm coverage -b 9e1c --format latex -o coverage.tex
       sierra stats distances distance        # made by [tables.distances]
       sierra stats swarm coverage --measure time_to --threshold 0.5
       sierra stats swarm coverage --measure time_to --threshold 0.5 --times own

@@ -32,7 +32,7 @@ def status(
     \b
     Examples:
       sierra status
-      sierra status 774d --json
+      sierra status 9e1c --json
     """
     from sierra.cli import open_project, render_status
     from sierra.cli.progress import Display

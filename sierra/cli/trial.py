@@ -46,8 +46,8 @@ def invalid(execution: Execution, reason: Reason, note: Note = None, operator: O
 
     \b
     Examples:
-      sierra trial invalid 3f2a91 --reason "robot 2 was switched off"
-      sierra trial invalid 3f2a91 --reason "wrong arena" --operator Ada
+      sierra trial invalid EXECUTION --reason "robot 2 was switched off"
+      sierra trial invalid EXECUTION --reason "wrong arena" --operator Ada
     """
     marked = _mark(execution, valid=False, reason=reason, note=note, operator=operator)
     print(f"execution {short(marked)}: invalid ({reason.strip()}); request its batch again to execute its run once more")
@@ -59,7 +59,7 @@ def valid(execution: Execution, note: Note = None, operator: Operator = None) ->
 
     \b
     Example:
-      sierra trial valid 3f2a91 --note "the robot only lost its hat"
+      sierra trial valid EXECUTION --note "the robot only lost its hat"
     """
     print(f"execution {short(_mark(execution, valid=True, note=note, operator=operator))}: valid")
 
@@ -74,7 +74,7 @@ def note(
 
     \b
     Example:
-      sierra trial note 3f2a91 "the floor was wet"
+      sierra trial note EXECUTION "the floor was wet"
     """
     print(f"execution {short(_mark(execution, note=text, operator=operator))}: {text.strip()}")
 

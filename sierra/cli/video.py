@@ -41,8 +41,8 @@ def video(
     \b
     Examples:
       sierra video
-      sierra video 3f9a1c heat
-      sierra video slow=3f9a1c fast=518b72
+      sierra video 722b00 heat
+      sierra video slow=722b00 fast=518b72
     """
     from sierra.cli.open_project import project
     from sierra.cli.progress import counting

@@ -29,8 +29,8 @@ def why(
 
     \b
     Examples:
-      sierra why 774d
-      sierra why 292ca7e4 --json
+      sierra why 9e1c
+      sierra why 4fc167aa --json
     """
     from sierra.cli.open_project import project
 

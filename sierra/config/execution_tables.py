@@ -113,6 +113,11 @@ class Source(Table):
         "record",
         description="uncommitted changes: `record` them, `refuse` them with an error, or `ignore` them and execute a checkout",
     )
+    git: bool = Field(
+        True,
+        description="whether git identifies the source of a project in a git repository; with `false`, all files, also those "
+        "that git ignores, are hashed and stored as in a folder outside git",
+    )
     max_untracked: Size = Field(
         50_000_000, description="maximum size of an untracked file, in bytes or as in `50 MB`; a larger file is an error"
     )

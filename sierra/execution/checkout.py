@@ -8,15 +8,17 @@ is its Python.
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from sierra.errors import Missing
 from sierra.execution import commands
+from sierra.execution.observation.current_files import unescaped
 from sierra.model import IN_PROJECT, RunSpec
 from sierra.provenance import fingerprint_programs as programs
 from sierra.provenance import referenced_files, source
@@ -47,7 +49,7 @@ def programs_in(
     files = _named(spec, manifest, root, data, project)
     words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))
     declared = commands.declared(variables, root, project)
-    found = programs.find(words, declared, root, files, project=project, around=around)
+    found = programs.find(words, declared, root, files, project=project, around=around, named=commands.named_programs(spec))
     return _without_leftovers(programs.of_project(found, (root, project or root)), spec, data, made)
 
 
@@ -111,6 +113,8 @@ class Checkout:
     """The recorded SHA-256 of the project's files that executions were observed to use, by name."""
     kept: Callable[[str], bytes | None] = lambda _: None
     """Function that returns the content of a file that the store keeps, by its SHA-256."""
+    use_git: bool = True
+    """False if the project sets `git = false` under `[source]`."""
 
     def make(self, root: Path) -> None:
         """Create `root` and write the code into it.
@@ -126,22 +130,35 @@ class Checkout:
         if self.spec.source is None:
             root.mkdir(parents=True)
         else:
-            source.restore(self.spec.source, self.manifest, self.project, root, self.content, commit=self.commit)
+            source.restore(
+                self.spec.source,
+                self.manifest,
+                self.project,
+                root,
+                self.content,
+                commit=self.commit,
+                use_git=self.use_git,
+            )
 
     def bring(self, root: Path, names: Iterable[str]) -> None:
         """Copy these files of the project into `root`, unless they exist there: the names are those of programs.
 
-        If the store keeps the recorded file, that is written instead of the project's file, which may have changed.
+        If the store keeps the recorded file, that is written instead of the project's file, which may have changed. A file of
+        the source that git has restored with other bytes is replaced, if the store or the project has the recorded ones.
 
         Raises Missing if a file does not exist, or if a product in the project is not the recorded one.
         """
+        held = source.paths(self.manifest)
         for name in names:
-            path = Path(name.removeprefix(IN_PROJECT))
+            path = self._path(name)
             if path.as_posix() in self.built and not (root / path).exists():
                 self._check_product(path)
             if not name.startswith(IN_PROJECT) or path.is_absolute() or ".." in path.parts:
                 continue
-            if path.as_posix() in self.built or not self._put_back(root, path, self.recorded.get(name)):
+            digest = self.recorded.get(name)
+            if digest is not None and _is_converted(root, path, digest, held):
+                self._replace(root, path, digest)
+            elif path.as_posix() in self.built or not self._put_back(root, path, digest):
                 _copy_in(self.project / path, root, path)
 
     def supply(self, root: Path) -> None:
@@ -149,13 +166,33 @@ class Checkout:
 
         A file that exists there stays. One of which nobody has the recorded content any more is left out.
         """
+        held = source.paths(self.manifest)
         for name, digest in self.observed.items():
-            path = Path(name.removeprefix(IN_PROJECT))
+            path = self._path(name)
             original = self.project / path
-            if not name.startswith(IN_PROJECT) or path.is_absolute() or ".." in path.parts or (root / path).exists():
+            if not name.startswith(IN_PROJECT) or path.is_absolute() or ".." in path.parts:
                 continue
-            if not self._put_back(root, path, digest) and original.is_file() and sha256_file(original) == digest:
+            if (root / path).exists():
+                if _is_converted(root, path, digest, held):
+                    self._replace(root, path, digest)
+            elif not self._put_back(root, path, digest) and original.is_file() and sha256_file(original) == digest:
                 _copy_in(original, root, path)
+
+    def _path(self, name: str) -> Path:
+        """Return the path of a file of the project, relative to it; escapes stand for bytes that are not UTF-8."""
+        path = name.removeprefix(IN_PROJECT)
+        return Path(path if (self.project / path).exists() else unescaped(path))
+
+    def _replace(self, root: Path, path: Path, digest: str) -> None:
+        """Replace a file by one with the recorded bytes, from the store or the project; leave it if neither has these."""
+        original = self.project / path
+        content = self.kept(digest)
+        if content is None and original.is_file() and sha256_file(original) == digest:
+            content = original.read_bytes()
+        if content is not None:
+            copy = inside(root, str(path))
+            copy.chmod(copy.stat().st_mode | 0o200)
+            copy.write_bytes(content)
 
     def _put_back(self, root: Path, path: Path, digest: str | None) -> bool:
         """Write a kept file into `root`. Return False if it is there already, or not kept."""
@@ -185,7 +222,7 @@ class Checkout:
         The text is empty if there are none.
         """
         brought = (name.removeprefix(IN_PROJECT) for name, _ in self.used if name.startswith(IN_PROJECT))
-        return source.ignored(self.project, (STORE, FIGURES, *brought))
+        return source.ignored(self.project, (STORE, FIGURES, *brought)) if self.use_git else ""
 
     def programs_in(self, root: Path) -> Programs:
         """Return the programs that the command starts in the checkout `root`, and the files that it needed, as they are now."""
@@ -200,6 +237,14 @@ class Checkout:
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
             self.make(root := Path(folder, "code"))
             return self.programs_in(root)
+
+
+def _is_converted(root: Path, path: Path, digest: str, held: Container[bytes]) -> bool:
+    """Check whether a restored file of the source, or of a nested repository, has other bytes than the recorded ones."""
+    copy = root / path
+    if copy.is_symlink() or not copy.is_file() or not any(os.fsencode(one) in held for one in (path, *path.parents)):
+        return False
+    return sha256_file(copy) != digest
 
 
 def _leads_out(link: Path, root: Path) -> bool:

@@ -43,6 +43,7 @@ from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
 from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
 from sierra.platforms.base import Platform
+from sierra.provenance import pythons
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, Files
 from sierra.util import processors
@@ -263,6 +264,14 @@ def fill(
         return os.path.normpath(f"{(project or root).resolve()}{match[1]}")
 
     return tuple(NAMED.sub(filled, ABOVE.sub(above, word)) for word in words)
+
+
+def named_programs(spec: RunSpec) -> dict[str, str]:
+    """Return the name of the Python that runs SIERRA by the path that `{python}` is filled with, if a command uses it.
+
+    A virtual environment has several links to its Python, and any of them may have started SIERRA.
+    """
+    return {sys.executable: str(Path(sys.executable).with_name(pythons.NAMED))} if "{python}" in spec.words else {}
 
 
 def with_texts(words: Iterable[str], values: Mapping[str, str]) -> tuple[str, ...]:

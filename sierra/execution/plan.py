@@ -16,7 +16,7 @@ from sierra.execution.build.state import BuildState
 from sierra.execution.checkout import Checkout
 from sierra.ingest.base import Used
 from sierra.ingest.recording_context import Context
-from sierra.model import Batch, Limits, Purpose, Query, Run
+from sierra.model import IN_PROJECT, Batch, Limits, Purpose, Query, Run
 from sierra.provenance import reported_versions, source
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
@@ -90,7 +90,10 @@ class Plan:
         manifest = self.source.manifest if self.source else b""
         used = tuple((program.name, program.kind) for program in self.programs.all)
         mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(container_setup.MOUNTS)))
-        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
+        converted = self.source.converted if self.source else {}
+        recorded = {f"{IN_PROJECT}{path}": sha256 for path, sha256 in converted.items()}
+        git = self.project.config.source.git
+        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted, recorded=recorded, use_git=git)
 
 
 def versioned(plan: Plan) -> Plan:

@@ -121,6 +121,7 @@ class Recalled:
             digests,
             self.observed,
             store.kept,
+            project.config.source.git or self.commit is not None,
         )
 
 

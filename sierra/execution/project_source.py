@@ -22,6 +22,7 @@ def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
         without=own_paths(project),
         prose=bool(wanted.paths) or project.config.build is not None,  # a build may read what describes the project
         dirty=dirty or wanted.dirty,
+        git=wanted.git,
         large=wanted.max_untracked,
         memory=store.files if store.format.is_file() else None,
     )

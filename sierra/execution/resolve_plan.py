@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,12 +31,13 @@ from sierra.execution import (
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import Checkout, programs_in
+from sierra.execution.observation.current_files import unescaped
 from sierra.execution.plan import Plan
 from sierra.ingest.base import used as used_readers
 from sierra.model import IN_PROJECT, Query, RunSpec
 from sierra.provenance import environment, referenced_files, source
 from sierra.provenance.change_guard import guard
-from sierra.provenance.dependency_model import Programs
+from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.query import grammar
 from sierra.query.query_request import QueryRequest
 from sierra.store.layout import ProjectPaths, StorePaths
@@ -83,6 +85,7 @@ def plan(
     plan_checks.check_paths(config, query, root)
     written = (text.replace(IN_PROJECT, "") for text in input_texts.written(config))
     data = referenced_files.data(texts, written, root, held, own)
+    data = replace(data, all=(*data.all, *_converted(code, root)))
     if box:
         data = container_setup.data(data, box, root)
     beside = shared_files.find(config, root)
@@ -154,6 +157,12 @@ def plan(
     )
 
 
+def _converted(code: source.Source, root: Path) -> Iterator[Program]:
+    """Yield the files of the source whose bytes on disk git would not restore: the source's id does not show these bytes."""
+    for path, sha256 in code.converted.items():
+        yield Program(f"{IN_PROJECT}{path}", str(root / unescaped(path)), sha256, Kind.FILE)
+
+
 def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, engine: Engine) -> BuildState | None:
     """Return the state of the products; None without `[build]`. Raises ConfigError, Missing."""
     table, root = project.config.build, project.root
@@ -167,6 +176,8 @@ def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, eng
     box = project.config.container if spec.image else None
     store = StorePaths(ProjectPaths(root).store)
     recipe = build_recipe.complete(build_recipe.declared(table, spec, code.manifest), root, root, box)
+    used = replace(recipe.programs, all=(*recipe.programs.all, *_converted(code, root)))
+    recipe = replace(recipe, programs=used)
     return look(recipe, root, Store(store.root) if store.format.is_file() else None)
 
 

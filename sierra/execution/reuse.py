@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 
 from sierra.execution.observation import reusable_executions, stale_sessions
+from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.reusable_executions import Reusable
 from sierra.execution.plan import Plan, context
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
@@ -21,7 +22,7 @@ MANY = 4
 class FileCheck:
     """Result of comparing the files that recorded executions used with these files as they are now."""
 
-    stale: Mapping[str, str] = field(default_factory=dict)
+    stale: Mapping[str, UsedFile] = field(default_factory=dict)
     """Sessions whose executions do not count, each with a file that has changed."""
     reusable: Mapping[str, Reusable] = field(default_factory=dict)
     """By run: an execution that counts although the source or the programs differ."""
@@ -137,7 +138,9 @@ def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None
     same: dict[State, State] = {}
     with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
         snapshot.run("SET threads = 1")  # each thread would hold its own copy of 100,000 runs
-        for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs), found.stale)):
+        for run, worth, reason, failed, judgements in snapshot.each(
+            *_statement(plan, snapshot, list(runs), found.stale.keys())
+        ):
             if run in runs:
                 state = runs[run].after(worth, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
@@ -195,7 +198,7 @@ FROM (
 
 
 def _statement(
-    plan: Plan, snapshot: Snapshot, runs: list[str], stale: Mapping[str, str]
+    plan: Plan, snapshot: Snapshot, runs: list[str], stale: Collection[str]
 ) -> tuple[str, dict[str, str | list[str]]]:
     """Return the statement for the executions that may belong to these runs, and its parameters."""
     spec = {"spec": plan.batch.spec_id}

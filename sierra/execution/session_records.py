@@ -183,7 +183,7 @@ def keep_check(plan: Plan, store: Store, session: Session) -> FileCheck:
     found, _ = check(plan, store)
     if found.stale or found.reusable:
         writer = store.writer(session.paths.segment, plan.batch.id)
-        writer.records(StaleSessionRow(session.id, one, path) for one, path in found.stale.items())
+        writer.records(StaleSessionRow(session.id, one, file.path) for one, file in found.stale.items())
         writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in found.reusable.items())
         writer.records(unused_changes(plan, store, session.id, found.reusable.values(), found.stale))
         store.publish(writer)

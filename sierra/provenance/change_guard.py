@@ -9,15 +9,18 @@ file is read, so 50,000 files take 0.15 s. New files are not a change, because r
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from sierra.errors import Missing
 from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import Kind, Programs
+from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.source import suggest_exclusions
-from sierra.provenance.source.manifest import REPOSITORY, read
+from sierra.provenance.source.manifest import REPOSITORY, git_hash, parts, read
 from sierra.provenance.source.selection import shown
+from sierra.util.hashing import sha256
 
 State = tuple[int, int, int, int] | None
 """Both times, the size and the inode of a file; None if there is no file."""
@@ -32,11 +35,30 @@ class ChangeGuard:
     """The project's folder; messages name its files relative to it."""
     source: tuple[bytes, ...] = ()
     """The files of the source, relative to the project's folder."""
+    contents: Mapping[bytes, str] = field(default_factory=dict)
+    """The hashes of files by path: git's, or the SHA-256 of those that are programs."""
 
     def doubt(self, since: str = "since the runs began") -> str | None:
-        """Return one line that names the changed files, or None if nothing has changed."""
-        names = [path.removeprefix(self.root + b"/") for path in self.changed()]
-        return f"code or programs have changed {since}: {shown(names)} ({self.advice(names)})" if names else None
+        """Return one line that names the changed files, or None if nothing has changed.
+
+        A file that has the same content again may have had another one meanwhile. It is named only if there is no other one.
+        """
+        paths = self.changed()
+        certain = [path for path in paths if not self._has_content(path)]
+        names = [path.removeprefix(self.root + b"/") for path in certain or paths]
+        have = "have changed" if certain else "may have changed, as their times say,"
+        return f"code or programs {have} {since}: {shown(names)} ({self.advice(names)})" if names else None
+
+    def _has_content(self, path: bytes) -> bool:
+        """Check whether a file has the content that it had."""
+        known = self.contents.get(path, "")
+        try:
+            if path.removeprefix(self.root + b"/") not in self.source:
+                return HashCache().counted(os.fsdecode(path)) == known
+            content = Path(os.fsdecode(path)).read_bytes()
+        except (Missing, OSError):
+            return False
+        return known in (sha256(content), *(git_hash(b"blob", content, name) for name in ("sha1", "sha256")))
 
     def changed(self) -> list[bytes]:
         """Return the absolute paths of the changed files."""
@@ -76,7 +98,9 @@ def guard(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
     """Return a guard for the files of a manifest (none if it is empty) in the folder `root`, and for the programs."""
     base = os.fsencode(root)
     paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
-    return ChangeGuard({path: _state(path) for path in paths}, base, tuple(read(manifest)))
+    files = {base + b"/" + path: parts(what)[1] for path, what in read(manifest).items()}
+    files |= {os.fsencode(one.path): one.sha256 for one in programs.all}
+    return ChangeGuard({path: _state(path) for path in paths}, base, tuple(read(manifest)), files)
 
 
 def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:

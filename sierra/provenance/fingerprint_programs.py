@@ -1,8 +1,10 @@
 """Fingerprints of programs outside the source and outside an image: a run is only reused if they are the same.
 
-The fingerprint of a program is the SHA-256 of its file. In a script of a virtual environment, the path of the environment does
-not count, so that it may be moved, or made again elsewhere. Every word of a command that names a program is included (as in
-`nice -n 5 simulator`), except a name behind an option, which is its value (`simulator --fast true`). If the program only
+The fingerprint of a program is the SHA-256 of its file, under its role: the word of the command that names it, the interpreter
+of a script, or the name by which a program needs a library. The file's own name and location do not count. In a script of a
+virtual environment, the environment's path does not count, so that it may be moved, or made again elsewhere. Every word of a
+command that names a program is included (as in `nice -n 5 simulator`), except a name behind an option, which is its value
+(`simulator --fast true`). If the program only
 starts others (STARTERS), a name behind an option counts too (`mpirun --oversubscribe simulator`). Included as well is the
 interpreter that a script names in its first line. A program includes the libraries that the loader loads for it in the runs'
 own environment (`sierra.provenance.libraries`). A Python interpreter includes its installed distributions (`pythons`), and a
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import types
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -62,17 +65,19 @@ def find(
     *,
     project: Path | None = None,
     around: Iterable[Sequence[str]] = (),
+    named: Mapping[str, str] = types.MappingProxyType({}),
 ) -> Programs:
     """Return the programs that a command, and the commands `around` it, start, with what they load, and `more`.
 
     `variables` are those of the runs, with PATH. The code lies in `root`, which may be another folder than the `project`.
+    `named` has the names of programs for words that this machine has filled in.
     Raises Missing if the first word is not a program, lacks a library, or imports code from the project that differs from
     `root`.
     """
     commands = (argv, *around)
     words = {word for command in commands for word in command}
     scripts = {Path(word).parent for word in words if Path(word).is_relative_to(root) and Path(word).is_file()}
-    finding = _Finding(root, variables, project or root, scripts)
+    finding = _Finding(root, variables, project or root, scripts, named)
     for command in commands:
         finding.command(command)
     return finding.found(more)
@@ -94,9 +99,12 @@ def _of_project(one: Program, roots: Sequence[Path]) -> Program:
 class _Finding:
     """The search for the programs of one command; each path is visited once."""
 
-    def __init__(self, root: Path, variables: Mapping[str, str], project: Path, scripts: AbstractSet[Path]) -> None:
+    def __init__(
+        self, root: Path, variables: Mapping[str, str], project: Path, scripts: AbstractSet[Path], named: Mapping[str, str]
+    ) -> None:
         """`scripts` are folders of scripts; Python searches them first when it imports."""
         self._scripts = scripts
+        self._named = named
         self._root = root
         self._project = project
         self._variables = dict(variables)
@@ -116,7 +124,7 @@ class _Finding:
             raise Missing(
                 f"the program {argv[0]!r} was not found; install it, or correct the command of the project in {self._root}"
             )
-        self.start(argv[0], first, needed=True)
+        self.start(self._named.get(argv[0], argv[0]), first, needed=True)
         starts = Path(argv[0]).name in STARTERS
         for before, word in pairwise(argv):
             if Path(argv[0]).name == "env" and "=" in word:
@@ -126,7 +134,7 @@ class _Finding:
             elif word in processors.NAMES:
                 continue  # a value of `{arch}`; `setarch` is installed under such names too
             elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
-                self.start(word, path)
+                self.start(self._named.get(word, word), path)
                 starts = starts and Path(word).name in STARTERS
         self._variables = declared  # those that `env` has set were only for this command
 
@@ -151,7 +159,7 @@ class _Finding:
         for word in _interpreter(Path(path)):
             interpreter = shutil.which(word, path=self._variables["PATH"])
             if interpreter is not None:
-                self.start(word, interpreter, needed=needed)
+                self.start(pythons.name_in_environment(word), interpreter, needed=needed)
 
     def _load(self, name: str, path: str, *, needed: bool) -> None:
         loaded = libraries.loaded(path, self._variables)
@@ -203,7 +211,8 @@ def differences(
     """Yield one line for each difference to the recorded programs, and one line for all libraries.
 
     The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others, then
-    those that executions were observed to use (`used`).
+    those that executions were observed to use (`used`). A program that has only another name is no difference, unless there is
+    no other one.
     """
     several = {name for programs in (before, now) for name in _ambiguous(programs.all)}
 
@@ -211,11 +220,16 @@ def differences(
         return {one.name if one.called in several else one.called: one for one in programs}
 
     old, new = by_name(before.all), by_name(now.all)
-    pairs = [(name, old.get(name), new.get(name)) for name in sorted(old.keys() | new.keys())]
+    renamed = _renamed(old, new)
+    names = (old.keys() | new.keys()) - renamed.keys() - set(renamed.values())
+    pairs = [(name, old.get(name), new.get(name)) for name in sorted(names)]
+    changed = [(name, was, program) for name, was, program in pairs if not (was and program and was.sha256 == program.sha256)]
+    if not changed:
+        yield from (f"{was} is named {name} now, with the same content" for was, name in renamed.items())
     loaded = []
-    for name, was, program in sorted(pairs, key=lambda pair: _is_list(pair[2] or pair[1])):
+    for name, was, program in sorted(changed, key=lambda pair: _is_list(pair[2] or pair[1])):
         one = program or was
-        if one is None or (was and program and was.sha256 == program.sha256):
+        if one is None:
             continue
         if one.kind == Kind.LIBRARY:
             loaded.append(name)
@@ -225,6 +239,13 @@ def differences(
             yield f"{name}: {_described(was)} recorded, {_described(program)} found"
     if loaded:
         yield f"libraries that differ from the record: {few(loaded, SHOWN)}"
+
+
+def _renamed(old: Mapping[str, Program], new: Mapping[str, Program]) -> dict[str, str]:
+    """Return the names that only the old programs have, each with one that only the new ones have, of the same content."""
+    came = {(new[name].kind, new[name].sha256): name for name in sorted(new.keys() - old.keys(), reverse=True)}
+    keys = {name: (old[name].kind, old[name].sha256) for name in sorted(old.keys() - new.keys())}
+    return {name: came.pop(key) for name, key in keys.items() if key in came}
 
 
 def _ambiguous(programs: Iterable[Program]) -> set[str]:

@@ -50,6 +50,14 @@ class HashCache:
         hashed = functools.partial(file_trace.sha256_of, environments=file_trace.Environments())
         return _or_missing(path, hashed) if file_trace.is_record(path) else self._known_or(path, hashed)
 
+    def counted_before(self, path: str) -> str:
+        """Return the SHA-256 that earlier versions of SIERRA recorded for a file of a virtual environment. Raises Missing."""
+        if not self._is_in_environment(os.path.dirname(path)):  # noqa: PTH120 - for speed
+            return self.of(path)
+        from sierra.worker import file_trace
+
+        return _or_missing(path, lambda there: file_trace.sha256_of(there, file_trace.Environments(), former=True))
+
     def _is_in_environment(self, folder: str) -> bool:
         if folder not in self._folders:
             above = os.path.dirname(folder)  # noqa: PTH120 - for speed

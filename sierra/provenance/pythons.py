@@ -32,6 +32,8 @@ from sierra.util.json_types import as_object
 NAME = re.compile(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"
 TIMEOUT_S = 10.0
+NAMED = "python3"
+"""The name for the Python that a placeholder, or a script of a virtual environment, stands for."""
 CODE = (".py", ".so")
 OWN = "sierra-experiments"
 """SIERRA's own distribution. Runs do not depend on it, so its code is ignored even if the install is editable."""
@@ -82,6 +84,16 @@ class Origin:
     @property
     def folder(self) -> Path:
         return Path(unquote(urlsplit(self.url).path))
+
+
+def name_in_environment(path: str) -> str:
+    """Return the path of an interpreter in a virtual environment under one name: `python` and `python3.11` are links to it.
+
+    Tools that make environments use different ones in the first lines of scripts. All other paths are returned as they are.
+    """
+    program = Path(path)
+    in_environment = is_python(path) and program.is_absolute() and (program.parent.parent / VENV).is_file()
+    return str(program.with_name(NAMED)) if in_environment else path
 
 
 def is_python(path: str) -> bool:

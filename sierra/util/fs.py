@@ -51,7 +51,7 @@ RACY_NS = 2 * 10**9
 """The age of a file's last change after which a further change certainly gives it another time."""
 
 
-def state(path: str) -> list[int]:
+def state(path: str | bytes) -> list[int]:
     """Return the facts that change with a file's content: device, inode, size, and the times of writing and of any change.
 
     The kernel sets the last one (ctime), and no program can set it. Two changes within the same tick of the file system's clock

@@ -1608,7 +1608,8 @@ def contents(
 
     `began` is `Observation.began`. A file is unusable if it was changed since then, or while it is hashed, because the run may
     have read something else; and so is a link or a folder. A time in the future counts as changed if it is the ctime, which
-    programs cannot set. Also unusable: a path that is missing now or exists now, unlike in the run. Devices have no content.
+    programs cannot set. If it is more than a day in the future, a clock is wrong: the file is unusable, but has its content.
+    Also unusable: a path that is missing now or exists now, unlike in the run. Devices have no content.
     """
     reader = Reader(began, cache, check_stop)
     for path in sorted({*trace.executed, *trace.read}):
@@ -1696,6 +1697,8 @@ class Reader:
         if self._changed(status):
             self.unusable[path] = CHANGED
             return
+        if self._is_later(status):
+            self.unusable[path] = LATER  # and yet its content is recorded, for what depends on the bytes alone
         sha256 = self._cache(path, status, lambda: self._hashed(path))
         if key_of(os.stat(path)) != key_of(status):
             self.unusable[path] = CHANGED
@@ -1710,6 +1713,8 @@ class Reader:
         if self._changed(before):
             self.unusable[path] = "it was changed after the run had listed it"
             return
+        if self._is_later(before):
+            self.unusable[path] = LATER
         paths = ((name, os.path.join(path, name)) for name in os.listdir(path) if name != PYTHON_CACHE)
         kept = [name for name, entry in paths if entry not in own and is_listed(entry)]
         kept.sort(key=os.fsencode)
@@ -1724,17 +1729,51 @@ class Reader:
         status = os.lstat(path)
         if os.path.realpath(path) != real or (stat.S_ISLNK(status.st_mode) and self._changed(status)):
             self.unusable[path] = "its link was changed after the run had followed it"
+        elif self._is_later(status):
+            self.unusable[path] = LATER
 
     def _changed(self, status: os.stat_result) -> bool:
+        """Return whether a file may have been changed in the run, by its times."""
+        if self._is_later(status):
+            return False
         return status.st_ctime_ns >= self._began or self._began <= status.st_mtime_ns <= time.time_ns()
 
+    def _is_later(self, status: os.stat_result) -> bool:
+        """Return whether a file was changed by another clock: so long after now that no change in the run can be meant."""
+        return status.st_ctime_ns > time.time_ns() + LATER_NS
 
+
+LATER = "its times are in the future, so that a clock is or was wrong"
+LATER_NS = 24 * 3600 * 10**9
 CHANGED = "it was changed after the run had opened it"
 SMALL = 1 << 16
 """The largest file in a virtual environment in which paths are looked for."""
 VENV = "pyvenv.cfg"
 COSMETIC = frozenset((b"command", b"executable", b"prompt", b"relocatable", b"uv", b"virtualenv"))
-"""Keys of pyvenv.cfg that Python does not read: they say how the environment was made."""
+"""Keys of pyvenv.cfg that Python does not read, and that did not count in earlier versions of this program."""
+COUNTED = frozenset((b"home", b"include-system-site-packages"))
+"""Keys of pyvenv.cfg that Python reads. All others say which tool has made the environment."""
+OF_INSTALLER = re.compile(rb"[^/,]+\.dist-info/(?:INSTALLER|REQUESTED|uv_cache\.json|uv_build\.json),")
+"""Lines of RECORD about files in which a tool notes its own work."""
+PYTHON_LINE = re.compile(rb"\A(#!(?:/bin/sh\n'''exec' )?[\"']?\{prefix\}/bin/python)(?:\d(?:\.\d+)?t?)?(?=[\"'\s])")
+CALLER = re.compile(
+    rb"(#!.*\n(?:'''exec' .*\n' '''\n)?)(?:# -\*- coding: utf-8 -\*-\n)?(?:import re\n)?import sys\n+"
+    rb"from ([\w.]+) import (\w+)\n+if __name__ == ['\"]__main__['\"]:\n"
+    rb"(?:    (?:el)?if sys\.argv\[0\]\.endswith\(['\"](?:-script\.pyw|\.exe)['\"]\):\n"
+    rb"        sys\.argv\[0\] = sys\.argv\[0\]\[:-\d+\]\n"
+    rb"|    sys\.argv\[0\] = sys\.argv\[0\]\.removesuffix\(['\"]\.exe['\"]\)\n"
+    rb"|    sys\.argv\[0\] = re\.sub\(r['\"]\(-script\\\.pyw\??\|\\\.exe\)\?\$['\"], ['\"]{2}, sys\.argv\[0\]\)\n)*"
+    rb"    sys\.exit\((\3[\w.]*)\(\)\)\n?"
+)
+"""A script that only calls a function of a package. Each tool has its own words for it."""
+CALL_BY_PIP = rb"""\1# -*- coding: utf-8 -*-
+import re
+import sys
+from \2 import \3
+if __name__ == '__main__':
+    sys.argv[0] = re.sub(r'(-script\\.pyw|\\.exe)?$', '', sys.argv[0])
+    sys.exit(\4())
+"""
 NAME_BYTE = rb"[\w.+~\x80-\xff-]"
 
 
@@ -1755,38 +1794,45 @@ class Environments:
         return self._known[folder]
 
 
-def sha256_of(path: str, environments: Environments, check_stop: Callable[[], None] = nothing) -> str:
-    """Return the SHA-256 of a file's content, or of what counts of it if it is a small file in a virtual environment."""
+def sha256_of(path: str, environments: Environments, check_stop: Callable[[], None] = nothing, *, former: bool = False) -> str:
+    """Return the SHA-256 of a file's content, or of what counts of it if it is a small file in a virtual environment.
+
+    `former`: what counted of it in earlier versions of this program.
+    """
     digest = hashlib.sha256()
     folder = environments.of(path)
     with open(path, "rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
         if folder and (size <= SMALL or is_record(path)):
-            return hashlib.sha256(counted(path, file.read(), folder)).hexdigest()
+            return hashlib.sha256(counted(path, file.read(), folder, former=former)).hexdigest()
         for chunk in iter(lambda: file.read(CHUNK), b""):
             check_stop()
             digest.update(chunk)
     return digest.hexdigest()
 
 
-def counted(path: str, content: bytes, environment: str) -> bytes:
-    """Return what counts of the content of a file in a virtual environment: the same wherever the environment lies.
+def counted(path: str, content: bytes, environment: str, *, former: bool = False) -> bytes:
+    """Return what counts of the content of a file in a virtual environment: the same wherever and however it was made.
 
-    The path of the environment itself does not count: it is in the first line of each script, for example. All other words of
-    that line count, and so does the path of another environment. Nor does it count how the environment was made (`pyvenv.cfg`),
-    and what RECORD says about scripts, in which that path is, and about compiled modules.
+    The path of the environment itself does not count: it is in the first line of each script, for example. Nor does it count
+    by which of its names a script calls the environment's Python (`python3.11`), and how a tool writes a script that only calls
+    a function. All other words count, and so does the path of another environment. Only what Python reads of `pyvenv.cfg`
+    counts. What RECORD says about scripts, about compiled modules and about the tool that has installed it does not count.
     """
     kept = content
     if path == os.path.join(environment, VENV):
         lines = (line.strip() for line in content.splitlines())
-        kept = b"\n".join(sorted(line for line in lines if line.partition(b"=")[0].strip().lower() not in COSMETIC))
+        keys = ((line.partition(b"=")[0].strip().lower(), line) for line in lines)
+        kept = b"\n".join(sorted(line for key, line in keys if (key not in COSMETIC if former else key in COUNTED)))
         kept = without(kept, os.path.expanduser("~"), b"{home}")
     elif is_record(path):
         lines = (line.rstrip() for line in content.splitlines())
-        kept = b"\n".join(sorted(line for line in lines if not line.startswith(b"..") and b".pyc," not in line))
+        lines = (line for line in lines if not line.startswith(b"..") and b".pyc," not in line)
+        kept = b"\n".join(sorted(line for line in lines if former or not OF_INSTALLER.match(line)))
     elif b"\0" not in content:
         for folder in {environment, os.path.realpath(environment)}:
             kept = without(kept, folder, b"{prefix}")
+        kept = kept if former else CALLER.sub(CALL_BY_PIP, PYTHON_LINE.sub(rb"\g<1>3", kept))
     return content if kept == content else b"{prefix}\0" + kept
 
 

@@ -92,7 +92,7 @@ class Looker:
             status = os.lstat(path)
             if stat.S_ISLNK(status.st_mode):
                 return "link " + os.readlink(path)
-            stamp = status.st_size, status.st_mtime_ns, status.st_ino
+            stamp = status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
             if not stat.S_ISREG(status.st_mode) or status.st_size > LARGE:
                 return "other %d %d" % stamp[:2]
             known = self.hashes.get(path)
@@ -206,12 +206,12 @@ def git(repository: str, *words: str) -> str | None:
 
 
 def stamp_of(path: str) -> Stamp | None:
-    """Return size, time and number of a file; None if there is none."""
+    """Return size, number and both times of a file; None if there is none."""
     try:
         status = os.stat(path)
     except OSError:
         return None
-    return status.st_size, status.st_mtime_ns, status.st_ino
+    return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
 
 
 def read(path: str) -> bytes:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import sierra
 from sierra import platforms
 from sierra.config import project_file
 from tests import plugins, projects
@@ -95,6 +96,55 @@ def test_every_command_is_executed_or_has_a_reason_why_not() -> None:
         for block in blocks(page):
             if block.kind == "" and block.text.startswith("$ "):
                 assert block.notes.get("not executed"), f"{name_of(page)}, line {block.line}"
+
+
+ID = re.compile(r"(?<![\w./:-])(?=[0-9]*[a-f])(?=[a-f]*[0-9])[0-9a-f]{10}(?:[0-9a-f]{2,54})?(?![\w-])")
+CALL = re.compile(r"(?m)(?:^|[`$ ])sierra [a-z-]+ [^\n]*")
+PREFIX = re.compile(r"(?<![\w./-])(?=[a-f]*[0-9])[0-9a-f]{4,64}(?![\w.])")
+NO_IDS = {"7e5d2f2a41": "a commit", "c6bc2e0f1f40fd4c": "a segment"}
+SAID = "self.random.normalvariate(0, self.noise)", "self.random.gauss(0, self.noise)"
+
+
+def shown_ids(page: Path) -> set[str]:
+    """Return the ids and prefixes in the texts of a page that are not compared by executing it."""
+    text = page.read_text("utf-8")
+    for block in blocks(page):
+        if page in EXECUTED and "not executed" not in block.notes and block.kind in ("sh", "console", "python"):
+            text = text.replace(block.text, "")
+    calls = " ".join(CALL.findall(text))
+    return {*ID.findall(text), *(word for word in PREFIX.findall(calls) if not word.isdigit())} - NO_IDS.keys()
+
+
+def executed_ids(page: Path) -> set[str]:
+    """Return the ids that are compared by executing a page."""
+    texts = (block.text for block in blocks(page) if "not executed" not in block.notes and block.kind == "console")
+    return {one for text in texts for one in ID.findall(text)}
+
+
+@pytest.mark.integration
+def test_ids_that_are_not_executed_are_those_of_the_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All others are in the output of executed commands. Help texts are in the reference of commands."""
+    folder = tmp_path / "demo"
+    assert projects.quick(tmp_path, "init", "--example", "swarm", str(folder)).returncode == 0
+    known = {one for page in EXECUTED for one in executed_ids(page)}
+    example = sierra.open(folder)
+    plans = [example.plan("population_size.Log8"), example.plan("population_size.Log4", runs=5)]
+    plans.append(example.plan("population_size.Log8", "controller=random_walk,pheromone"))
+    (folder / "swarm.py").write_text(
+        (folder / "swarm.py").read_text("utf-8").replace(*SAID), "utf-8"
+    )  # as on the page on comparing
+    speed = ("//numeric[@name='max_speed']/@data", "0.3")
+    plans.append(sierra.open(folder).plan("population_size.Log4", runs=5, sets=[speed]))
+    batches = [plan.batch for plan in plans]
+    known.update(*({batch.id, *(run.id for run in batch.runs)} for batch in batches))
+    pages = [*PAGES, *(ROOT / "sierra").rglob("*.md"), *(ROOT / "sierra").rglob("*.toml")]
+    wrong = {
+        f"{name_of(page)}: {one}"
+        for page in pages
+        for one in shown_ids(page)
+        if not any(id.startswith(one[:10]) or one.startswith(id) for id in known)
+    }
+    assert not wrong
 
 
 def slugs(page: Path) -> set[str]:

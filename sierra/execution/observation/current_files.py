@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,9 +59,15 @@ def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], 
 
         return file_trace.graphics_sha256() == sha256
     try:
-        return os.path.isfile(here) and cache.counted(here) == sha256  # noqa: PTH113 - for speed
+        return os.path.isfile(here) and sha256 in _counted(here, cache)  # noqa: PTH113 - for speed
     except Missing:
         return False
+
+
+def _counted(here: str, cache: HashCache) -> Iterator[str]:
+    """Yield the SHA-256 of what counts of a file, and the one that an earlier version of SIERRA may have recorded."""
+    yield cache.counted(here)
+    yield cache.counted_before(here)
 
 
 def name_of(path: str, named: Mapping[str, Path]) -> str:
@@ -79,6 +85,9 @@ def located(path: str, named: Mapping[str, Path]) -> str | None:
         if name not in named:
             return None
         path = f"{named[name]}{rest}"
-    if "\\x" in path and not os.path.lexists(path):  # escapes stand for bytes that are not UTF-8
-        return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))
-    return path
+    return unescaped(path) if "\\x" in path and not os.path.lexists(path) else path
+
+
+def unescaped(path: str) -> str:
+    """Return a path with the bytes that are not UTF-8, for which a record has escapes."""
+    return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))

@@ -1,8 +1,9 @@
 """Programs of the project that git ignores and that executions used: the store keeps small ones, so that replays have them.
 
 A program is a file that was executed, or that is an ELF file or a script: for example `build/libcontroller.so`. Data is not
-kept. The records of programs and of observed files have their SHA-256. Products of `[build]` are not kept, because a replay
-builds them again, and neither are files of a virtual environment, which a replay uses where it is.
+kept, except files of the source that git would restore with other bytes. The records of programs and of observed files have
+their SHA-256. Products of `[build]` are not kept, because a replay builds them again, and neither are files of a virtual
+environment, which a replay uses where it is.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.execution.observation.current_files import unescaped
 from sierra.execution.plan import Plan
 from sierra.model import IN_PROJECT
 from sierra.provenance import source
@@ -20,6 +22,9 @@ from sierra.store.store import Store
 from sierra.util.hashing import sha256
 
 MAGIC = (b"\x7fELF", b"#!")
+CONVERTED = "converted"
+"""The use of a file of the source that git would restore with other bytes."""
+KEPT = ("executed", CONVERTED)
 
 
 class _Used(NamedTuple):
@@ -47,19 +52,21 @@ def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
         if size > left:
             return
         content = b"" if one.sha256 in stored else path.read_bytes()
-        if (one.use == "executed" or content.startswith(MAGIC)) and sha256(content) == one.sha256:
+        if (one.use in KEPT or content.startswith(MAGIC)) and sha256(content) == one.sha256:
             left -= size
             yield content
 
 
 def _used(plan: Plan, store: Store, session: str) -> Mapping[Path, _Used]:
     """Return the project's files outside the source that are known to be used."""
+    converted = plan.source.converted if plan.source else {}
     derived = [_Used(one.name, str(one.kind), one.sha256) for one in plan.programs.all if one.name.startswith(IN_PROJECT)]
     observed = [] if plan.project.config.observe == "none" else store.select(_Used, OBSERVED, s=session, inside=IN_PROJECT)
     root, known = plan.project.root, source.paths(plan.source.manifest) if plan.source else set()
     made = {one.name for one in plan.build.products} if plan.build else set()
     found = {one.path.removeprefix(IN_PROJECT): one for one in (*derived, *observed)}
-    return {
+    lossy = {root / unescaped(name): _Used(name, CONVERTED, sha256) for name, sha256 in converted.items()}
+    return lossy | {
         root / name: one
         for name, one in found.items()
         if os.fsencode(name) not in known and name not in made and not _is_in_environment(root, name)

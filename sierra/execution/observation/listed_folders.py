@@ -28,6 +28,9 @@ STARTED = re.compile(r".*\.(?:pth|egg-link)|(?:site|user)customize.*")
 """Files in a folder of packages that Python executes when it starts."""
 STANDARD = re.compile(r".*/lib(?:64)?/python3[^/]*/(?!(?:site|dist)-packages/).*\.py")
 """Python's own library."""
+PROGRAMS = "{prefix}/bin"
+OF_TOOLS = re.compile(r"(?i:(?:de)?activate(?:_this)?(?:\.\w+)?|pydoc\.bat)|python(?:\d(?:\.\d+)?t?)?")
+"""Names in that folder that depend on the tool that made the environment: scripts for shells, and links to Python."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,8 @@ class ListedFolders:
 
     def _counting(self, one: UsedFile, names: Iterable[str]) -> frozenset[str]:
         inside = one.path + "/"
+        if one.path == PROGRAMS:
+            names = (name for name in names if not OF_TOOLS.fullmatch(name))
         return frozenset(name for name in names if (inside + name).removeprefix(PROJECT + "/") not in self._current.lacking)
 
     def _are_unused_packages(self, names: Iterable[str], files: Collection[UsedFile]) -> bool:

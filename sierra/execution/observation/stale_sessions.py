@@ -17,7 +17,7 @@ from typing import NamedTuple
 from sierra.execution.observation import file_sets, plan_files
 from sierra.execution.observation.current_files import Current
 from sierra.execution.observation.file_sets import PROJECT, FileSets, UsedFile
-from sierra.execution.observation.unchanged_files import compare, found_differently
+from sierra.execution.observation.unchanged_files import FOUND_ELSEWHERE, compare, found_differently
 from sierra.execution.plan import Plan
 from sierra.provenance import source
 from sierra.store.store import Snapshot
@@ -74,7 +74,7 @@ WHERE list_contains($environments, environment)
 """
 
 
-def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
+def find(plan: Plan, snapshot: Snapshot) -> dict[str, UsedFile]:
     """Return the sessions that executed runs of this plan with files that have changed, each with one of these files."""
     if plan.batch.spec.robots is not None or not snapshot.holds("observations"):
         return {}  # the files of robots are not here
@@ -86,14 +86,14 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     compared = compare(found, current)
     elsewhere = _elsewhere(plan, snapshot, sets, found, current)
     committed = source.paths(plan.source.manifest) if plan.source else None
-    stale: dict[str, str] = {}
+    stale: dict[str, UsedFile] = {}
     for one in sets:
         for file in compared.counting.get(one.files, ()):
             if (one.session, file.path) not in written and _counts(plan, one, file, committed):
-                stale.setdefault(one.session, file.path)
+                stale.setdefault(one.session, file)
         if path := elsewhere.get((one.files, one.environment)):
-            stale.setdefault(one.session, path)
-    others = {one.session: compared.harmless[one.files][0].path for one in sets if one.files in compared.harmless}
+            stale.setdefault(one.session, UsedFile(path, FOUND_ELSEWHERE, None))
+    others = {one.session: compared.harmless[one.files][0] for one in sets if one.files in compared.harmless}
     unobserved = _unobserved(plan, snapshot, others.keys() - stale.keys())
     return {**stale, **{session: others[session] for session in unobserved}}
 
@@ -150,11 +150,30 @@ def recorded(snapshot: Snapshot) -> set[str]:
     return set(snapshot.values(str, last))
 
 
-def reason(stale: Mapping[str, str]) -> str:
-    """Return the reason why executions of these sessions do not count."""
-    return (
-        f"earlier executions do not count, because files that they used have changed: {few(sorted(set(stale.values())), NAMED)}"
-    )
+DIFFERENCES = {
+    "missed": "new",
+    "found": "its kind, size or rights",
+    "listed": "its names",
+    "link": "it leads elsewhere",
+    FOUND_ELSEWHERE: "found first now",
+}
+"""How files differ of which the content was not compared, by their use."""
+
+
+def reason(stale: Mapping[str, UsedFile]) -> str:
+    """Return the reason why executions of these sessions do not count. Only other bytes are called a changed file."""
+    files = sorted(set(stale.values()), key=lambda file: (file.path, file.use))
+    unknown = [file for file in files if file.sha256 is None and file.use not in DIFFERENCES]
+    known = list(dict.fromkeys(_described(file) for file in files if file not in unknown))
+    causes = [f"files that they used have changed: {few(known, NAMED)}"] if known else []
+    if unknown:
+        names = few(list(dict.fromkeys(file.path for file in unknown)), NAMED)
+        causes.append(f"it is not known with which content they used {names}")
+    return f"earlier executions do not count, because {'; and '.join(causes)}"
+
+
+def _described(file: UsedFile) -> str:
+    return f"{file.path} ({DIFFERENCES[file.use]})" if file.use in DIFFERENCES else file.path
 
 
 def unobserved_reason(runs: int) -> str:

@@ -115,6 +115,8 @@ class _Batch:
             if name == path or _is(self._found.get(folder + name), sha256):
                 continue
             member = self._found.get(PROJECT + name)
+            if not _is(member, sha256) and folder + name in self._found and self._subject.store.kept(sha256) is not None:
+                member = self._kept(sha256)  # git restores the source with other bytes
             if member is None or not _is(member, sha256):
                 raise Missing(f"its runs used {name!r}, which is not packed as it was")
             files[name] = {"member": member.name, "program": member.executable}

@@ -91,7 +91,8 @@ class _Folder:
         self.problems: list[str] = []
         self.contents: dict[str, Content] = {}
         """The files by git's hash; see `sierra.provenance.source.stored_repositories` for others."""
-        source.restore(tree.tree, manifest, subject.project.root, self._root, subject.store.blob, commit=tree.commit)
+        root, git = subject.project.root, subject.project.config.source.git or tree.vcs == "git"
+        source.restore(tree.tree, manifest, root, self._root, subject.store.blob, commit=tree.commit, use_git=git)
 
     def members(self) -> Iterator[Member]:
         """Yield the files of the folder, and collect contents, notes and problems."""

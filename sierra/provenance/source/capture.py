@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sierra.errors import ConfigError
@@ -57,6 +57,8 @@ class Source:
     """True if the working tree differs from this source, so that runs need a checkout of it."""
     notes: tuple[str, ...] = ()
     """Messages for the user, one line each."""
+    converted: Mapping[str, str] = field(default_factory=dict)
+    """The SHA-256 of files whose bytes on disk git would not restore, by path: see `sierra.provenance.source.converted`."""
 
     @property
     def id(self) -> str:
@@ -74,15 +76,16 @@ def capture(
     without: Iterable[str],
     prose: bool = True,
     dirty: str = "record",
+    git: bool = True,
     large: int = LARGE,
     memory: Path | None = None,
 ) -> Source:
     """Return the source of the project `root`: all files or those in `paths`, except those in `without`.
 
     Without `prose`, files that describe the project to people are left out too (see `sierra.provenance.source.prose`).
-    `dirty` has the meaning of `[source] dirty`. An untracked file may have up to `large` bytes. The file `memory` caches the
-    hashes of files outside git. Raises ConfigError for a path that does not exist, a file that is too large, or changes that
-    are refused. Raises Missing if git is needed and fails.
+    `dirty` and `git` have the meaning of `[source] dirty` and `[source] git`. An untracked file may have `large` bytes. The
+    file `memory` caches the hashes of files outside git. Raises ConfigError for a path that does not exist, a file that is too
+    large, or changes that are refused. Raises Missing if git is needed and fails.
     """
     for path in paths:
         if not (root / path).exists():
@@ -90,10 +93,16 @@ def capture(
         if inside(path).startswith((b"..", b"/")):
             raise ConfigError(f"[source] paths: {path!r} is outside {root}; use files and folders in it")
     chosen = PathSelection(paths, without, prose=prose)
-    source, files = _git(root, chosen, dirty, large) if _in_git(root) else _outside(root, chosen, dirty, large, memory)
+    used = git and _in_git(root)
+    if not git and dirty != "record":
+        raise ConfigError(
+            f'[source] dirty = "{dirty}" compares with a commit of git, which git = false does not use; remove one'
+        )
+    source, files = _git(root, chosen, dirty, large) if used else _outside(root, chosen, dirty, large, memory)
     for path in paths:
         if not any(map(PathSelection([path]), files)):
-            raise ConfigError(f"[source] paths: {path!r} contains no source files: it is empty, or ignored by git")
+            reason = "it is empty, or ignored by git" if used else "it is empty, or has only files of tools"
+            raise ConfigError(f"[source] paths: {path!r} contains no source files: {reason}")
     return source
 
 
@@ -142,6 +151,7 @@ def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Sou
     if dirty == "refuse":
         _refuse(root, now)
     differs = bool(now.changed) and dirty != "ignore"
+    lossy = now.converted if dirty != "ignore" else {}  # the commit's files are executed then
     source = Source(
         tree=SWHID + now.tree,
         vcs="git",
@@ -153,8 +163,9 @@ def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Sou
         described=origin.describe(git, now.commit, dirty=differs),
         folder=git.prefix.decode("utf-8", "replace").rstrip("/") or ".",
         submodules=json.dumps(now.submodules, sort_keys=True) if now.submodules else None,
-        checkout=dirty == "ignore" and bool(now.changed or now.absent),
-        notes=tuple(_notes(root, now)) if dirty != "ignore" else (),
+        checkout=dirty == "ignore" and bool(now.changed or now.absent or now.converted),
+        notes=(*_enclosing(root), *(_notes(root, now) if dirty != "ignore" else ())),
+        converted={path.decode("utf-8", "backslashreplace"): sha256 for path, sha256 in lossy.items()},
     )
     return source, now.files
 
@@ -175,6 +186,21 @@ def _notes(root: Path, now: worktree_snapshot.WorktreeState) -> Iterator[str]:
     if hollow:
         remedy = "fetch them with git submodule update --init"
         yield f"{shown(hollow)}: submodules that are not checked out are not part of the source; {remedy}"
+    if now.converted:
+        yield (
+            f"{shown(sorted(now.converted))}: git would restore other bytes than those on disk (line endings, or a filter); "
+            "runs are reused only while these bytes stay the same"
+        )
+
+
+def _enclosing(root: Path) -> Iterator[str]:
+    """Yield a note if the project's repository is that of a whole machine or of a home folder."""
+    top = next(folder for folder in (root, *root.parents) if (folder / ".git").exists())
+    if top != root and top in (Path(top.anchor), Path.home()):
+        yield (
+            f"the git repository of this project is {top}; run git init in {root}, or set git = false under [source] to "
+            "identify the code without git"
+        )
 
 
 def _leading_out(root: Path, links: Sequence[bytes]) -> Iterator[str]:

@@ -40,19 +40,21 @@ HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 FETCH = "run sierra source fetch (after sierra source push has been run where the source was recorded)"
 
 
-def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Content, *, commit: str | None = None) -> None:
+def restore(
+    tree: str, manifest: bytes, root: Path, target: Path, content: Content, *, commit: str | None = None, use_git: bool = True
+) -> None:
     """Write the files of a recorded source into `target`, a folder that is created.
 
-    The files come from the git repository around `root` if it has all of them, otherwise from `content`, which returns a
-    file for git's hash of it. Raises Damaged if the manifest describes another tree. Raises Missing if neither has a file;
-    the message names the `commit` to fetch if it is given.
+    With `use_git`, the files come from the git repository around `root` if it has all of them. Otherwise they come from
+    `content`, which returns a file for git's hash of it. Raises Damaged if the manifest is of another tree, and Missing if
+    neither has a file; the message names the `commit` to fetch if it is given.
     """
     files = read(manifest)
     _check(files)
     if tree_of(manifest) not in (None, tree.rpartition(":")[2]):
         raise Damaged(f"the file list of the recorded source does not match {tree}: other code would be restored")
     target.mkdir(parents=True)
-    git = Git(root) if in_repository(root) else None
+    git = Git(root) if use_git and in_repository(root) else None
     lacking = _lacking(git, tree.rpartition(":")[2], files)
     if git is not None and not lacking:
         _checkout(git, files, target, commit)

@@ -36,7 +36,7 @@ from typing import NamedTuple
 from uuid import uuid4
 
 from sierra.errors import ConfigError, Missing
-from sierra.provenance.source import lfs, manifest
+from sierra.provenance.source import converted, lfs, manifest
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
@@ -66,6 +66,8 @@ class WorktreeState:
     """Paths of the commit that are missing because of a sparse checkout or a submodule that is not initialised."""
     submodules: dict[str, str]
     """The commit that is checked out in each nested repository, at any depth, by path."""
+    converted: dict[bytes, str]
+    """See `sierra.provenance.source.converted`: the SHA-256 of files that git would restore with other bytes."""
 
 
 @dataclass(slots=True)
@@ -94,12 +96,12 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
             found = _write_tree(git, index, chosen, large)
         if not found.agrees():
             raise Missing(f"git in {git.root} writes another tree than its index lists; try another version of git")
-    status, tree, files, submodules = found
+    status, tree, files, submodules, lossy = found
     git("update-ref", f"refs/sierra/{tree}", tree)
     recorded = {**dict.fromkeys(status.stale), **status.recorded} if status.commit else {}
     doubtful = status.inner | status.conflicts
     differing = {path for path, what in recorded.items() if files.get(path) != what or path in doubtful}
-    return _state(status, tree, files, differing, _absent(git, status, differing), submodules)
+    return _state(status, tree, files, differing, _absent(git, status, differing), submodules, lossy)
 
 
 class _Written(NamedTuple):
@@ -109,6 +111,7 @@ class _Written(NamedTuple):
     tree: str
     files: dict[bytes, bytes]
     submodules: dict[str, str]
+    converted: dict[bytes, str]
 
     def agrees(self) -> bool:
         """Return True if the tree has exactly the listed files. Git has been seen to write others from a damaged index."""
@@ -127,13 +130,29 @@ def _write_tree(git: Git, index: _Index, chosen: PathSelection, large: int) -> _
     for path, _ in repositories(files):
         lfs.check_all(Git(root / os.fsdecode(path)))
     submodules = dict(_submodules(root, files))
+    lossy = converted.find(git, files, index.path)
     inner = {
         path: record(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
     }
     for path, snapshot in inner.items():
         files[path] = b"160000 " + snapshot.tree.encode()
         submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
-    return _Written(status, write(git, files) if inner else index.write_tree(), files, submodules)
+        lossy |= {path + b"/" + below: digest for below, digest in snapshot.converted.items()}
+    lossy |= _converted_in_submodules(root, submodules, inner.keys())
+    return _Written(status, write(git, files) if inner else index.write_tree(), files, submodules, lossy)
+
+
+def _converted_in_submodules(root: Path, submodules: Iterable[str], known: Iterable[bytes]) -> dict[bytes, str]:
+    """Return the converted files of nested repositories, except of those that are `known` or in one that is."""
+    found = {}
+    for name in submodules:
+        path = os.fsencode(name)
+        if (root / name / ".git").exists() and not any(path == one or path.startswith(one + b"/") for one in known):
+            inside = Git(root / name)
+            listed = manifest.read(inside("ls-files", "--stage", "-z"))
+            files = {below: what[:-2] for below, what in listed.items()}
+            found.update({path + b"/" + below: digest for below, digest in converted.find(inside, files).items()})
+    return found
 
 
 def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
@@ -144,21 +163,30 @@ def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
     root = git.root
     with _index(git, chosen) as index:
         status = index.status()
-    if status.commit is None:
-        raise ConfigError(f'[source] dirty = "ignore": the repository of {root} has no commit yet; commit something first')
-    files = {path: what for path, what in of_tree(git, status.commit).items() if chosen(path)}
+        if status.commit is None:
+            raise ConfigError(f'[source] dirty = "ignore": the repository of {root} has no commit yet; commit something first')
+        files = {path: what for path, what in of_tree(git, status.commit).items() if chosen(path)}
+        lossy = converted.find(git, files, index.path)
     tree = write(git, files)
     git("update-ref", f"refs/sierra/{tree}", tree)
     differing = status.recorded.keys() | set(status.stale)
     absent = _absent(git, status, differing) | set(_hollow(root, files))
-    return _state(status, tree, files, differing, absent, dict(_submodules(root, files)))
+    submodules = dict(_submodules(root, files))
+    lossy |= _converted_in_submodules(root, submodules, ())
+    return _state(status, tree, files, differing, absent, submodules, lossy)
 
 
 def _state(
-    status: Status, tree: str, files: dict[bytes, bytes], differing: Set[bytes], absent: Set[bytes], submodules: dict[str, str]
+    status: Status,
+    tree: str,
+    files: dict[bytes, bytes],
+    differing: Set[bytes],
+    absent: Set[bytes],
+    submodules: dict[str, str],
+    lossy: dict[bytes, str],
 ) -> WorktreeState:
     changed = tuple(sorted(differing - absent))
-    return WorktreeState(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules)
+    return WorktreeState(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules, lossy)
 
 
 def write(git: Git, files: dict[bytes, bytes]) -> str:

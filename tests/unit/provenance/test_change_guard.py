@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 from collections.abc import Callable
@@ -11,8 +12,8 @@ from typing import Any
 import pytest
 
 from sierra.provenance.change_guard import guard
-from sierra.provenance.dependency_model import NOTHING
-from sierra.provenance.source.manifest import Entry, listed
+from sierra.provenance.dependency_model import NOTHING, Program, Programs
+from sierra.provenance.source.manifest import Entry, git_hash, listed
 from tests import projects
 from tests.conftest import PRINTS, held
 from tests.waiting import PATIENCE_S
@@ -116,6 +117,20 @@ def test_files_changed_and_changed_back_are_detected_and_new_files_are_not(tmp_p
         assert f": {name} (" in str(changed(what))
 
 
+def test_only_a_file_with_other_bytes_is_said_to_have_changed(tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("code", "tool")}
+    for file in files.values():
+        file.write_text("x")
+    manifest = listed([Entry("100644", git_hash(b"blob", b"x"), b"code")])
+    tool = Program("tool", str(files["tool"]), hashlib.sha256(b"x").hexdigest())
+    before = guard(tmp_path, manifest, Programs((tool,)))
+    for file in files.values():
+        file.write_text("x")
+    assert "programs may have changed, as their times say, since the runs began: code, tool (" in str(before.doubt())
+    files["tool"].write_text("y")
+    assert "code or programs have changed since the runs began: tool (" in str(before.doubt())
+
+
 @pytest.mark.integration
 def test_a_replay_fails_if_a_program_is_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
@@ -133,7 +148,8 @@ def test_a_replay_fails_if_a_program_is_replaced_meanwhile(simulate: Callable[..
     program.touch()
     project.open()
     ended = project.end_of(replaying)
-    assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
+    touched = "may have changed, as their times say, since the runs began" in ended.stdout
+    assert (ended.returncode, "3 failed" in ended.stdout, touched) == (1, True, True)
 
 
 @pytest.mark.nightly

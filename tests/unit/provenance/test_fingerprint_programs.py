@@ -9,6 +9,7 @@ import subprocess
 import sys
 import venv
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -228,6 +229,39 @@ def test_environments_with_the_same_distributions_have_the_same_id(python: Path,
     assert seen(python, tmp_path).id == seen(other, tmp_path).id
     install(other, "scipy", "1")
     assert seen(python, tmp_path).id != seen(other, tmp_path).id
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("observe", ["first", pytest.param("none", marks=pytest.mark.nightly)])
+def test_any_name_of_the_python_that_starts_sierra_reuses_the_same_runs(observe: str, tmp_path: Path) -> None:
+    """`{python}` is the link that SIERRA was started by; two tools have made environments with the same distributions."""
+    folder = tmp_path / "p"
+    make(folder, "{python} {project}/sim.py {input}")
+    toml = (folder / "sierra.toml").read_text()
+    (folder / "sierra.toml").write_text(toml.replace("runs = 1", f'runs = 3\nobserve = "{observe}"'))
+    (folder / "sim.py").write_text('import six\nopen("out.csv", "w").write("t,v\\n0,1\\n")\n')
+    executed = []
+    for environment, names in {"pip": ("python3", "python3.11", "python"), "uv": ("python",)}.items():
+        venv.create(tmp_path / environment, symlinks=True)
+        python = tmp_path / environment / "bin" / "python"
+        install(python, "six", "1.16", record=f"six-1.16.dist-info/INSTALLER,sha256={environment},4\nsix.py,,\n")
+        [site] = python.parent.parent.glob("lib/python3*/site-packages")
+        (site / "six.py").write_text("")
+        if environment == "uv":
+            config = python.parent.parent / "pyvenv.cfg"
+            kept = [line for line in config.read_text().splitlines() if line.startswith(("home", "include"))]
+            config.write_text("\n".join(("uv = 0.9.1", "version_info = 3.11", *kept)))
+            (python.parent / "activate.bat").write_text("")
+        for name in names:
+            if not (python.parent / name).exists():
+                (python.parent / name).symlink_to("python3")
+            words = (str(python.parent / name), str(projects.SIERRA), "run", "n=1", "--no-figures", "--json")
+            path = os.pathsep.join(filter(None, sys.path))
+            done = subprocess.run(words, cwd=folder, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+            executed.append(json.loads(done.stdout)["executed"])
+            assert not any(word in done.stderr for word in ("recorded", "have changed", "named"))
+    assert executed == [3, 0, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -474,6 +508,15 @@ def test_a_replay_reports_changes_of_files_that_the_template_names(tmp_path: Pat
 
 
 # ---------------------------------------------------------------- reports
+
+
+def test_a_program_that_only_has_another_name_is_not_reported_as_changed() -> None:
+    python, library = (Program(name, "", digest * 64) for name, digest in (("python3.11", "a"), ("sim", "b")))
+    before = Programs((python, library))
+    now = Programs((replace(python, name="python3"), library))
+    assert list(fingerprint_programs.differences(before, now)) == ["python3.11 is named python3 now, with the same content"]
+    changed = Programs((replace(python, name="python3"), replace(library, sha256="c" * 64)))
+    assert list(fingerprint_programs.differences(before, changed)) == ["sim: bbbbbbbbbb recorded, cccccccccc found"]
 
 
 def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:

@@ -522,6 +522,51 @@ def test_a_nested_repository_that_is_not_a_submodule_needs_a_commit(repository: 
 # ---------------------------------------------------------------- dirty, large
 
 
+def test_the_repository_of_a_home_folder_is_reported_once_and_can_be_left_out(
+    git: Git, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "p"
+    root = fill(home / "work" / "project", {"a.txt": "a", "ignored.txt": "i"})
+    fill(home, {".gitignore": "ignored.txt\n", ".gitattributes": "* text=auto\n"})
+    commit(git, home)
+    monkeypatch.setenv("HOME", str(home))
+    [note] = capture(root).notes
+    assert note.startswith(f"the git repository of this project is {home}; run git init in {root}, or set git = false")
+    assert capture(home).notes == ()
+    (root / "a.txt").write_bytes(b"a\r\n")
+    before = git("for-each-ref", "refs/sierra")
+    found = source.capture(root, paths=(), without=WITHOUT, git=False)
+    assert (found.vcs, found.commit, found.notes, found.converted) == ("none", None, (), {})
+    assert set(source.blobs(found.manifest)) == {blob_of(b"a\r\n"), blob_of(b"i")}
+    assert git("for-each-ref", "refs/sierra") == before
+    shutil.copytree(root, outside := tmp_path / "outside")
+    assert found.tree == source.capture(outside, paths=(), without=WITHOUT).tree
+    with pytest.raises(ConfigError, match="git = false"):
+        source.capture(root, paths=(), without=WITHOUT, git=False, dirty="ignore")
+
+
+def blob_of(content: bytes) -> str:
+    return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
+
+
+@pytest.mark.integration
+def test_a_project_without_git_is_replayed_from_its_store(git: Git, tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "p" / "project", projects.CONFIG + "[source]\ngit = false\n")
+    fill(tmp_path / "p", {".gitattributes": "* text=auto\n", ".gitignore": ".sierra\n"})
+    (root / "sim.py").write_bytes((root / "sim.py").read_bytes().replace(b"\n", b"\r\n"))
+    git("init", "-q", cwd=tmp_path / "p")
+    git("add", "--all")
+    git("commit", "-q", "-m", "x")
+    summary, said = projects.run(root, "population_size=1")
+    assert "git" not in said
+    assert projects.sql(root, "SELECT vcs, commit FROM sources") == [{"vcs": "none", "commit": None}]
+    (root / "sim.py").write_text("")
+    done = projects.quick(root, "replay", summary["batch"][:10], "--json")
+    assert (done.returncode, json.loads(done.stdout)["verdict"]) == (0, "identical"), done.stderr
+    done = projects.quick(root, "source", "push")
+    assert (done.returncode, "git = false" in done.stderr) == (2, True)
+
+
 def test_dirty_refuse_names_the_changed_files_and_the_remedy(repository: Path, git: Git) -> None:
     clean = capture(repository, dirty="refuse")
     fill(repository, {"sierra.toml": "does not count", **{f"new{number}": "x" for number in range(5)}})

@@ -564,7 +564,7 @@ SAME = {
     "lib/other": "#!/usr/bin/python3\n",
 }
 DIFFERENT = {
-    "the interpreter": ("bin/tool", "#!{0}/bin/python3\n", "#!{0}/bin/python3.12\n"),
+    "the interpreter": ("bin/tool", "#!{0}/bin/python3\n", "#!{0}/bin/pypy3\n"),
     "its options": ("bin/tool", "#!{0}/bin/python3\n", "#!{0}/bin/python3 -I\n"),
     "another environment": ("bin/tool", "#!{0}/bin/python3\n", "#!/else/bin/python3\n"),
     "a folder beside it": ("bin/tool", "#!{0}2/bin/python3\n", "#!{0}2/bin/python3\n"),
@@ -588,6 +588,74 @@ def test_all_else_in_a_virtual_environment_counts(tmp_path: Path, name: str, one
     texts = {tmp_path / "one": one, tmp_path / "two": two}
     first, second = (environment(place, name, text.format(place)) for place, text in texts.items())
     assert first != second
+
+
+BY_PIP = """\
+import re
+import sys
+from tabulate import _main
+if __name__ == '__main__':
+    sys.argv[0] = re.sub(r'(-script\\.pyw|\\.exe)?$', '', sys.argv[0])
+    sys.exit(_main())
+"""
+BY_NEW_PIP = """\
+import sys
+from tabulate import _main
+if __name__ == '__main__':
+    sys.argv[0] = sys.argv[0].removesuffix('.exe')
+    sys.exit(_main())
+"""
+BY_UV = """\
+# -*- coding: utf-8 -*-
+import sys
+from tabulate import _main
+if __name__ == "__main__":
+    if sys.argv[0].endswith("-script.pyw"):
+        sys.argv[0] = sys.argv[0][:-11]
+    elif sys.argv[0].endswith(".exe"):
+        sys.argv[0] = sys.argv[0][:-4]
+    sys.exit(_main())
+"""
+FILES_OF_TOOLS = {
+    "bin/tabulate": (
+        f"#!{{0}}/bin/python3\n# -*- coding: utf-8 -*-\n{BY_PIP}",
+        f"#!{{0}}/bin/python3.11\n# -*- coding: utf-8 -*-\n{BY_PIP}",
+        f"#!{{0}}/bin/python\n{BY_NEW_PIP}",
+        f"#!{{0}}/bin/python\n{BY_UV}",
+    ),
+    "bin/own": ("#!{0}/bin/python3 -s\nprint(1)\n", "#!{0}/bin/python3.11 -s\nprint(1)\n"),
+    "pyvenv.cfg": (
+        "home = /usr/bin\ninclude-system-site-packages = false\nversion = 3.11.7\ncommand = /usr/bin/python3 -m venv x\n",
+        "home = /usr/bin\nimplementation = CPython\nuv = 0.9\nversion_info = 3.11.7\ninclude-system-site-packages = false\n",
+    ),
+    "lib/six-1.dist-info/RECORD": (
+        "six.py,sha256=a,1\nsix-1.dist-info/INSTALLER,sha256=b,4\nsix-1.dist-info/REQUESTED,sha256=c,0\n",
+        "six-1.dist-info/INSTALLER,sha256=d,2\nsix.py,sha256=a,1\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILES_OF_TOOLS)
+def test_the_tool_that_made_a_virtual_environment_does_not_count(tmp_path: Path, name: str) -> None:
+    texts = [text.replace("{0}", str(tmp_path / str(number))) for number, text in enumerate(FILES_OF_TOOLS[name])]
+    found = {environment(tmp_path / str(number), name, text) for number, text in enumerate(texts)}
+    assert len(found) == 1
+
+
+def test_other_words_in_a_script_that_calls_a_function_count(tmp_path: Path) -> None:
+    first = f"#!{{0}}/bin/python3\n{BY_UV}"
+    others = [
+        ("_main())", "_main(1))"),
+        ("tabulate", "other"),
+        ("    sys.exit", "    print(1)\n    sys.exit"),
+        ("[:-11]", "[:-11] or evil()"),
+        ("python3", "python3 -O"),
+    ]
+    texts = [first, *(first.replace(*words) for words in others)]
+    places = [tmp_path / str(number) for number in range(len(texts))]
+    pairs = zip(places, texts, strict=True)
+    found = [environment(place, "bin/tool", text.replace("{0}", str(place))) for place, text in pairs]
+    assert len(set(found)) == len(found)
 
 
 def test_a_script_outside_virtual_environments_is_hashed_as_it_is(tmp_path: Path) -> None:

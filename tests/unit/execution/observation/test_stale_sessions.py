@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from sierra.execution.observation.file_sets import UsedFile
+from sierra.execution.observation.stale_sessions import reason
 from sierra.worker.file_trace import graphics
 from tests import projects
 
@@ -162,3 +165,39 @@ GPUS = [*Path("/proc/driver/nvidia/gpus").glob("*"), *Path("/sys/class/drm").glo
 @pytest.mark.skipif(not GPUS, reason="needs a GPU")
 def test_the_kernel_describes_this_machines_gpu() -> None:
     assert graphics()
+
+
+@pytest.mark.integration
+def test_files_that_have_not_changed_are_not_reported_after_a_session_with_a_wrong_clock(
+    root: Path, require: Callable[..., str]
+) -> None:
+    """The times of all files are in the future for that session."""
+    clock = require("faketime")
+    words = (clock, "-f", "-700d", str(projects.SIERRA), "run", QUERY, "--no-figures", "--json")
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True)
+    assert (done.returncode, json.loads(done.stdout)["executed"]) == (0, 4), done.stderr
+    assert "changed" not in done.stderr
+    for query, executed in ((QUERY, 0), ("population_size=2,3", 2)):
+        summary, said = projects.run(root, query)
+        assert (summary["executed"], "do not count" in said, "changed" in said) == (executed, False, False)
+    (root.parent / "library" / "factor").write_text("2")
+    summary, said = projects.run(root, QUERY)
+    assert summary["executed"] == 4
+    assert f"files that they used have changed: {root.parent / 'library'}/factor" in said
+
+
+def test_only_files_with_other_bytes_are_said_to_have_changed() -> None:
+    files = [
+        UsedFile("/a", "read", "1"),
+        UsedFile("/b", "missed", None),
+        UsedFile("/c", "listed", "2"),
+        UsedFile("/d", "read", None),
+    ]
+    begin = "earlier executions do not count, because "
+    said = {file: reason({"s": file}).removeprefix(begin) for file in files}
+    assert list(said.values()) == [
+        "files that they used have changed: /a",
+        "files that they used have changed: /b (new)",
+        "files that they used have changed: /c (its names)",
+        "it is not known with which content they used /d",
+    ]
