@@ -5,7 +5,8 @@ read files for it. Its run has the command, input and seed of the run in the pla
 Everything that it executed, read, listed, found or missed is still the same.
 
 An execution that was not observed never counts for another source, because nobody knows what it has read. It counts with
-other installed distributions of Python if all observed executions of its experiment, in its session, still count.
+other installed distributions of Python, and with other names of the same programs, if all observed executions of its
+experiment, in its session, still count.
 """
 
 from __future__ import annotations
@@ -169,7 +170,8 @@ def _recorded_programs(snapshot: Snapshot, programs: str) -> Programs:
 
 
 def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
-    return {(one.called, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
+    """Return kinds and contents. Names do not count: the observed executions show under which ones the files were used."""
+    return {(one.kind, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
 
 
 def _kin(spec: RunSpec) -> dict[str, str | list[str] | None]:
@@ -216,4 +218,6 @@ def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusa
 def reason(store: Store, session: str, runs: int) -> str:
     """Return why a session reuses this many runs although the source or the programs differ."""
     names = store.values(str, "SELECT DISTINCT name FROM unused_changes WHERE session = $s ORDER BY 1", s=session)
+    if not names:
+        return f"{counted(runs, 'run')} reused, because their programs only have other names now"
     return f"{counted(runs, 'run')} reused, because the executions did not use what has changed: {few(names, NAMED)}"
