@@ -28,6 +28,7 @@ from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program
 from sierra.provenance.hash_cache import HashCache
 from sierra.util import processors
 from sierra.util.hashing import sha256, short
+from sierra.util.regular_files import open_regular
 from sierra.util.text import few
 
 SHOWN = 5
@@ -192,7 +193,7 @@ class _Finding:
 
 def _interpreter(script: Path) -> list[str]:
     """Return the words of a script's first line, such as `#!/usr/bin/env python3`; none if the file is not a script."""
-    with script.open("rb") as file:
+    with open_regular(script) as file:
         line = file.readline(256)
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 

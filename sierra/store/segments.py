@@ -43,6 +43,7 @@ from sierra.store.verified_files import MANIFEST as MANIFEST
 from sierra.store.verified_files import changed, hash_written, verify
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import open_regular
 
 FORMAT = "sierra store 4\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
@@ -167,7 +168,7 @@ def _lines(path: str) -> list[str]:
 
 
 def _beginning(path: str) -> bytes:
-    with Path(path).open("rb") as file:
+    with open_regular(path) as file:
         return file.read(MARK_BYTES)
 
 
