@@ -157,7 +157,8 @@ class Project:
     @property
     def store(self) -> Store:
         """The project's store. Raises Missing if nothing has been run yet."""
-        return Store(self.paths.store, self._rules)
+        store = Store(self.paths.store, self._rules)
+        return store.confined() if self._found.is_package else store
 
     def _rules(self) -> Rules:
         """Return the derived tables, and the limits on SQL. A project without either is not validated: that takes too long."""

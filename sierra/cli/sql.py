@@ -95,7 +95,7 @@ def _ask(store: Store, text: str, within: str | None, format: Format) -> Printab
     from concurrent.futures import ThreadPoolExecutor, wait
 
     convert = Printable.of_table if format is Format.parquet else Printable.of_rows
-    with store.snapshot(within) as snapshot, ThreadPoolExecutor(1) as asking:
+    with store.snapshot(within, theirs=True) as snapshot, ThreadPoolExecutor(1) as asking:
         answer = asking.submit(snapshot.ask, text, {}, convert, theirs=True)
         try:
             return answer.result()

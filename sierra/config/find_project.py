@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import ConfigError, Missing
-from sierra.store.layout import CONFIG, PYPROJECT, STORE
+from sierra.store.layout import CONFIG, PYPROJECT, STORE, user_packages
 from sierra.util.float_range import out_of_range
+from sierra.util.regular_files import read_regular
 
+TOO_DEEP = "lists and tables are nested too deeply"
 WITHOUT_STORE = (".gitignore", "try")
 """The contents of a store's folder that make no store: `sierra try` leaves them."""
 
@@ -24,6 +26,11 @@ class ProjectFolder(NamedTuple):
     file: Path
     written: bool = True
     """True if the file exists. A store without a file can be read too."""
+
+    @property
+    def is_package(self) -> bool:
+        """True for a folder in the user's cache that a package was extracted to, which somebody else may have made."""
+        return self.root.parent == user_packages().resolve()
 
 
 def find(folder: Path) -> ProjectFolder:
@@ -84,7 +91,7 @@ def read_toml(file: Path) -> dict[str, object]:
 def content(file: Path) -> bytes:
     """Return the bytes of a file. Raises Missing if it cannot be read."""
     try:
-        return file.read_bytes()
+        return read_regular(file)
     except OSError as error:
         raise Missing(f"{file}: {error.strerror}") from error
 
@@ -94,6 +101,8 @@ def _parsed(data: bytes, file: Path) -> dict[str, object]:
         return tomllib.loads(data.decode(), parse_float=lambda text: _float(text, file))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{file}: {TOO_DEEP}") from error
 
 
 def _float(text: str, file: Path) -> float:

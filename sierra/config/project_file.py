@@ -64,8 +64,9 @@ from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.config.video_table import Video
 from sierra.errors import ConfigError, Missing, UsageError
-from sierra.store.layout import CONFIG, PYPROJECT, user_packages
+from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.util.processors import ARCH
+from sierra.util.regular_files import read_regular_text
 from sierra.util.text import like
 
 if TYPE_CHECKING:
@@ -464,7 +465,7 @@ class LoadedProject:
         from sierra.store.derived_tables import Limits
 
         wanted = Limits(self.config.sql.wall, self.config.sql.memory)
-        received = self.received or self.root.parent == user_packages().resolve()
+        received = self.received or ProjectFolder(self.root, self.file).is_package
         return wanted.within(Limits(remedy=OF_PACKAGES)) if received else wanted
 
     def definition(self, name: str, table: DerivedTable | Model, origin: str) -> Definition:
@@ -474,7 +475,7 @@ class LoadedProject:
         if table.file is None:
             return Definition(name, table.sql, origin)
         try:
-            return Definition(name, (self.root / table.file).read_text("utf-8"), f"{origin} file {table.file}")
+            return Definition(name, read_regular_text(self.root / table.file), f"{origin} file {table.file}")
         except (OSError, UnicodeDecodeError) as error:
             why = (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
             return Definition(name, "", origin, f"cannot read {table.file}: {why}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from sierra.errors import Missing, UsageError
 from sierra.store import read_lock
 from sierra.util.fs import unfinished_beside
+from sierra.util.regular_files import read_regular
 
 
 def replace_content(file: Path, before: bytes, after: bytes) -> None:
@@ -31,7 +32,7 @@ def _replace(file: Path, before: bytes, after: bytes) -> None:
         unfinished.touch(0o600)
         unfinished.write_bytes(after)
         unfinished.chmod(stat.S_IMODE(file.stat().st_mode))
-        if file.read_bytes() != before:
+        if read_regular(file) != before:
             raise UsageError(f"{file.name} has changed since it was read; try again")
         unfinished.replace(file)
     finally:

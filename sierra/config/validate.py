@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from sierra.config import group_names
 from sierra.config.cluster_table import SETTINGS, ClusterTable
 from sierra.config.field_types import NAME, Table
+from sierra.config.find_project import TOO_DEEP
 from sierra.errors import ConfigError
 
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
@@ -36,6 +37,8 @@ def options(model: type[OptionsT], table: object, origin: str, within: tuple[str
     """Validate a table strictly: a text is not a number. Messages name `origin`, and `within` in it. Raises ConfigError."""
     try:
         return model.model_validate(_frozen(table, origin), strict=True)
+    except RecursionError as error:
+        raise ConfigError(f"{origin}: {TOO_DEEP}") from error
     except ValidationError as error:
         raise ConfigError(f"{origin}: {_explain(error, model, within)}") from error
 

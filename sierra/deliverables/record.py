@@ -32,6 +32,7 @@ from sierra.store.store import Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, sha256_file, short
 from sierra.util.json_types import JsonView
+from sierra.util.regular_files import read_regular
 from sierra.version import __version__
 
 
@@ -215,7 +216,7 @@ class ShownDeliverable:
 def find(store: Store, root: Path, file: Path, again: Callable[[DeliverableRow], Content]) -> ShownDeliverable:
     """Return the record of a file, which is found by its content. Raises NotFound, or SierraError if it was changed."""
     with disk_errors(file):
-        data = file.read_bytes()
+        data = read_regular(file)
     rows = deliverable_records.rows(store, FIND, sha256=sha256(data))
     if rows:
         return ShownDeliverable(rows[0], _problem(rows[0], root, again))

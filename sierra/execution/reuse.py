@@ -114,10 +114,10 @@ def is_answered(plan: Plan, store: Store) -> bool:
 def check(plan: Plan, records: Store | Snapshot) -> tuple[FileCheck, dict[str, State]]:
     """Compare the files that recorded executions used with these files as they are now; return also the state of each run."""
     with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
-        stale = stale_sessions.find(plan, snapshot)
+        stale, other = stale_sessions.find_with_sets(plan, snapshot)
         recorded = states(plan, snapshot, FileCheck(stale))
         lacking = [run for run, state in recorded.items() if not state.succeeded]
-        found = FileCheck(stale, *reusable_executions.find(plan, snapshot, lacking, stale))
+        found = FileCheck(stale, *reusable_executions.find(plan, snapshot, lacking, stale, other))
     return found, {**recorded, **{run: recorded[run].with_files(run, found) for run in lacking}}
 
 

@@ -24,6 +24,7 @@ from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
 from sierra.util.hashing import digest, sha256_file
+from sierra.util.regular_files import open_regular
 from sierra.util.text import one_line
 from sierra.worker import worker
 
@@ -141,7 +142,7 @@ def _copied(path: Path, to: Path, sha256: str) -> bool:
     """Copy a file of the project if it has this content; return whether it had it."""
     found = hashlib.sha256()
     with suppress(OSError):
-        with path.open("rb") as file, to.open("wb") as copy:
+        with open_regular(path) as file, to.open("wb") as copy:
             while chunk := file.read(CHUNK):
                 found.update(chunk)
                 copy.write(chunk)

@@ -72,7 +72,7 @@ def changed_meanwhile(reasons: Iterable[str]) -> Iterator[str]:
 
     end = f": {MEANWHILE}"
     if names := list(dict.fromkeys(p.removesuffix(end) for reason in reasons for p in reason.split("; ") if p.endswith(end))):
-        yield f"files changed while runs used them, so the runs of this batch may not be comparable: {few(names, NAMED)}"
+        yield f"files may have changed while runs used them; the runs of this batch may not be comparable: {few(names, NAMED)}"
 
 
 def incomplete(reasons: Iterable[str]) -> Iterator[str]:

@@ -23,6 +23,7 @@ from sierra.errors import NotInstalled, SierraError
 from sierra.links.address import Address
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
 from sierra.links.commands import LEAVE_S, PAUSE_S, Commands, Stream, no_session
+from sierra.util.regular_files import read_regular
 
 if TYPE_CHECKING:
     import paramiko
@@ -282,7 +283,7 @@ def _known_keys(files: Iterable[Path]) -> tuple[paramiko.HostKeys, set[str]]:
     """
     import paramiko
 
-    lines = [line.strip() for file in files for line in file.read_text(errors="replace").splitlines()]
+    lines = [line.strip() for file in files for line in read_regular(file).decode(errors="replace").splitlines()]
     revoked = {key for line in lines if line.startswith("@revoked") for key in line.split()[3:4]}
     known = paramiko.HostKeys()
     for line in lines:

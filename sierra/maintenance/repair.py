@@ -41,6 +41,7 @@ from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
 from sierra.util.lazy_logger import Log
+from sierra.util.regular_files import read_regular
 from sierra.util.text import counted
 
 log = Log(__name__)
@@ -114,7 +115,7 @@ def _checked(paths: StorePaths, root: Path, tell: Tell) -> Checked:
 def _ours(paths: StorePaths) -> None:
     """Raise Damaged if the store declares another format: its sound data would seem damaged here."""
     with contextlib.suppress(OSError):
-        found = paths.format.read_bytes().decode("utf-8", "replace")
+        found = read_regular(paths.format).decode("utf-8", "replace")
         if re.fullmatch(r"sierra store \d+\n", found) and found not in FORMATS:
             problem = f"this is {found.strip()!r}, which this SIERRA does not repair"
             raise Damaged(

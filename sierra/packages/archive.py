@@ -27,6 +27,7 @@ from sierra.packages.members import MANIFEST
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside, unfinished_beside
 from sierra.util.hashing import CHUNK
+from sierra.util.regular_files import open_regular
 
 MADE = (1980, 1, 1, 0, 0, 0)
 """The time of all members: the earliest that zip can express."""
@@ -224,6 +225,7 @@ class Archive(Opened):
         """Raises Missing if the file cannot be read, Damaged if it is no package or not a safe one."""
         self.path = path
         try:
+            open_regular(path).close()
             self._file = zipfile.ZipFile(path)
         except OSError as error:
             raise self._unreadable(error) from error

@@ -205,6 +205,9 @@ class Zip:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            if not path.is_file():
+                path.stat()
+                raise damaged(f"{path} is no regular file")
             self.file = zipfile.ZipFile(path)
         except OSError as error:
             raise missing(path, error) from None

@@ -11,6 +11,7 @@ from typing import IO, Literal
 from sierra.config.project_file import LoadedProject
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, sha256_file
+from sierra.util.regular_files import open_regular
 
 ImageForm = Literal["oci", "sif", "both", "none"]
 
@@ -63,7 +64,7 @@ class Member:
 
     def open(self) -> IO[bytes]:
         """Return a binary stream from the beginning of the content."""
-        return io.BytesIO(self.content) if isinstance(self.content, bytes) else self.content.open("rb")
+        return io.BytesIO(self.content) if isinstance(self.content, bytes) else open_regular(self.content)
 
     @property
     def size(self) -> int:

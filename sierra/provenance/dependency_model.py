@@ -59,9 +59,13 @@ class Programs:
         return fingerprint((program.name, program.sha256) for program in self.all)
 
     def unlike(self, others: Programs) -> list[str]:
-        """Return the names of programs that differ between the two, or that only one of them has."""
+        """Return the names of programs that differ between the two, or that only one of them has.
+
+        A program that has only another name is left out.
+        """
         mine, theirs = ({(called(one.name), one.sha256) for one in side.all} for side in (self, others))
-        return sorted({name for name, _ in mine ^ theirs})
+        renamed = {sha256 for _, sha256 in mine - theirs} & {sha256 for _, sha256 in theirs - mine}
+        return sorted({name for name, sha256 in mine ^ theirs if sha256 not in renamed})
 
     def rows(self) -> list[ProgramRow]:
         identity = self.id

@@ -26,11 +26,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.model import IN_PROJECT
 from sierra.provenance import libraries, pythons
 from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.provenance.hash_cache import HashCache
 from sierra.util import processors
 from sierra.util.hashing import sha256, short
+from sierra.util.regular_files import open_regular
 from sierra.util.text import few
 
 SHOWN = 5
@@ -200,7 +202,7 @@ class _Finding:
 
 def _interpreter(script: Path) -> list[str]:
     """Return the words of a script's first line, such as `#!/usr/bin/env python3`; none if the file is not a script."""
-    with script.open("rb") as file:
+    with open_regular(script) as file:
         line = file.readline(256)
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
@@ -236,7 +238,7 @@ def differences(
         elif was and program and one.kind == Kind.DISTRIBUTIONS and was.version != program.version:
             yield f"{name}: {few(list(_versions(was.version, program.version, words, used)), SHOWN)}"
         else:
-            yield f"{name}: {_described(was)} recorded, {_described(program)} found"
+            yield f"{name}: {_described(was, program)} recorded, {_described(program, was)} found"
     if loaded:
         yield f"libraries that differ from the record: {few(loaded, SHOWN)}"
 
@@ -254,10 +256,14 @@ def _ambiguous(programs: Iterable[Program]) -> set[str]:
     return {name for name, count in counted.items() if count > 1}
 
 
-def _described(one: Program | None) -> str:
-    """Return the version that a program reports, and the beginning of its SHA-256."""
+def _described(one: Program | None, other: Program | None) -> str:
+    """Return the version that a program reports, and the beginning of its SHA-256.
+
+    A file of the source is only listed if git would restore other bytes than those on disk.
+    """
     if one is None:
-        return "not"
+        is_source = other and other.kind == Kind.FILE and other.name.startswith(IN_PROJECT) and Path(other.path).is_file()
+        return "git's bytes" if is_source else "not"
     digest = short(one.sha256)
     return digest if not one.version or "\n" in one.version else f"{one.version} ({digest})"
 

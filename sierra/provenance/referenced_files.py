@@ -21,6 +21,7 @@ from sierra.errors import Missing
 from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
+from sierra.util.regular_files import open_regular
 
 LIBRARY = re.compile(r".*\.so(?:\.\d\w*)*")
 """The names of shared libraries, such as `libssl.so.1.0.2k`."""
@@ -158,7 +159,7 @@ def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) 
 def text(path: Path) -> str:
     """Return the beginning of a file's text; its length is bounded, because the file may be hostile."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(MAX_SEARCHED).decode("utf-8", "replace")
     except OSError:
         return ""

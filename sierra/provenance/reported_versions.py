@@ -28,6 +28,7 @@ from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.store.layout import user_versions
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
+from sierra.util.regular_files import open_regular
 from sierra.worker import worker
 
 TIMEOUT_S = 10.0
@@ -75,7 +76,7 @@ def _words(program: Program, table: ProgramsTable, root: Path) -> tuple[str, ...
 
 def _is_script(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(2) == b"#!"
     except OSError:
         return True

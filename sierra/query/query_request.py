@@ -16,6 +16,8 @@ from sierra.config.field_types import Table
 from sierra.config.validate import options
 from sierra.errors import Missing, UsageError
 from sierra.query.grammar import setting
+from sierra.util.regular_files import read_regular
+from sierra.util.text import half_character
 
 SUFFIX = ".json"
 KEY = "request"
@@ -61,8 +63,12 @@ def request(
     """Return a request; `sets` are pairs of XPath and value. Raises UsageError."""
     if runs is not None and runs < 1:
         raise UsageError(f"{runs} runs per experiment; request 1 or more")
+    criteria, sets = tuple(criteria), tuple(sets)
+    for text in (*criteria, controller, scenario, target, *(text for pair in sets for text in pair)):
+        if text is not None and (found := half_character(text)):
+            raise UsageError(f"{text!r}: {found!r} is no character of UTF-8")
     return QueryRequest(
-        criteria=tuple(criteria),
+        criteria=criteria,
         runs=runs,
         controller=controller,
         scenario=scenario,
@@ -80,7 +86,7 @@ def repeated(row: Mapping[str, Any], runs: int, target: str | None = None) -> Qu
 def read(path: Path) -> RequestFile:
     """Return the request in a JSON file, alone or in the JSON of a dry run. Raises Missing, UsageError."""
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_regular(path))
     except OSError as error:
         raise Missing(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

@@ -11,6 +11,7 @@ from sierra.config.find_project import ProjectFolder
 from sierra.config.project_file_changes import replace_content
 from sierra.errors import Missing, UsageError
 from sierra.store.layout import PYPROJECT
+from sierra.util.regular_files import read_regular
 
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
@@ -31,7 +32,7 @@ def write(found: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[s
     settings = ("tool", "sierra") if found.file.name == PYPROJECT else ()
     within = ("targets", target) if target else ()
     try:
-        before = found.file.read_bytes()
+        before = read_regular(found.file)
     except OSError as error:
         raise Missing(f"{found.file}: {error.strerror}") from error
     after = _added(before.decode(), outputs, comments, (*settings, *within))

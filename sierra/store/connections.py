@@ -38,13 +38,15 @@ def keep_order(connection: DuckDBPyConnection) -> None:
 class Connection:
     """A cursor on a DuckDB database that may read only some folders; used by one snapshot at a time."""
 
-    def __init__(self, *folders: Path) -> None:
+    def __init__(self, *folders: Path, memory: int | None = None) -> None:
+        """`memory`: let a process with this limit, in bytes, execute the statements (see `sierra.store.statement_process`)."""
         self._folders = tuple(steady(f"{folder}/") for folder in folders)
+        self._key = (memory, *self._folders)
         kept = _idle.pop(os.getpid(), None)
-        if kept is not None and kept[0] != self._folders:
+        if kept is not None and kept[0] != self._key:
             kept[1].close()
             kept = None
-        self._database = _locked(self._folders) if kept is None else kept[1]
+        self._database = _locked(self._folders, memory) if kept is None else kept[1]
         self._settings: list[str] = []
         self.cursor = self._database.cursor()
 
@@ -67,7 +69,7 @@ class Connection:
         self.cursor.close()
         absolute = all(Path(folder).is_absolute() for folder in self._folders)
         if absolute and not Path(spilled).exists() and os.getpid() not in _idle:
-            _idle[os.getpid()] = (self._folders, self._database)
+            _idle[os.getpid()] = (self._key, self._database)
         else:
             self._database.close()
 
@@ -110,30 +112,37 @@ class Rows:
             self._rest = self._result.fetchall()
 
 
-_idle: dict[int, tuple[tuple[str, ...], DuckDBPyConnection]] = {}
-"""The kept databases with the folders that they may read, by process id: a forked process does not inherit DuckDB's threads."""
+_idle: dict[int, tuple[tuple[int | str | None, ...], DuckDBPyConnection]] = {}
+"""The kept databases with their limits on memory and the folders that they may read, by process id.
+
+A forked process does not inherit DuckDB's threads."""
 
 
-def _locked(folders: tuple[str, ...]) -> DuckDBPyConnection:
-    database = connect()
+def _locked(folders: tuple[str, ...], memory: int | None) -> DuckDBPyConnection:
+    database = connect(memory)
     database.execute("SET allowed_directories = $folders", {"folders": list(folders)})
     database.execute("SET enable_external_access = false")
     return database
 
 
-def connect() -> DuckDBPyConnection:
-    """Return an in-memory DuckDB connection that never uses the network, with as many threads as open files allow."""
+def connect(memory: int | None = None) -> DuckDBPyConnection:
+    """Return an in-memory DuckDB connection that never uses the network, with as many threads as open files allow.
+
+    `memory`: let a process with this limit, in bytes, execute the statements (see `sierra.store.statement_process`).
+    """
+    threads = open_files.threads()
+    config: dict[str, str | bool | int | float | list[str]] = {
+        "autoinstall_known_extensions": "false",
+        "autoload_known_extensions": "false",
+        # DuckDB allows reads there, so the folder has a random name; DuckDB makes and removes it as needed.
+        "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}"))),
+        "python_enable_replacements": "false",
+        **({} if threads is None else {"threads": str(threads)}),
+    }
+    if memory is not None:
+        from sierra.store import statement_process
+
+        return statement_process.connect(memory, config)
     import duckdb
 
-    threads = open_files.threads()
-    return duckdb.connect(
-        ":memory:",
-        config={
-            "autoinstall_known_extensions": "false",
-            "autoload_known_extensions": "false",
-            # DuckDB allows reads there, so the folder has a random name; DuckDB makes and removes it as needed.
-            "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}"))),
-            "python_enable_replacements": "false",
-            **({} if threads is None else {"threads": str(threads)}),
-        },
-    )
+    return duckdb.connect(":memory:", config=config)

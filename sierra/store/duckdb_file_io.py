@@ -24,8 +24,8 @@ from sierra.store.verified_files import verify
 
 ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
 """The parts of a path that DuckDB does not take literally: patterns, the home folder, and bytes that are not UTF-8."""
-OPEN = "/proc/self/fd"
-"""The folder of a process's open files by number, on Linux."""
+OPEN = "/proc/{}/fd"
+"""The folder of the open files of a process, by its id."""
 UNNAMED = "cannot be read under this name here; rename files or folders that have one of the characters ~ * ? [ in their names"
 UNGUESSED = "hive_partitioning = false, hive_types_autocast = false"
 TABLE = "sierra_table"
@@ -122,7 +122,7 @@ def steady(path: str) -> str:
     if not ODD.search(path):
         return path
     folder = _odd_folder(path)
-    return f"{OPEN}/{_descriptor(folder)}{path[len(folder) :]}"
+    return f"{_open_files()}/{_descriptor(folder)}{path[len(folder) :]}"
 
 
 def check_folder(path: Path) -> None:
@@ -132,15 +132,20 @@ def check_folder(path: Path) -> None:
     except UnicodeEncodeError as error:
         shown = os.fsencode(path).decode("utf-8", "backslashreplace")
         raise Missing(f"{shown}: a store cannot be in a folder whose name is not UTF-8; rename the folder") from error
-    if ODD.search(str(path)) and not Path(OPEN).is_dir():
+    if ODD.search(str(path)) and not Path(_open_files()).is_dir():
         raise Missing(f"{path}: {UNNAMED}")
+
+
+def _open_files() -> str:
+    """Return the folder of this process's open files by number, on Linux; the process that executes statements reads it too."""
+    return OPEN.format(os.getpid())
 
 
 def _odd_folder(path: str) -> str:
     """Return the path of the last folder with a special name. Raises Missing if the file's own name is special."""
     *_, last = ODD.finditer(path)
     end = path.find("/", last.end())
-    if end < 0 or not Path(OPEN).is_dir():
+    if end < 0 or not Path(_open_files()).is_dir():
         raise Missing(f"{path}: {UNNAMED}")
     return path[:end]
 
@@ -159,7 +164,7 @@ def _descriptor(folder: str) -> int:
 def plain(text: str) -> str:
     """Return a text, such as a DuckDB error, with the real paths of folders."""
     for folder, descriptor in _open.items():
-        text = text.replace(f"{OPEN}/{descriptor}/", f"{folder}/")
+        text = text.replace(f"{_open_files()}/{descriptor}/", f"{folder}/")
     return text
 
 

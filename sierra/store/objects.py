@@ -14,6 +14,7 @@ from sierra.store.parquet_writer import write
 from sierra.store.schema import arrow_schema, sql_types
 from sierra.store.segments import disk_errors
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import open_regular
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
@@ -43,7 +44,7 @@ class Objects:
 
     def add_file(self, path: Path, digest: str, size: int) -> None:
         """Add a file whose SHA-256 is already known."""
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             self._add(digest, size, iter(lambda: file.read(PART), b"") if size else (b"",))
 
     def _add(self, digest: str, size: int, parts: Iterable[bytes]) -> None:

@@ -120,7 +120,7 @@ class Frame:
         """`these`: the execution, or the judgement of it, to use for each run instead of the effective one."""
         self.batch = batch
         self._folder = store.paths.extracted
-        self._snapshot: Snapshot = store.snapshot(batch)
+        self._snapshot: Snapshot = store.snapshot(batch, theirs=True)
         self._loaded: set[str] = set()
         self._chosen: dict[tuple[str, str], str] = {}
         """The temporary tables of chosen rows, by table and condition."""

@@ -51,6 +51,7 @@ from sierra.store.verified_files import MANIFEST as MANIFEST
 from sierra.store.verified_files import changed, hash_written, verify
 from sierra.util.fs import UNFINISHED_END, inside
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import open_regular
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
@@ -229,7 +230,7 @@ def _lines(path: str) -> list[str]:
 
 
 def _beginning(path: str) -> bytes:
-    with Path(path).open("rb") as file:
+    with open_regular(path) as file:
         return file.read(MARK_BYTES)
 
 

@@ -48,7 +48,7 @@ def joined(store: Store, batches: Mapping[str, str], text: str, origin: str, *, 
     """Return the rows of a statement over batches, by label. Messages call it `origin`. Raises SierraError."""
     limits = store.rules().limits
     with ExitStack() as opened:
-        snapshots = {label: opened.enter_context(store.snapshot(batch)) for label, batch in batches.items()}
+        snapshots = {label: opened.enter_context(store.snapshot(batch, theirs=True)) for label, batch in batches.items()}
         first = next(iter(snapshots.values()))
         try:
             used = statement.used(first.connection, text)
@@ -61,7 +61,7 @@ def joined(store: Store, batches: Mapping[str, str], text: str, origin: str, *, 
             tables[name] = _union(parts, name, origin)
         undefined = tuple(dict.fromkeys(_undefined(snapshots, text, tables, limits, origin))) if find_undefined else ()
         needed = [sql for name in used.tables if (sql := first.derived.statements(name))]
-    database = connect()
+    database = connect(store.memory)
     try:
         database.execute("SET enable_external_access = false")
         for name, table in tables.items():

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import SqlError
 from sierra.store.sql_names import identifier
+from sierra.store.statement_worker import kind
 from sierra.util.json_types import Json
+from sierra.util.text import half_character
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -63,6 +65,18 @@ def used(connection: DuckDBPyConnection, text: str) -> Used:
     return found
 
 
+def kinds(connection: DuckDBPyConnection, text: str) -> list[str]:
+    """Return the names of the types of the statements in a text. Raises SqlError."""
+    return [kind(statement) for statement in connection.extract_statements(checked(text))]
+
+
+def checked(text: str) -> str:
+    """Return a text that DuckDB can have. Raises SqlError for half of a character, as UTF-16 and names of files have it."""
+    if found := half_character(text):
+        raise SqlError(f"the text has {found!r}, which is no character of UTF-8")
+    return text
+
+
 def check_describes(connection: DuckDBPyConnection, text: str) -> None:
     """Check that a statement calls no table function that acts: writes logs, executes other statements. Raises SqlError."""
     for name in used(connection, text).table_functions:
@@ -103,7 +117,7 @@ def _is_condition(answer: Mapping[str, Json]) -> bool:
 
 def _json(connection: DuckDBPyConnection, function: str, text: str) -> Mapping[str, Json]:
     options = ", optimize := false" if function == "json_serialize_plan" else ""
-    rows = connection.execute(f"SELECT {function}($text{options})", {"text": text}).fetchall()
+    rows = connection.execute(f"SELECT {function}($text{options})", {"text": checked(text)}).fetchall()
     try:
         found: Mapping[str, Json] = json.loads(rows[0][0])
     except RecursionError as error:
@@ -119,9 +133,9 @@ def _problem(connection: DuckDBPyConnection, text: str, answer: Mapping[str, Jso
         line, column = before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1
         return f"{answer.get('error_message')} (line {line}, column {column})"
     if answer.get("error_type") == "not implemented":
-        kinds = [statement.type.name for statement in connection.extract_statements(text)]
+        named = kinds(connection, text)
         return (
-            "a PIVOT needs IN with its values" if kinds == ["MULTI"] else f"{kinds[0]} statements are not allowed; use SELECT"
+            "a PIVOT needs IN with its values" if named == ["MULTI"] else f"{named[0]} statements are not allowed; use SELECT"
         )
     return " ".join(str(answer.get("error_message")).split())
 

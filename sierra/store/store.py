@@ -27,12 +27,13 @@ from sierra.store.row_mapper import R, V, typed, values
 from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, is_whole, listed
 from sierra.store.sql_names import identifier, stored_names, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
-from sierra.store.statement import check_describes
+from sierra.store.statement import check_describes, checked, kinds
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
+from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ class Store:
         self.rules = rules
         self.published: list[tuple[Path, Path]] = []
         """The segments that this process has published, each with the folder in which it was written."""
+        self._confined = False
         self.settings: tuple[str, ...] = ()
         """Statements that set up each snapshot's connection."""
         self.opened: Callable[[Snapshot], None] = _ignored
@@ -97,7 +99,7 @@ class Store:
         """The folder of another store's segments, which are read too."""
         self._replays: tuple[str, ...] = ()
         try:
-            with self.paths.format.open("rb") as file:
+            with open_regular(self.paths.format) as file:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             if (lack := shortage(error)) is not None:
@@ -158,6 +160,12 @@ class Store:
         other._replays = tuple(replays)
         return other
 
+    def confined(self) -> Store:
+        """Return this store, for which a process with a limit on its memory executes statements that are not SIERRA's own."""
+        other = copy.copy(self)
+        other._confined = True
+        return other
+
     @contextlib.contextmanager
     def overlay(self, folder: Path | None = None) -> Iterator[Store]:
         """Yield a temporary store that contains this store's current segments. New segments go only into the temporary store.
@@ -184,11 +192,14 @@ class Store:
         `$name` in the statement takes its value from the keyword `name`. `within` is a batch's id; it limits members, runs and
         outputs to that batch. Raises SqlError.
         """
-        with self.snapshot(within) as snapshot:
+        with self.snapshot(within, theirs=True) as snapshot:
             return snapshot.sql(text, **parameters)
 
-    def snapshot(self, within: str | None = None) -> Snapshot:
-        """Open a connection whose statements all see the same state of the store, or of one batch in it."""
+    def snapshot(self, within: str | None = None, *, theirs: bool = False) -> Snapshot:
+        """Open a connection whose statements all see the same state of the store, or of one batch in it.
+
+        `theirs`: not all statements are SIERRA's own, so a confined store lets another process execute them.
+        """
         shared = Shared(self.paths.reading)
         try:
             made = Snapshot(
@@ -196,6 +207,7 @@ class Store:
                 beneath=self._beneath,
                 rules=self.rules,
                 replays=self._replays,
+                memory=self.memory if theirs else None,
             )
             self.opened(made)
             made.set_up(self.settings)
@@ -203,6 +215,11 @@ class Store:
         except BaseException:
             shared.close()
             raise
+
+    @property
+    def memory(self) -> int | None:
+        """The limit on the memory of the process for statements that are not SIERRA's own, in bytes; None for this process."""
+        return self.rules().limits.memory if self._confined else None
 
     def rows(self, text: str, **parameters: object) -> list[dict[str, SqlValue]]:
         """Return the result of one statement as a list of rows by column."""
@@ -321,14 +338,15 @@ class Snapshot:
         beneath: Path | None = None,
         rules: Callable[[], Rules] = Rules,
         replays: Sequence[str] = (),
+        memory: int | None = None,
     ) -> None:
         """`shared`: the lock that protects these segments from removal until the snapshot is closed.
 
         `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables. `replays`: those
-        that count, see `Store.replayed`.
+        that count, see `Store.replayed`. `memory`: see `Store.memory`.
         """
         self._shared = shared
-        self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
+        self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []), memory=memory)
         self._reading: Rows | None = None
         self._settled = False
         self.segments = segments
@@ -412,7 +430,7 @@ class Snapshot:
         import duckdb
 
         with self.errors():
-            read = self._only_reads(text)
+            read = self._only_reads(text, parameters)
             tables = tables_of(text)
             self.views.make(tables)
             notes = self._derive(read, tables) if theirs else []
@@ -475,16 +493,17 @@ class Snapshot:
             self.derived.make(name)
         return self.derived.list() if tables is None else []
 
-    def _only_reads(self, text: str) -> str:
+    def _only_reads(self, text: str, parameters: Mapping[str, object]) -> str:
         """Return the statement without EXPLAIN, after checking that it only reads. Raises SqlError."""
-        import duckdb
-
         text = re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text)
-        statements = self.connection.extract_statements(text)
-        if len(statements) != 1:
-            raise SqlError(f"use one statement at a time; this is {len(statements)}")
-        if statements[0].type != duckdb.StatementType.SELECT:
-            raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are not allowed")
+        named = kinds(self.connection, text)
+        if len(named) != 1:
+            raise SqlError(f"use one statement at a time; this is {len(named)}")
+        if named != ["SELECT"]:
+            raise SqlError(f"the store is read-only here; {named[0]} statements are not allowed")
+        for value in parameters.values():
+            if isinstance(value, str):
+                checked(value)
         return text
 
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:

@@ -25,6 +25,7 @@ from sierra.store.layout import user_verified
 from sierra.util.cache import Cache
 from sierra.util.fs import RACY_NS, state
 from sierra.util.hashing import sha256, sha256_file
+from sierra.util.regular_files import read_regular
 from sierra.util.shortage import shortage
 
 MANIFEST = "MANIFEST"
@@ -161,7 +162,7 @@ def _hashed(file: _File) -> list[int] | None:
 def _recorded(file: _File) -> str:
     """Return the SHA-256 that a file must have. Raises Damaged and OSError."""
     path = Path(file.path).with_name(MANIFEST)
-    text = path.read_bytes()
+    text = read_regular(path)
     if sha256(text)[:16] != file.segment.rpartition("-")[2]:
         raise DamagedFile(changed(str(path)))
     for line in text.decode("utf-8", "replace").splitlines():

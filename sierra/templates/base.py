@@ -15,6 +15,7 @@ from sierra.config.field_types import Table
 from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.errors import Missing, TemplateError
 from sierra.model import FOLDER, Change, Value
+from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
 
 Files = tuple[tuple[str, bytes], ...]
@@ -103,7 +104,7 @@ def read(path: Path, tables: Tables | None = None, format: str | None = None) ->
     try:
         if path.exists() and not path.is_file():
             raise TemplateError(f"{name}: not a file; a template must be a file")
-        data = path.read_bytes()
+        data = read_regular(path)
     except (OSError, ValueError) as error:
         raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; cannot read the template") from error
     return of_bytes(path, data, tables, format)

@@ -24,6 +24,7 @@ from sierra.errors import ConfigError, Missing, TemplateError
 from sierra.model import Change, Value
 from sierra.templates.base import Document, Files, Rendered, Renderer, Template, read
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import read_regular
 from sierra.util.text import few, one_line
 
 _PREFIX = re.compile(r"\s*([A-Za-z_]\w*):(?=[/(])")
@@ -139,7 +140,7 @@ def _part(root: Path, name: str, path: str, tables: Tables) -> Part:
         raise ConfigError(f"templates.{name}: {path} is a link, or in one; name the file itself")
     template = read(file, tables)
     try:
-        text = file.read_bytes()
+        text = read_regular(file)
     except OSError as error:
         raise Missing(f"{one_line(str(file))}: {error.strerror}; cannot read the template") from error
     if re.search(rb"xmlns:%s\s*=" % name.encode(), text):

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from sierra.util.json_types import JsonView
+from sierra.util.regular_files import open_regular
 
 FIRST_CHUNK = 1 << 16
 """Number of bytes that are read first. Most files are small, and a large buffer takes longer than their content."""
@@ -40,7 +41,7 @@ def sha256(data: bytes) -> str:
 def sha256_file(path: Path) -> str:
     """Return the SHA-256 of a file's content as 64 hexadecimal digits, without loading the whole file into memory."""
     digest, size = hashlib.sha256(), FIRST_CHUNK
-    with path.open("rb", buffering=0) as file:
+    with open_regular(path, buffering=0) as file:
         while content := file.read(size):
             digest.update(content)
             size = CHUNK

@@ -35,6 +35,15 @@ def visible(text: str) -> str:
     return _steering().sub(lambda found: escape(found[0]), text)
 
 
+def half_character(text: str) -> str:
+    """Return the first surrogate of a text, which UTF-8 cannot hold; "" if it has none."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        return text[error.start]
+    return ""
+
+
 def escape(text: str) -> str:
     """Return a text with escapes for tabs, ends of lines, and all characters beyond ASCII."""
     return text.encode("unicode_escape").decode()

@@ -1824,11 +1824,22 @@ def limited_to(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[st
 def described(files: Iterable[tuple[str, str]], check_stop: Callable[[], None]) -> Iterator[OutputFile]:
     """Yield the description of each file, with its hash. Makes a file readable if necessary."""
     for path, name in files:
+        if os.lstat(path).st_nlink > 1:
+            separate(path)
         try:
             yield describe(path, name, check_stop)
         except PermissionError:
             unlock(path, 0o400)
             yield describe(path, name, check_stop)
+
+
+def separate(path: str) -> None:
+    """Replace a file that has other names by a copy: who changes the file under another name would change this one."""
+    unlock(path, 0o400)
+    copy = os.path.join(os.path.dirname(path), "." + os.urandom(16).hex())
+    shutil.copyfile(path, copy)
+    shutil.copymode(path, copy)
+    os.replace(copy, path)
 
 
 def entries_of(folder: str) -> set[str]:

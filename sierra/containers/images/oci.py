@@ -26,6 +26,7 @@ from sierra.containers.images.streams import PIECE, ForwardStream, Hashed, Reada
 from sierra.errors import Damaged, Missing
 from sierra.util.hashing import sha256
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
+from sierra.util.regular_files import open_regular
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"
 MAX_DOCUMENT = 8 << 20
@@ -156,7 +157,7 @@ def is_archive(path: Path) -> bool:
     """Return whether a file is a tar or a folder is an OCI layout. Either may be damaged."""
     if path.is_dir():
         return (path / LAYOUT).is_file() or (path / INDEX).is_file()
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return file.read(265)[257:262] == b"ustar"
 
 
@@ -349,7 +350,7 @@ class _Folder:
         return path.stat().st_size if inside and path.is_file() else None
 
     def open(self, name: str) -> contextlib.AbstractContextManager[BinaryIO]:
-        return (self._root / name).open("rb")
+        return open_regular(self._root / name)
 
 
 class _Tar:
@@ -359,7 +360,7 @@ class _Tar:
         self._path = path
         self._places: dict[str, tuple[int, int]] = {}
         links: dict[str, str] = {}
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             if file.read(2) == b"\x1f\x8b":
                 raise Damaged(f"{path} is compressed as a whole; gunzip it first")
             file.seek(0)
@@ -379,7 +380,7 @@ class _Tar:
     @contextlib.contextmanager
     def open(self, name: str) -> Iterator[Readable]:
         offset, size = self._places[name]
-        with self._path.open("rb") as file:
+        with open_regular(self._path) as file:
             file.seek(offset)
             yield _Part(file, size)
 

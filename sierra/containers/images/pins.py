@@ -21,6 +21,7 @@ from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util import processors
 from sierra.util.fs import write_whole
 from sierra.util.processors import ARCH
+from sierra.util.regular_files import read_regular
 
 FORMAT = 1
 
@@ -77,7 +78,7 @@ def all_pinned(root: Path) -> dict[str, Image]:
     """Return all pinned images, by name. Raises ConfigError for a broken `sierra.lock`."""
     path = ProjectPaths(root).lock
     try:
-        lock = json.loads(path.read_text("utf-8"))
+        lock = json.loads(read_regular(path))
         if not isinstance(lock, dict) or lock.get("format") != FORMAT:
             raise ConfigError(f"{path} does not have format {FORMAT}; another version of SIERRA wrote it, or it was edited")
         return {name: of_fields(name, fields) for name, fields in lock["images"].items()}

@@ -27,6 +27,7 @@ from typing import BinaryIO
 from sierra.containers.images.streams import PIECE
 from sierra.errors import Damaged, Missing
 from sierra.util.json_types import as_object
+from sierra.util.regular_files import open_regular
 
 LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"
 HEADER = struct.Struct("<32s10s3s3s16s8q")
@@ -62,7 +63,7 @@ class Sif:
     def digest(self) -> str:
         """Return the SHA-256 of the file system, without the metadata elsewhere in the file."""
         digest, left = hashlib.sha256(), self.size
-        with self.path.open("rb") as file:
+        with open_regular(self.path) as file:
             file.seek(self.offset)
             while left and (piece := file.read(min(left, PIECE))):
                 digest.update(piece)
@@ -71,7 +72,7 @@ class Sif:
 
 
 def is_sif(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(LAUNCH)
         return file.read(len(MAGIC)) == MAGIC
 
@@ -79,7 +80,7 @@ def is_sif(path: Path) -> bool:
 def read(path: Path) -> Sif:
     """Return a SIF's header and descriptors. Raises Damaged if it cannot run here, Missing if it is unreadable."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return _read(path, file, path.stat().st_size)
     except OSError as error:
         raise Missing(f"{path} cannot be read: {error.strerror or error}") from error

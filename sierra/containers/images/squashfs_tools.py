@@ -23,6 +23,7 @@ from sierra.containers.images.merge_layers import Entry, Type, Wanted
 from sierra.containers.images.streams import PIECE, fed
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.util.hashing import sha256_file
+from sierra.util.regular_files import open_regular
 
 MAGIC = b"hsqs"
 MAKE = (
@@ -63,13 +64,13 @@ def _reason(output: str) -> str:
 
 
 def is_squashfs(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return file.read(4) == MAGIC
 
 
 def size(path: Path, offset: int = 0) -> int:
     """Return the size of a file system in bytes, from its superblock. Raises Damaged if it is no squashfs or cut short."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(offset)
         block = file.read(48)
         if len(block) < 48 or not block.startswith(MAGIC):

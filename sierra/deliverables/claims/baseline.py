@@ -23,6 +23,7 @@ from sierra.deliverables.claims.model import Evaluated
 from sierra.errors import ConfigError, Missing, NotFound
 from sierra.store.layout import BASELINES
 from sierra.util.fs import write_whole
+from sierra.util.regular_files import read_regular
 from sierra.util.text import like
 
 RESTS_ON = ("query", "controller", "scenario", "target", "batches")
@@ -106,7 +107,7 @@ def _text(content: object) -> str:
 
 def _read(path: Path) -> Baselines:
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_regular(path))
     except FileNotFoundError:
         return Baselines()
     except OSError as error:

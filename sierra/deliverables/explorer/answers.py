@@ -74,7 +74,7 @@ class Answers:
         self._unlimited = copy.copy(store)
         """The store without limits on memory, for reports."""
         self._unlimited.opened = self._opened.add
-        self._store = copy.copy(self._unlimited)
+        self._store = self._unlimited.confined()
         self._store.settings = (*store.settings, *SETTINGS)
         self._store.rules = lambda: _within_limits(store.rules())
         self._writes = writes
@@ -277,7 +277,7 @@ class Answers:
     def _open(self, within: str | None) -> Snapshot:
         """Return a snapshot that many statements will use."""
         with ExitStack() as opening:
-            snapshot = opening.enter_context(self._store.snapshot(within))
+            snapshot = opening.enter_context(self._store.snapshot(within, theirs=True))
             snapshot.settle()
             opening.pop_all()
         return snapshot

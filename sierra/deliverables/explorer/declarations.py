@@ -64,7 +64,7 @@ def _declared(project: LoadedProject, data: bytes) -> LoadedProject:
     """Return the project whose file has other content. Raises ConfigError if that is invalid."""
     try:
         table = tomllib.loads(data.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError(f"nothing can be appended to {project.file.name}: {error}") from error
     own = table["tool"]["sierra"] if project.file.name == PYPROJECT else table
     return project_file.of_table(ProjectFolder(project.root, project.file), own)

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import hmac
 import json
+import re
 import secrets
+import socket
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from io import SEEK_END
-from typing import cast
+from io import SEEK_END, BufferedReader, RawIOBase
+from typing import TYPE_CHECKING, cast
 
 from sierra.config.field_types import RawTable, Table
 from sierra.config.validate import options
@@ -29,13 +32,17 @@ from sierra.errors import Missing, SierraError
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_logger import Log
 
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
 log = Log(__name__)
 ADDRESS = "127.0.0.1"
 KEY_HEADER = "X-Sierra-Token"
 LONGEST = 1 << 20
 """The most bytes of a question."""
-SILENCE_S = 30
-"""The seconds in which a client must have sent a question that it began."""
+DIGITS = re.compile(r"[0-9]{1,10}")
+SILENCE_S = 30.0
+"""The seconds in which a client must begin a request, and then those in which it must have sent all of it."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'self'",
@@ -169,6 +176,16 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = SILENCE_S
     disable_nagle_algorithm = True
 
+    def setup(self) -> None:
+        super().setup()
+        self.rfile.close()
+        self._requests = _Requests(self.connection)
+        self.rfile = BufferedReader(self._requests)
+
+    def handle_one_request(self) -> None:
+        self._requests.begin()
+        super().handle_one_request()
+
     def do_GET(self) -> None:
         if not self._is_ours():
             self._refuse(HTTPStatus.FORBIDDEN, "this address is not that of the explorer")
@@ -183,7 +200,7 @@ class _Handler(BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "")
         if not self._is_ours() or not self._has_token():
             self._refuse(HTTPStatus.FORBIDDEN, "open the address that sierra explore has printed")
-        elif not length.isascii() or not length.isdigit() or int(length) > LONGEST:
+        elif not DIGITS.fullmatch(length) or int(length) > LONGEST:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a question has at most {LONGEST:,} bytes")
         elif (name := self.path.removeprefix("/ask/")) not in QUESTIONS:
             self._refuse(HTTPStatus.NOT_FOUND, "unknown question")
@@ -251,6 +268,33 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:
         log.debug(format, *args)
+
+
+class _Requests(RawIOBase):
+    """What a client sends; a request that comes too slowly as a whole raises TimeoutError."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client = client
+        self._due: float | None = None
+
+    def begin(self) -> None:
+        """Begin with the next request, whose time begins with its first byte."""
+        self._due = None
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        left = SILENCE_S if self._due is None else self._due - time.monotonic()
+        if left <= 0:
+            raise TimeoutError
+        self._client.settimeout(left)
+        try:
+            return self._client.recv_into(buffer)
+        finally:
+            self._client.settimeout(SILENCE_S)
+            if self._due is None:
+                self._due = time.monotonic() + SILENCE_S
 
 
 def _prepare() -> None:

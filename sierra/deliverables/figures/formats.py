@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sierra.config.deliverable_tables import Format
+from sierra.deliverables.matplotlib_import import variables
 from sierra.errors import UsageError
 from sierra.util.text import like, visible
 
@@ -102,5 +103,6 @@ def title(drawing: Drawing) -> str:
 
 def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None], **more: Any) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=ending, metadata=dict(metadata), **more)
+    with variables({"SOURCE_DATE_EPOCH": None}):  # no file has a date, but matplotlib reads this one
+        figure.savefig(buffer, format=ending, metadata=dict(metadata), **more)
     return buffer.getvalue()

@@ -11,6 +11,7 @@ from sierra.execution.plan import Plan
 from sierra.execution.project_source import not_in_checkouts
 from sierra.provenance import pythons
 from sierra.provenance.dependency_model import Programs
+from sierra.util.regular_files import read_regular
 
 
 def folders(root: Path, programs: Programs, search: str) -> dict[str, Path]:
@@ -51,6 +52,6 @@ def _words(plan: Plan) -> str:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(errors="replace")
+        return read_regular(file).decode(errors="replace")
     except OSError:
         return ""

@@ -6,19 +6,21 @@ Everything that it executed, read, listed, found or missed is still the same.
 
 An execution that was not observed never counts for another source, because nobody knows what it has read. Observed executions
 of its session with its experiment or its seed stand for it: if they still count, then it counts although a file of another
-experiment has changed, and with other installed distributions of Python or other files in folders of libraries.
+experiment has changed, with other installed distributions of Python, with other files in folders of libraries, and with other
+names of the same programs.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.execution import row_queries
 from sierra.execution.observation import file_sets, plan_files
 from sierra.execution.observation.current_files import Current
+from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.unchanged_files import unchanged
 from sierra.execution.plan import Plan, context
 from sierra.model import RunSpec
@@ -91,8 +93,8 @@ WITH mine AS (
     FROM sought s JOIN executions e USING (run) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
     ANTI JOIN imported_sessions i ON i.session = e.session
     WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules
-    AND (e.programs <> $programs OR list_contains($stale, e.session))
-    AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0)
+    AND (e.programs <> $programs AND NOT $own OR list_contains($stale, e.session) AND e.programs = $programs)
+    AND ($own OR e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0))
 ),
 seen AS (
     SELECT e.session, m.batch, m.ordinal, m.seed, o.files, o.reason IS NULL AND e.status = 'ok' AS good,
@@ -107,13 +109,18 @@ same_experiment AS (
 same_seed AS (
     SELECT session, batch, seed, bool_and(complete) AS complete, list(DISTINCT files) AS sets FROM seen GROUP BY ALL
 )
-SELECT m.run, m.execution, m.programs, coalesce(x.observed, false) AS observed,
-       coalesce(x.complete, false) AND coalesce(s.complete, true) AS complete,
-       list_sort(list_distinct(list_concat(coalesce(x.sets, []), coalesce(s.sets, [])))) AS sets
+SELECT m.run, m.execution, m.programs, o.files IS NOT NULL OR coalesce(x.observed, false) AS observed,
+       o.files IS NOT NULL OR coalesce(x.complete, false) AND coalesce(s.complete, true) AS complete,
+       CASE WHEN o.files IS NOT NULL THEN [o.files]
+            ELSE list_sort(list_distinct(list_concat(coalesce(x.sets, []), coalesce(s.sets, [])))) END AS sets
 FROM mine m LEFT JOIN same_experiment x USING (session, batch, ordinal) LEFT JOIN same_seed s USING (session, batch, seed)
+LEFT JOIN (SELECT execution, files FROM observations WHERE reason IS NULL AND len(notes) = 0) o USING (execution)
 ORDER BY m.run, m.lamport
 """
-"""Executions that were not observed, with the sets of files of the observed ones of their sessions that stand for them."""
+"""Executions that were not observed, with the sets of files of the observed ones of their sessions that stand for them.
+
+With $own, only executions of stale sessions, also observed ones, which stand for themselves.
+"""
 TABLES = (
     "batch_runs",
     "reused_executions",
@@ -126,16 +133,16 @@ TABLES = (
 
 
 def find(
-    plan: Plan, snapshot: Snapshot, runs: Collection[str], stale: Collection[str]
+    plan: Plan, snapshot: Snapshot, runs: Collection[str], stale: Collection[str], other: Set[str]
 ) -> tuple[dict[str, Reusable], frozenset[str]]:
     """Return the executions that count for these runs of the plan, by run; and the runs of experiments that were not observed.
 
-    `stale` are the sessions whose executions do not count of themselves.
+    `stale` are the sessions whose executions do not count of themselves, `other` the sets of files of them that have changed.
     """
     nothing: tuple[dict[str, Reusable], frozenset[str]] = ({}, frozenset())
-    if not runs or plan.image is not None or plan.checkout is not None or plan.batch.spec.robots is not None:
-        return nothing  # an image covers the programs; neither a checkout nor a robot has the current files here
-    if not snapshot.holds("observations"):
+    if not runs or plan.image is not None or plan.batch.spec.robots is not None or not snapshot.holds("observations"):
+        return nothing  # an image covers the programs, and a robot does not have the current files here
+    if plan.checkout is not None and not stale:
         return nothing
     snapshot.views.make(TABLES)
     wanted = set(runs)
@@ -148,6 +155,10 @@ def find(
         input=(first for first, *_ in digests),
         other_inputs=(" ".join(others) for _, *others in digests),
     )
+    if any(one.shared for one in plan.batch.spec.around.services):
+        stale = ()  # such a service may have read a file for any run, whichever run was observed then
+    if plan.checkout is not None:  # it does not have the current files, so that nothing else can be compared
+        return _inherited(plan, snapshot, stale, lambda sets: sets - other)
     names = [name for name, _ in sought[0].inputs]
     rows = snapshot.select(
         _Candidate,
@@ -162,14 +173,12 @@ def find(
     found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
     if len(found) == len(sought):
         return found, frozenset()
-    if any(one.shared for one in plan.batch.spec.around.services):
-        stale = ()  # such a service may have read a file for any run, whichever run was observed then
-    inherited, unobserved = _inherited(plan, current, snapshot, stale)
+    inherited, unobserved = _inherited(plan, snapshot, stale, lambda sets: _unchanged(current, snapshot, sets))
     return {**inherited, **found}, unobserved - found.keys()
 
 
 def _inherited(
-    plan: Plan, current: Current, snapshot: Snapshot, stale: Collection[str]
+    plan: Plan, snapshot: Snapshot, stale: Collection[str], unchanged_of: Callable[[set[str]], Set[str]]
 ) -> tuple[dict[str, Reusable], frozenset[str]]:
     """Return executions of the sought runs that were not observed, and that count because others that stand for them do.
 
@@ -177,10 +186,8 @@ def _inherited(
     """
     rows = _inheriting(plan, snapshot, stale)
     complete = [row for row in rows if row.observed and row.complete]
-    same = _unchanged(current, snapshot, {files for row in complete for files in row.sets})
-    found = {
-        row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in complete if same.issuperset(row.sets)
-    }
+    same = unchanged_of({files for row in complete for files in row.sets})
+    found = {row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in complete if same >= set(row.sets)}
     observed = {row.run for row in rows if row.observed}
     return found, frozenset({row.run for row in rows} - observed)
 
@@ -194,8 +201,9 @@ def _unchanged(current: Current, snapshot: Snapshot, sets: Collection[str]) -> s
 
 def _inheriting(plan: Plan, snapshot: Snapshot, stale: Collection[str]) -> list[_Inheriting]:
     """Return executions of the sought runs that were not observed, with programs that differ only in what few runs load."""
-    parameters = {"ingest_rules": context(plan).ingest_rules, "programs": plan.programs.id, "stale": sorted(stale)}
-    rows = snapshot.select(_Inheriting, INHERITING, **parameters)
+    own = plan.checkout is not None
+    rules, identity = context(plan).ingest_rules, plan.programs.id
+    rows = snapshot.select(_Inheriting, INHERITING, ingest_rules=rules, programs=identity, stale=sorted(stale), own=own)
     now = _certain(plan, plan.programs)
     alike = {
         programs for programs in {row.programs for row in rows} if _certain(plan, _recorded_programs(snapshot, programs)) == now
@@ -208,10 +216,13 @@ def _recorded_programs(snapshot: Snapshot, programs: str) -> Programs:
 
 
 def _certain(plan: Plan, programs: Programs) -> set[tuple[str, str]]:
-    """Return the programs that all runs use, and not what is only there to be loaded."""
+    """Return the kinds and contents of the programs that all runs use, and not of what is only there to be loaded.
+
+    Names do not count: the observed executions show under which ones the files were used.
+    """
     variables = plan.batch.spec.environment
     return {
-        (one.called, one.sha256)
+        (one.kind, one.sha256)
         for one in programs.all
         if one.kind != Kind.DISTRIBUTIONS
         and not (one.kind == Kind.FILE and referenced_files.is_in_library_folder(one.name, variables))
@@ -245,7 +256,7 @@ SELECT files FROM sources WHERE tree = (SELECT source FROM specs WHERE spec = $s
 
 
 def unused_changes(
-    plan: Plan, store: Store, session: str, found: Iterable[Reusable], stale: Mapping[str, str]
+    plan: Plan, store: Store, session: str, found: Iterable[Reusable], stale: Mapping[str, UsedFile]
 ) -> Iterator[UnusedChangeRow]:
     """Yield the files and programs that differ between reused executions and the plan, which the executions did not use.
 
@@ -261,7 +272,7 @@ def unused_changes(
             with store.snapshot() as snapshot:
                 names += _recorded_programs(snapshot, programs).unlike(plan.programs)
         if not names:
-            names += sorted(set(stale.values()))
+            names += sorted({file.path for file in stale.values()})
         for name in names[:MOST_CHANGES]:
             yield UnusedChangeRow(session, spec, programs, name)
 
@@ -269,4 +280,6 @@ def unused_changes(
 def reason(store: Store, session: str, runs: int) -> str:
     """Return why a session reuses this many runs although the source or the programs differ."""
     names = store.values(str, "SELECT DISTINCT name FROM unused_changes WHERE session = $s ORDER BY 1", s=session)
+    if not names:
+        return f"{counted(runs, 'run')} reused, because their programs only have other names now"
     return f"{counted(runs, 'run')} reused, because the executions did not use what has changed: {few(names, NAMED)}"

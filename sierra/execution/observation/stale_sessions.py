@@ -76,26 +76,34 @@ WHERE list_contains($environments, environment)
 
 def find(plan: Plan, snapshot: Snapshot) -> dict[str, UsedFile]:
     """Return the sessions that executed runs of this plan with files that have changed, each with one of these files."""
+    return find_with_sets(plan, snapshot)[0]
+
+
+def find_with_sets(plan: Plan, snapshot: Snapshot) -> tuple[dict[str, UsedFile], frozenset[str]]:
+    """Return these sessions, and the sets of files that have changed."""
     if plan.batch.spec.robots is not None or not snapshot.holds("observations"):
-        return {}  # the files of robots are not here
+        return {}, frozenset()  # the files of robots are not here
     sets = snapshot.select(_Set, SETS, spec=plan.batch.spec_id, programs=plan.programs.id)
     if not sets:
-        return {}
+        return {}, frozenset()
     found, current = file_sets.load(snapshot, {one.files for one in sets}), plan_files.current(plan)
     written = _written(snapshot, {one.session for one in sets}) if snapshot.holds("files_written") else set()
     compared = compare(found, current)
     elsewhere = _elsewhere(plan, snapshot, sets, found, current)
     committed = source.paths(plan.source.manifest) if plan.source else None
     stale: dict[str, UsedFile] = {}
+    other: set[str] = set()
     for one in sets:
-        for file in compared.counting.get(one.files, ()):
-            if (one.session, file.path) not in written and _counts(plan, one, file, committed):
-                stale.setdefault(one.session, file)
+        files = compared.counting.get(one.files, ())
+        changed = [f for f in files if (one.session, f.path) not in written and _counts(plan, one, f, committed)]
         if path := elsewhere.get((one.files, one.environment)):
-            stale.setdefault(one.session, UsedFile(path, FOUND_ELSEWHERE, None))
+            changed.append(UsedFile(path, FOUND_ELSEWHERE, None))
+        if changed:
+            stale.setdefault(one.session, changed[0])
+            other.add(one.files)
     others = {one.session: compared.harmless[one.files][0] for one in sets if one.files in compared.harmless}
     unobserved = _unobserved(plan, snapshot, others.keys() - stale.keys())
-    return {**stale, **{session: others[session] for session in unobserved}}
+    return {**stale, **{session: others[session] for session in unobserved}}, frozenset(other)
 
 
 def _unobserved(plan: Plan, snapshot: Snapshot, sessions: Collection[str]) -> set[str]:

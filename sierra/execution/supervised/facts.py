@@ -9,6 +9,7 @@ from sierra.config.trial_tables import Trials
 from sierra.errors import Missing
 from sierra.execution import commands
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import read_regular
 
 TIMEOUT_S = 30.0
 KEPT = 1000
@@ -20,7 +21,7 @@ def of_files(trials: Trials, root: Path) -> dict[str, str]:
     found = {}
     for name in trials.files:
         try:
-            found[name] = sha256((root / name).read_bytes())
+            found[name] = sha256(read_regular(root / name))
         except OSError as error:
             raise Missing(f"[trials] files: {name} cannot be read: {error.strerror}") from error
     return found

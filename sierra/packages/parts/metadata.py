@@ -20,6 +20,7 @@ from sierra.errors import ConfigError
 from sierra.packages.subject import Made, Member, Subject
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
+from sierra.util.regular_files import read_regular
 
 CITATION, ZENODO, CODEMETA = "CITATION.cff", ".zenodo.json", "codemeta.json"
 NEEDED = ("title", "authors", "license")
@@ -196,7 +197,7 @@ def own(root: Path) -> dict[str, bytes]:
         if path.is_file():
             if path.stat().st_size > LARGEST:
                 raise ConfigError(f"{path} is too large for a metadata file")
-            found[name] = path.read_bytes()
+            found[name] = read_regular(path)
     return found
 
 

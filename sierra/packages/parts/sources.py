@@ -27,6 +27,7 @@ from sierra.provenance.source.worktree_snapshot import of_tree
 from sierra.store.objects import Objects
 from sierra.store.row_types import BlobRow
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import read_regular
 
 Content = Path | bytes
 """A content in a file or in memory."""
@@ -121,7 +122,7 @@ class _Folder:
 
     def _unproved(self, repository: _Repository, place: Path, blob: str) -> str:
         """Add a file to the contents; return the reason if the recorded hash does not prove it, else ""."""
-        content = (self._root / place).read_bytes()
+        content = read_regular(self._root / place)
         if is_blob(content, blob):
             self.contents[blob] = self._root / place
             return ""
@@ -171,4 +172,4 @@ def _keep(subject: Subject, contents: Mapping[str, Content]) -> None:
 def _content(path: Content) -> bytes:
     if isinstance(path, bytes):
         return path
-    return os.fsencode(path.readlink()) if path.is_symlink() else path.read_bytes()
+    return os.fsencode(path.readlink()) if path.is_symlink() else read_regular(path)

@@ -14,6 +14,7 @@ from sierra.packages import members
 from sierra.packages.archive import LARGEST_MANIFEST, Opened
 from sierra.packages.members import MANIFEST
 from sierra.util.hashing import CHUNK
+from sierra.util.regular_files import open_regular, read_regular
 
 CREATED = "reproduction/"
 """The folder for the results of an evaluator."""
@@ -35,7 +36,7 @@ class Extracted(Opened):
                 raise Damaged(f"{path} is no extracted package: it has no {MANIFEST}")
             if (path / MANIFEST).stat().st_size > LARGEST_MANIFEST:
                 raise Damaged(f"{path / MANIFEST} is too large")
-            self.hashes = members.read((path / MANIFEST).read_bytes())
+            self.hashes = members.read(read_regular(path / MANIFEST))
         except OSError as error:
             raise Missing(f"{error.filename or path}: {error.strerror or error}") from error
         if lost := sorted(self.hashes.keys() - files):
@@ -73,7 +74,7 @@ class Extracted(Opened):
 
     def _blocks(self, name: str) -> Iterator[bytes]:
         try:
-            with (self.path / name).open("rb") as file:
+            with open_regular(self.path / name) as file:
                 while block := file.read(CHUNK):
                     yield block
         except OSError as error:

@@ -61,7 +61,9 @@ def open_package(path: Path) -> Received:
         identity = archive.id
         known = verifier.is_ours(archive.hashes.get(PROGRAM))
     project = project_file.load(folder)
-    return Received(path, identity, described, project, Store(folder / STORE, project.rules), () if known else (OTHER,))
+    return Received(
+        path, identity, described, project, Store(folder / STORE, project.rules).confined(), () if known else (OTHER,)
+    )
 
 
 def batches(store: Store) -> list[str]:

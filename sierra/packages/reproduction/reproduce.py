@@ -28,6 +28,7 @@ from sierra.replay.replay import replay
 from sierra.store.layout import STORE
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.regular_files import read_regular
 from sierra.util.text import counted, one_line
 
 
@@ -64,13 +65,13 @@ def reproduce(
     with workspace.opened(package) as found, workspace.alone(folder):
         workspace.copy_verified(found, folder)
         observer.notice(f"verified: package {short(found.id)}, copied to {folder / workspace.COPY}")
-        described = manifest.read((folder / workspace.COPY / PACKAGE).read_bytes())
+        described = manifest.read(read_regular(folder / workspace.COPY / PACKAGE))
         project, notes = confined_project.load(folder / workspace.COPY / PROJECT)
         if not verifier.is_ours(found.hashes.get(PROGRAM)):
             notes = (*notes, received.OTHER)
         for note in notes:
             observer.notice(one_line(note))
-        store = Store(project.root / STORE, project.rules)
+        store = Store(project.root / STORE, project.rules).confined()
         earlier = workspace.replays_here(found, store)
         parts = _Work(project, store, options, observer, earlier).reproduce(agree)
         done = Reproduction(found.id, described.title, folder, notes, *parts)

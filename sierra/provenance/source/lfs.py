@@ -14,6 +14,7 @@ from sierra.errors import Missing
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files
 from sierra.provenance.source.selection import shown
+from sierra.util.regular_files import open_regular
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\n"
 ATTRIBUTES = ".gitattributes"
@@ -58,7 +59,7 @@ def _is_pointer(path: Path) -> bool:
 
 def _head(path: Path, size: int) -> bytes:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(size)
     except OSError:
         return b""

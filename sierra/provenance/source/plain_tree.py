@@ -19,6 +19,7 @@ from sierra.provenance.source.manifest import LINK, Entry, git_hash, is_blob, pa
 from sierra.provenance.source.selection import PathSelection, check_size
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
+from sierra.util.regular_files import open_regular, read_regular
 
 LEFT_OUT = frozenset(
     (".git", ".hg", ".svn", "__pycache__", ".venv", "venv", "node_modules", ".mypy_cache", ".pytest_cache", ".ruff_cache")
@@ -47,7 +48,7 @@ def contents(manifest: bytes, root: Path, known: Container[str]) -> Iterator[tup
         if blob in known:
             continue
         try:
-            content = os.fsencode(file.readlink()) if mode == LINK else file.read_bytes()
+            content = os.fsencode(file.readlink()) if mode == LINK else read_regular(file)
         except OSError as error:
             raise Missing(f"cannot read {file}: {error.strerror}") from error
         if not is_blob(content, blob):
@@ -94,8 +95,8 @@ def _walk(root: Path, chosen: PathSelection) -> Iterator[tuple[os.DirEntry[bytes
 def _read(entry: os.DirEntry[bytes], status: os.stat_result) -> tuple[str, str]:
     if stat.S_ISLNK(status.st_mode):
         return LINK, git_hash(b"blob", os.readlink(entry.path))  # noqa: PTH115 - bytes
-    with open(entry.path, "rb", buffering=0) as file:  # noqa: PTH123 - bytes
-        return "100755" if status.st_mode & 0o100 else "100644", git_hash(b"blob", file.readall())
+    with open_regular(entry.path, buffering=0) as file:
+        return "100755" if status.st_mode & 0o100 else "100644", git_hash(b"blob", file.read())
 
 
 def _remembered(memory: Path | None) -> Memory:

@@ -15,6 +15,7 @@ from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init.answers import NONE, Ask, Question, settled
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
+from sierra.util.regular_files import open_regular
 
 TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch", ".sumocfg")
 DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
@@ -141,5 +142,5 @@ def _words(file: Path, name: str) -> list[str]:
 
 
 def _beginning(file: Path, size: int) -> bytes:
-    with file.open("rb") as stream:
+    with open_regular(file) as stream:
         return stream.read(size)

@@ -31,6 +31,7 @@ from sierra.store.layout import CONFIG
 from sierra.templates.base import Template
 from sierra.templates.yaml_values import Plain
 from sierra.util.fs import write_whole
+from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
 
 ORDER = (*SETS, *RENAMES, *ADDS, *REMOVES)
@@ -150,7 +151,7 @@ def write(root: Path, target: Path, template: str | None = None) -> tuple[Path, 
     folder.check(target)
     converted = convert(root, target, template)
     if converted.copied:
-        write_whole(target / converted.template, converted.copied.read_bytes())
+        write_whole(target / converted.template, read_regular(converted.copied))
     return write_whole(target / CONFIG, converted.text.encode()), converted
 
 

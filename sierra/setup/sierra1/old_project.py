@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sierra.errors import Missing, UsageError
 from sierra.templates.yaml_values import Plain, values
+from sierra.util.regular_files import open_regular
 
 CONTROLLERS = "config/controllers.yaml"
 MOST_FILES = 5000
@@ -103,7 +104,7 @@ def _files(root: Path) -> Iterator[Path]:
 def _content(path: Path) -> bytes:
     """Return a file's content. Raises Missing if it cannot be read, UsageError if it is too large."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(LARGEST + 1)
     except OSError as error:
         raise Missing(f"{path}: cannot be read: {error.strerror}") from error

@@ -37,3 +37,16 @@ def test_a_number_that_floats_cannot_represent_is_refused(tmp_path: Path, number
     refused = quick(project, "run", "population_size=1", "-n")
     [line] = refused.stderr.splitlines()
     assert line.endswith(f"sierra.toml: the number {number} is outside the range of floats: {why}")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [f"x = {'[' * 5000}{']' * 5000}", f"x = {'{a = ' * 3000}1{'}' * 3000}", f"{'.'.join(['a'] * 5000)} = 1"],
+    ids=["lists", "tables", "keys"],
+)
+@pytest.mark.parametrize("where", ["", "[runners.slurm]\n", "[template_formats.x]\n"])
+def test_settings_that_are_nested_deeply_are_refused_in_one_line(tmp_path: Path, where: str, text: str) -> None:
+    (tmp_path / "sierra.toml").write_text(f"{where}{text}\n")
+    refused = quick(tmp_path, "run", "population_size=1", "-n")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert refused.stderr.endswith("sierra.toml: lists and tables are nested too deeply\n")

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
 import sierra
-from sierra.packages import archive
+from sierra.packages import archive, reproduce
 from sierra.packages.layout import PROGRAM, PROJECT, STORED
 from sierra.packages.members import MANIFEST
 from sierra.packages.subject import Member
 from tests import projects
+from tests.support.irregular_files import irregular
 
 TOML = '\n[package]\ntitle = "Coverage of a swarm"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
 pytestmark = pytest.mark.integration
@@ -96,3 +100,50 @@ def test_commands_and_statements_of_a_package_reach_nothing_outside(package: Pat
         assert f"[claims.{name}] sql" in told.stdout + told.stderr
         assert "secret\n" not in told.stdout
     assert not (tmp_path / "evil").exists()
+
+
+def test_a_statement_of_a_package_that_takes_all_memory_or_time_is_ended(package: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(package) as file:
+        batch = json.loads(file.read("package.json"))["batches"][0]["batch"]
+    statements = {
+        "endless": "SELECT max(levenshtein(repeat('a', 1000000), repeat(run[1], 1000000))) > 0 FROM swarm",
+        "large": "SELECT max(length(repeat(run, 20000000))) > 0 FROM swarm",
+        "derived": "SELECT count(*) > 0 FROM huge",
+        "holds": "SELECT count(*) > 0 FROM swarm",
+    }
+    claims = "".join(
+        f'[claims.{name}]\nsays = "x"\npaper = "1"\nbatches = ["{batch}"]\nsql = "{sql}"\n' for name, sql in statements.items()
+    )
+    table = (
+        '[tables.huge]\nsql = "SELECT run, list_sum(range(1000000000)) AS n FROM swarm"\n[sql]\nwall = 2\nmemory = "500 MB"\n'
+    )
+    config = projects.CONFIG + TOML + claims + table
+    changed(package, tmp_path / "bad.zip", **{f"{PROJECT}sierra.toml": config.encode()})
+    command = [projects.SIERRA, "open", "bad.zip", "claims", "--json"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE) as started:
+        assert started.stdout is not None
+        found = {one["name"]: one for one in json.loads(started.stdout.read())}
+        _, status, used = os.wait4(started.pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 1
+    assert used.ru_maxrss * 1024 < 1_500_000_000
+    assert found["holds"]["verdict"] == "holds"
+    assert "did not end within 2 s" in found["endless"]["text"], found
+    for name in ("large", "derived"):
+        assert "out of memory" in found[name]["text"]
+    said = projects.quick(tmp_path, "open", "bad.zip", "sql", "FROM huge")
+    assert (said.returncode, said.stderr.count("\n")) == (1, 1)
+    assert "out of memory" in said.stderr
+
+
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device"])
+@pytest.mark.each_case
+def test_a_package_that_is_no_regular_file_is_refused(tmp_path: Path, kind: str) -> None:
+    path = irregular(tmp_path / "x.zip", kind)
+    root = projects.make(tmp_path / "own")
+    for words in (("open", "../x.zip"), ("open", "../x.zip", "ls"), ("import", "../x.zip"), ("reproduce", "../x.zip")):
+        ended = projects.quick(root, *words)
+        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1), ended.stderr
+        assert ended.stderr.endswith("and not a regular file\n")
+    program = [sys.executable, "-I", str(reproduce.__file__), str(path)]
+    refused = subprocess.run(program, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (refused.returncode, "is no regular file" in refused.stdout) == (1, True), refused

@@ -139,14 +139,14 @@ def test_things_that_cannot_be_packed_are_refused_before_anything_is_written(tmp
     summary = sierra.open(plain).run("population_size=1", runs=1, figures=False)
     with pytest.raises(ConfigError, match="title, authors, license"):
         sierra.open(plain).package(summary.batch, report=False, path=tmp_path / "x.zip")
-    [run] = sierra.open(plain).sql("SELECT run FROM runs").to_pylist()
-    with pytest.raises(UsageError, match="is the id of a run"):
-        sierra.open(plain).package(run["run"], report=False, path=tmp_path / "x.zip")
     crlf = projects.make(tmp_path / "crlf", projects.CONFIG + TOML)
     (crlf / ".gitattributes").write_text("notes.txt text eol=crlf\n")
     (crlf / "notes.txt").write_text("one\ntwo\n")
     projects.commit(crlf)
     batch = sierra.open(crlf).run("population_size=1", runs=1, figures=False).batch
+    [run] = sierra.open(crlf).sql("SELECT run FROM runs").to_pylist()
+    with pytest.raises(UsageError, match="is the id of a run"):
+        sierra.open(crlf).package(run["run"], report=False, path=tmp_path / "x.zip")
     with pytest.raises(UsageError, match=r"git changes notes\.txt when it checks it out"):
         sierra.open(crlf).package(batch, report=False, path=tmp_path / "x.zip")
     assert not (tmp_path / "x.zip").exists()

@@ -226,6 +226,7 @@ def test_other_bytes_with_the_same_id_are_executed_again(observe: str, git: Git,
     assert (second["batch"], second["executed"]) == (first["batch"], 1)
     assert projects.sql(root, LAST) == [{"size": 4}]
     assert "would restore" not in said
+    assert "{project}/data.txt: 58055bdcc7 recorded, git's bytes found" in said
     (root / "data.txt").write_bytes(b"a\r\nb\r\n")
     assert projects.run(root, *QUERY)[0]["executed"] == 0
     assert projects.sql(root, LAST) == [{"size": 6}]

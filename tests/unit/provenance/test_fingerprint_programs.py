@@ -264,6 +264,25 @@ def test_any_name_of_the_python_that_starts_sierra_reuses_the_same_runs(observe:
     assert executed == [3, 0, 0, 0]
 
 
+@pytest.mark.integration
+def test_executions_with_another_recorded_name_of_the_python_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Require
+) -> None:
+    """Earlier versions recorded the link that had started SIERRA."""
+    require("strace")
+    folder = tmp_path / "p"
+    make(folder, "{python} {project}/sim.py {input}")
+    (folder / "sierra.toml").write_text((folder / "sierra.toml").read_text().replace("runs = 1", "runs = 3"))
+    (folder / "sim.py").write_text('open("out.csv", "w").write("t,v\\n0,1\\n")\n')
+    with monkeypatch.context() as patch:
+        patch.setattr(pythons, "NAMED", "python")
+        assert projects.run(folder, "n=1")[0]["executed"] == 3
+    summary, said = projects.run(folder, "n=1")
+    assert (summary["executed"], summary["reused"]) == (0, 3)
+    assert "changed" not in projects.other_notes(said)
+    assert projects.run(folder, "n=1")[0]["executed"] == 0
+
+
 @pytest.mark.parametrize(
     ("words", "programs"),
     [
@@ -515,7 +534,9 @@ def test_a_program_that_only_has_another_name_is_not_reported_as_changed() -> No
     before = Programs((python, library))
     now = Programs((replace(python, name="python3"), library))
     assert list(fingerprint_programs.differences(before, now)) == ["python3.11 is named python3 now, with the same content"]
+    assert before.unlike(now) == []
     changed = Programs((replace(python, name="python3"), replace(library, sha256="c" * 64)))
+    assert before.unlike(changed) == ["sim"]
     assert list(fingerprint_programs.differences(before, changed)) == ["sim: bbbbbbbbbb recorded, cccccccccc found"]
 
 

@@ -81,3 +81,12 @@ def test_options_together_with_a_file_are_refused(project: Path) -> None:
     done = quick(project, "run", "../query.json", "--runs", "3")
     assert done.returncode == 2
     assert "complete request" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words", [("p\udcff=1",), ("population_size=1", "--set", "/\udcff=1"), ("population_size=1", "--scenario", "\udcff")]
+)
+def test_half_of_a_character_in_a_query_is_refused(project: Path, words: tuple[str, ...]) -> None:
+    refused = quick(project, "run", *words, "-n")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "fault" not in refused.stderr

@@ -62,6 +62,9 @@ STATEMENTS = [
     "SELECT getenv('HOME')",
     "WITH a AS (SELECT 1) DELETE FROM runs",
     "FROM runs; DROP TABLE runs",
+    "UPDATE EXTENSIONS",
+    "EXPLAIN UPDATE EXTENSIONS",
+    "SELECT '\udcff'",
 ]
 SETTINGS = "SELECT name, value FROM duckdb_settings() ORDER BY name"
 
@@ -79,3 +82,8 @@ def test_a_hostile_statement_is_refused(snapshot: Snapshot, recorded: Path, stat
         snapshot.sql(statement)
     assert snapshot.run(SETTINGS) == settings
     assert stores.state(recorded) == state
+
+
+def test_half_of_a_character_in_a_parameter_is_refused(snapshot: Snapshot) -> None:
+    with pytest.raises(SqlError, match="no character of UTF-8"):
+        snapshot.sql("SELECT $given", given="\ud800")

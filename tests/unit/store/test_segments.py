@@ -44,6 +44,20 @@ def made(store: Store, *tables: str) -> None:
 
 
 @pytest.mark.integration
+def test_a_file_with_the_longest_name_stops_no_other_command(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "lab", simulator=projects.SIMULATOR + WRITES)
+    for words in (
+        ("run", "population_size=1", "--runs", "1", "--no-figures"),
+        ("run", "population_size=2", "--runs", "1", "--no-figures"),
+        *(("gc", "--yes"), ("fsck",)),
+    ):
+        ended = projects.quick(root, *words)
+        assert ended.returncode == 0, ended.stderr
+    assert sierra.open(root).sql(f"SELECT sum(v) FROM {'a' * 251}").to_pylist() == [{"sum(v)": 9}]
+
+
+@pytest.mark.nightly
+@pytest.mark.integration
 def test_files_with_the_longest_names_are_recorded_drawn_exported_and_packed(tmp_path: Path) -> None:
     about = '[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
     root = projects.make(

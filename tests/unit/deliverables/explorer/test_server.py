@@ -25,6 +25,7 @@ from sierra.errors import Missing, UsageError
 from tests import projects, stores
 from tests.support.characters import LETTERS, MIXED
 from tests.support.explorer_page import Page, served
+from tests.waiting import PATIENCE_S, until
 
 FOR_EVER = "SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b WHERE (a.range + b.range) % 7 = 1"
 SWARM = {"table": "swarm", "column": "coverage", "kind": "timeseries"}
@@ -456,3 +457,52 @@ def test_a_client_that_says_nothing_delays_no_other(page: Page) -> None:
     with socket.create_connection(("127.0.0.1", int(page.host.partition(":")[2]))) as silent:
         silent.sendall(b"POST /ask/overview HTTP/1.1\r\n")
         assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
+
+
+@pytest.mark.integration
+def test_a_statement_that_cannot_be_interrupted_ends_too(recorded: Path) -> None:
+    project = sierra.open(recorded)
+    answers = Answers(lambda: Source(project._loaded, project.store), project.store, wall=2.0)
+    with served(Server(answers, "project")) as page:
+        began = time.monotonic()
+        endless = "SELECT levenshtein(repeat('a', 1000000), repeat('b', 1000000))"
+        assert page.error("query", statement=endless).startswith("no answer within 2 s")
+        assert time.monotonic() - began < PATIENCE_S, "the statement takes hours"
+        answers._wall = 60.0
+        assert "Memory" in page.error("query", statement="SELECT list_sum(range(1000000000))")
+        assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
+
+
+def test_half_of_a_character_is_refused(page: Page) -> None:
+    assert "no character of UTF-8" in page.error("query", statement="SELECT '\ud800'")
+
+
+@pytest.mark.parametrize("length", ["9" * 5000, "99999999999", "٣", "-1", "1e3", ""])
+def test_a_length_that_is_none_is_refused(page: Page, length: str) -> None:
+    with socket.create_connection(page.host.split(":"), timeout=PATIENCE_S) as client:
+        lines = [f"{name}: {value}" for name, value in page.headers.items()]
+        given = "\r\n".join(["POST /ask/state HTTP/1.1", *lines, f"Content-Length: {length}", "", ""])
+        client.sendall(given.encode())
+        assert b" 413 " in client.recv(1000).splitlines()[0]
+
+
+@pytest.mark.parametrize("begin", [b"G", b"GET / HTTP/1.1\r\nA: ", b"POST /ask/state HTTP/1.1\r\nContent-Length: 1000\r\n"])
+def test_a_request_that_comes_too_slowly_as_a_whole_is_closed(
+    page: Page, monkeypatch: pytest.MonkeyPatch, begin: bytes
+) -> None:
+    monkeypatch.setattr("sierra.deliverables.explorer.server.SILENCE_S", 0.3)
+    with socket.create_connection(page.host.split(":"), timeout=PATIENCE_S) as client:
+        client.sendall(begin)
+        client.setblocking(False)
+        until(lambda: _is_closed(client))
+
+
+def _is_closed(client: socket.socket) -> bool:
+    """Send one more byte; return whether the other side has closed the connection."""
+    try:
+        client.send(b"x")
+        return client.recv(1000) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True

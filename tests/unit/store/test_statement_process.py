@@ -1,0 +1,164 @@
+"""A process of its own executes somebody else's statements: with the same values, and within limits that hold."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import duckdb
+import pytest
+
+from sierra.errors import SqlError
+from sierra.store import statement_process
+from sierra.store.connections import connect
+from sierra.store.derived_tables import Limits, Rules
+from sierra.store.statement_process import Remote
+from sierra.store.store import Snapshot, Store
+from tests.unit.store.test_hostile_statements import STATEMENTS
+from tests.waiting import until
+
+MEMORY = 300_000_000
+ENDLESS = "SELECT levenshtein(repeat('a', 1000000), repeat('b', 1000000))"
+"""A statement that takes hours in one function, which DuckDB cannot interrupt."""
+VALUES = """
+SELECT 1::HUGEINT, '12345678-1234-1234-1234-123456789012'::UUID, '101'::BIT, TIME '10:00:00', '10:00:00+02'::TIMETZ,
+    INTERVAL 3 days, 'a'::ENUM('a', 'b'), 1.25::DECIMAL(10,2), '\\x00'::BLOB, '{"a": 1}'::JSON, [1, NULL], {'a': 1, 'b': 'x'},
+    MAP {'k': 1}, TIMESTAMP_NS '2020-01-01 00:00:00.123456789', 18446744073709551615::UBIGINT, union_value(k := 1), NULL,
+    [1, 2]::INTEGER[2], DATE 'infinity', '24:00:00'::TIME, 1.5::FLOAT, [{'a': [1::HUGEINT]}], $text
+"""
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture
+def confined() -> Iterator[Remote]:
+    made = connect(MEMORY)
+    assert isinstance(made, Remote)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def snapshot(recorded: Path) -> Iterator[Snapshot]:
+    store = Store(recorded / ".sierra", lambda: Rules(limits=Limits(memory=MEMORY))).confined()
+    with store.snapshot(theirs=True) as snapshot:
+        yield snapshot
+
+
+def process(connection: Remote) -> int:
+    running = connection._process._running
+    assert running is not None
+    return running.pid
+
+
+def test_values_are_those_of_a_connection_in_this_process(confined: Remote) -> None:
+    here = connect()
+    parameters = {"text": "ä"}
+    assert confined.execute(VALUES, parameters).fetchall() == here.execute(VALUES, parameters).fetchall()
+    theirs, own = confined.sql(VALUES, params=parameters), here.sql(VALUES, params=parameters)
+    assert theirs is not None
+    assert theirs.types == [str(kind) for kind in own.types]
+    assert theirs.fetchall() == own.fetchall()
+    assert theirs.to_arrow_table().equals(own.to_arrow_table())
+    assert theirs.limit(0).to_arrow_table().schema == own.limit(0).to_arrow_table().schema
+    many = "SELECT range AS n, range::VARCHAR AS text FROM range(300000)"
+    table = confined.sql(many)
+    assert table is not None
+    assert table.to_arrow_table().equals(here.sql(many).to_arrow_table())
+    here.close()
+
+
+def test_rows_that_are_still_read_do_not_disturb_another_statement(confined: Remote) -> None:
+    rows = confined.execute("SELECT range FROM range(250000)")
+    first = rows.fetchmany(1)
+    assert confined.execute("SELECT 42").fetchall() == [(42,)]
+    assert len(first) + len(rows.fetchall()) == 250_000
+
+
+def test_another_process_has_the_views_and_tables_of_the_one_that_was_ended(confined: Remote) -> None:
+    cursor = confined.cursor()
+    cursor.execute("CREATE TEMP TABLE kept AS SELECT range AS n FROM range(3)")
+    cursor.execute("CREATE VIEW shown AS SELECT 7 AS seven")
+    before = process(confined)
+    os.kill(before, 9)
+    with pytest.raises(duckdb.OutOfMemoryException):
+        cursor.execute("SELECT 1")
+    assert cursor.execute("SELECT * FROM kept, shown").fetchall() == [(0, 7), (1, 7), (2, 7)]
+    assert process(confined) != before
+    cursor.close()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    ["SELECT repeat('x', 2000000000)", "SELECT list_sum(range(1000000000))", "SELECT list(range) FROM range(900000000)"],
+)
+@pytest.mark.each_case
+def test_no_statement_takes_more_memory_than_the_limit(confined: Remote, statement: str) -> None:
+    with pytest.raises(duckdb.Error, match="Memory"):
+        confined.execute(statement).fetchall()
+    assert confined.execute("SELECT 1").fetchall() == [(1,)]
+    status = Path(f"/proc/{process(confined)}/status").read_text()
+    assert int(status.split("VmHWM:")[1].split()[0]) * 1024 < MEMORY + 1_000_000_000
+
+
+def test_a_function_that_cannot_be_interrupted_is_ended(confined: Remote, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(statement_process, "PATIENCE_S", 0.1)
+    confined.execute("SELECT 1")
+    before = process(confined)
+    ended = threading.Event()
+
+    def interrupt() -> None:
+        while not ended.wait(0.05):
+            confined.interrupt()
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        with pytest.raises(duckdb.InterruptException):
+            confined.execute(ENDLESS).fetchall()
+    finally:
+        ended.set()
+        thread.join()
+    assert confined.execute("SELECT 1").fetchall() == [(1,)]
+    assert process(confined) != before
+
+
+def test_what_can_be_interrupted_keeps_its_process(confined: Remote) -> None:
+    confined.execute("CREATE TEMP TABLE kept AS SELECT 1 AS n")
+    before = process(confined)
+    ended = threading.Event()
+
+    def interrupt() -> None:
+        while not ended.wait(0.05):
+            confined.interrupt()
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        with pytest.raises(duckdb.InterruptException):
+            confined.execute("SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b").fetchall()
+    finally:
+        ended.set()
+        thread.join()
+    assert (confined.execute("FROM kept").fetchall(), process(confined)) == ([(1,)], before)
+
+
+@pytest.mark.parametrize("statement", STATEMENTS)
+@pytest.mark.each_case
+def test_a_hostile_statement_is_refused_there_too(snapshot: Snapshot, statement: str) -> None:
+    with pytest.raises(SqlError):
+        snapshot.sql(statement)
+
+
+def test_the_process_ends_with_the_one_that_it_works_for() -> None:
+    program = (
+        "import os\nfrom sierra.store.connections import connect\nmade = connect(300_000_000)\n"
+        "made.execute('SELECT 1').fetchall()\nprint(made._process._running.pid, flush=True)\nos.kill(os.getpid(), 9)"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    of_child = Path("/proc", ended.stdout.strip())
+    assert ended.stdout.strip().isdecimal(), ended.stderr
+    until(lambda: not of_child.exists())
