@@ -54,7 +54,9 @@ class Worker:
     def connect(self, request: Request) -> None:
         import duckdb
 
-        config = {**request["config"], "threads": min(THREADS, os.cpu_count() or 1), "memory_limit": f"{self._memory}B"}
+        given = request["config"]
+        threads = min(THREADS, int(given.get("threads", os.cpu_count() or 1)))
+        config = {**given, "threads": threads, "memory_limit": f"{self._memory}B"}
         self._connections[request["made"]] = duckdb.connect(":memory:", config=config)
 
     def cursor(self, request: Request) -> None:
