@@ -55,7 +55,7 @@ def test_a_session_with_lost_robots_and_a_killed_driver_is_recorded_once(fleet: 
         terminal.expect(JUDGE)
         [batch] = [one.batch for one in sierra.open(root).batches]
         refused = quick("rm", batch, "--yes")
-        assert refused.returncode == 1
+        assert refused.returncode == 3
         assert "is being executed (session " in refused.stderr
         assert quick("gc", "--yes").returncode == 0, "compaction does not disturb a session"
         terminal.type("i\n")

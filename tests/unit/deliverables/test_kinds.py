@@ -263,7 +263,7 @@ POSES = ('table = "poses"', 'column = ["x", "y"]')
 def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path) -> None:
     where = 'where = "population_size = 4 AND noise = 0.1"'
     png = draw(batch, *POSES, 'kind = "trajectories"', 'robot = "robot"', "run = 1", where)
-    assert said(png).startswith("paths in run 1, ○ start, □ end, n = 3; only rows where")
+    assert said(png).startswith("paths in run 1, ○ start, □ end, n = 3; noise = 0.1; only rows where")
     assert {"x", "y", "0", "1", "2", "3"} <= set(words(png)), "the legend has each robot"
     assert "no row is what the keys of the figure ask for" in refusal(batch, *POSES, 'kind = "trajectories"', "run = 7")
     assert "two columns, x and y" in refusal(batch, 'table = "poses"', 'column = "x"', 'kind = "trajectories"')
