@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
@@ -117,7 +116,10 @@ def withdraw(store: Store, session: Session) -> None:
         if not (own and locked and unread) or _has_begun(session.paths):
             return
         others = [paths for paths in sessions.all_of(store.paths) if paths.root.name != session.id]
-        only_added = set(os.listdir(store.paths.segments)) == {*session.seen, *(segment.name for segment in own)}
+        only_added = {path.name for path in store.paths.segments.iterdir()} == {
+            *session.seen,
+            *(segment.name for segment in own),
+        }
         if only_added and not others and not any((segment / name).exists() for segment in own for name in LASTING):
             for number, segment in enumerate(reversed(own)):
                 with contextlib.suppress(OSError):

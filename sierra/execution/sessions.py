@@ -130,7 +130,7 @@ class Session:
             living = [_number(paths) or 0 for paths in all_of(self.store)]
             self.number = session_numbers.following(self.store, living)
             self.paths.number.write_text(str(self.number))
-            self.seen = frozenset(os.listdir(self.store.segments))
+            self.seen = frozenset(path.name for path in self.store.segments.iterdir())
 
     def beat(self) -> None:
         """Give a sign of life of the session's owner on a file system without locks."""

@@ -168,7 +168,8 @@ def test_files_that_exchange_their_contents_execute_the_runs_that_were_not_obser
     """Only the first run is observed; it reads the file of its seed, which stays as it is."""
     (root / "sim.py").write_text(
         "import sys\nseed = int(open(sys.argv[1]).read().split('<random seed=\"')[1].split('\"')[0])\n"
-        "value = open(sys.argv[2 + seed % 3]).read()\nprint('tick,value', f'0,{value}', sep='\\n', file=open('swarm.csv', 'w'))\n"
+        "value = open(sys.argv[2 + seed % 3]).read()\n"
+        "print('tick,value', f'0,{value}', sep='\\n', file=open('swarm.csv', 'w'))\n"
     )
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace("{input}", f"{{input}} {maps}/1 {maps}/2 {maps}/3"))
