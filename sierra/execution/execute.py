@@ -67,10 +67,11 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         session_records.keep(plan, store, session)
         session_records.keep_variants(plan, store, session)
         found = session_records.keep_check(plan, store, session)
-        if found.stale and not all(state.succeeded for state in states(plan, store, found).values()):
-            options.observer.notice(stale_sessions.reason(found.stale))
+        known = stale_sessions.certain(found.stale) if found.unobserved else found.stale
+        if known and not all(state.succeeded for state in states(plan, store, found).values()):
+            options.observer.notice(stale_sessions.reason(known))
         if found.unobserved:
-            options.observer.notice(stale_sessions.unobserved_reason(len(found.unobserved)))
+            options.observer.notice(stale_sessions.unobserved_reason(len(found.unobserved), found.stale))
         if found.reusable:
             options.observer.notice(reusable_executions.reason(store, session.id, len(found.reusable)))
         stays = make().stays

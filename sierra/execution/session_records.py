@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.images import record
 from sierra.containers.images.image import Image, ImageVariants, every
-from sierra.errors import Damaged, Missing, QueryError, SierraError
+from sierra.errors import Damaged, Missing, QueryError
 from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
 from sierra.execution.plan import Plan, context
 from sierra.execution.reuse import FileCheck, check
 from sierra.execution.sessions import Session
-from sierra.ingest.recording_context import Context
 from sierra.model import Batch
 from sierra.provenance import source
 from sierra.store.lamport_clock import stamp
@@ -37,7 +36,7 @@ from sierra.store.row_types import (
     StaleSessionRow,
 )
 from sierra.store.schema import sql_types
-from sierra.store.segments import Writer, disk_errors
+from sierra.store.segments import SUFFIX, Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util import processors
 from sierra.util.fs import read_record, write_whole
@@ -47,6 +46,9 @@ if TYPE_CHECKING:
     from sierra.execution.summary import Summary
 STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
 """SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
+
+LASTING = tuple(f"{table}{SUFFIX}" for table in ("executions", "findings", "judgements", "builds"))
+"""Files of segments that tell about executions, whatever comes of a request."""
 
 
 def keep(plan: Plan, store: Store, session: Session) -> None:
@@ -104,14 +106,21 @@ def _check_axes(batch: Batch, snapshot: Snapshot) -> None:
 
 
 def withdraw(store: Store, session: Session) -> None:
-    """Remove what a session has recorded if its request was refused: nothing was started, and no other session needs it."""
+    """Remove what a session has recorded if its request was refused: nothing was started, and nobody else needs it.
+
+    Others do not record again what the store has already, so that whoever lives, or has recorded anything since the session
+    began, may need it.
+    """
     own = [segment for folder, segment in store.published if folder == session.paths.segment]
     with sessions.exclusively(store.paths) as locked, alone(store.paths.reading) as unread:
-        if not (locked and unread) or _has_begun(session.paths):
+        if not (own and locked and unread) or _has_begun(session.paths):
             return
         others = [paths for paths in sessions.all_of(store.paths) if paths.root.name != session.id]
-        batches = {_batch_of(paths) for paths in others}
-        if own and not batches & {None, *(segment.name.partition("-")[0] for segment in own)}:
+        only_added = {path.name for path in store.paths.segments.iterdir()} == {
+            *session.seen,
+            *(segment.name for segment in own),
+        }
+        if only_added and not others and not any((segment / name).exists() for segment in own for name in LASTING):
             for number, segment in enumerate(reversed(own)):
                 with contextlib.suppress(OSError):
                     segment.rename(session.paths.root / f"withdrawn.{number}")
@@ -124,14 +133,6 @@ def _has_begun(session: SessionPaths) -> bool:
     from sierra.runners.cluster import submission_record
 
     return session.sent.exists() and any(submission_record.jobs(session))
-
-
-def _batch_of(session: SessionPaths) -> str | None:
-    """Return the beginning of the id of a session's batch, as segments have it; None if it is unknown yet."""
-    try:
-        return Context.load(session.context).batch[:12]
-    except (OSError, ValueError, LookupError, TypeError, SierraError):
-        return None
 
 
 def keep_variants(plan: Plan, store: Store, session: Session) -> None:

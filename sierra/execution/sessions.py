@@ -58,6 +58,8 @@ class Session:
         self.store = store
         self.number: int | None = None
         """Lamport number of the session, or None before it has taken one."""
+        self.seen: frozenset[str] = frozenset()
+        """Names of the segments that existed when it took its number, before it recorded anything."""
         self.recorded = True
         """True if all finished runs are recorded; otherwise the session's folder stays for the next session to recover."""
         self._generation, self._beaten = 0, time.monotonic()
@@ -78,7 +80,7 @@ class Session:
         """
         made = cls.__new__(cls)
         made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
-        made.number = _number(paths)
+        made.number, made.seen = _number(paths), frozenset()
         made._generation, made._beaten = 0, time.monotonic()
         with exclusively(store):
             if not (paths.submission.exists() and ownership_marks.is_session(paths.root) and _is_own(paths)):
@@ -128,6 +130,7 @@ class Session:
             living = [_number(paths) or 0 for paths in all_of(self.store)]
             self.number = session_numbers.following(self.store, living)
             self.paths.number.write_text(str(self.number))
+            self.seen = frozenset(path.name for path in self.store.segments.iterdir())
 
     def beat(self) -> None:
         """Give a sign of life of the session's owner on a file system without locks."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -27,6 +27,12 @@ class Kind(StrEnum):
     FILE = "file"
     LINK = "link"
     """A symbolic link; its hash is that of the path that it contains."""
+
+
+RENAMED = frozenset((Kind.PROGRAM, Kind.DISTRIBUTIONS))
+"""Kinds that may have another name without a difference, as a Python and its distributions; those of others are their roles."""
+Role = tuple[Kind, str, str]
+"""The kind, the name without its location, and the SHA-256."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +67,22 @@ class Programs:
     def unlike(self, others: Programs) -> list[str]:
         """Return the names of programs that differ between the two, or that only one of them has.
 
-        A program that has only another name is left out.
+        A program that has only another name is left out; the name of a file or a library is its role.
         """
-        mine, theirs = ({(called(one.name), one.sha256) for one in side.all} for side in (self, others))
-        renamed = {sha256 for _, sha256 in mine - theirs} & {sha256 for _, sha256 in theirs - mine}
-        return sorted({name for name, sha256 in mine ^ theirs if sha256 not in renamed})
+        mine, theirs = ({(one.kind, one.called, one.sha256) for one in side.all} for side in (self, others))
+        lost, come = mine - theirs, theirs - mine
+        renamed = _without_shared_names(lost, come) & _without_shared_names(come, lost)
+        return sorted({name for kind, name, sha256 in lost | come if (kind, sha256) not in renamed})
 
     def rows(self) -> list[ProgramRow]:
         identity = self.id
         return [ProgramRow(identity, one.name, one.kind, one.version, one.path, one.sha256) for one in self.all]
+
+
+def _without_shared_names(some: Set[Role], others: Set[Role]) -> set[tuple[str, str]]:
+    """Return the kind and content of programs whose names none of the others has: contents that change places differ."""
+    names = {name for _, name, _ in others}
+    return {(kind, sha256) for kind, name, sha256 in some if kind in RENAMED and name not in names}
 
 
 NOTHING = Programs(())

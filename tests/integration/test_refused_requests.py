@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,3 +66,16 @@ def test_a_second_batch_that_is_refused_leaves_the_first(tmp_path: Path, cluster
         assert len(listed(folder)) == 1
     summary, _ = projects.run(folder, "population_size=1")
     assert summary["reused"] == 2
+
+
+def test_a_refused_batch_stays_if_another_session_has_recorded_since(tmp_path: Path, cluster: Callable[[str], None]) -> None:
+    """The other batch has runs of the refused one, whose inputs it has not recorded again."""
+    folder = tmp_path / "project"
+    run = f"cd '{folder}' && '{sys.executable}' '{projects.SIERRA}' run population_size=1 --no-figures"
+    cluster(f"{run} > '{tmp_path}/said' 2>&1; echo 'sbatch: error: invalid partition specified: nowhere' >&2; exit 1")
+    projects.commit(projects.make(folder))
+    done = projects.quick(folder, "run", "population_size=1,2", "--no-figures", "--on", "slurm", "--only", "population_size=2")
+    assert done.returncode == 2, done.stdout + done.stderr
+    [(batch,)] = {(row["batch"],) for row in projects.sql(folder, "SELECT batch FROM executions")}
+    replayed = projects.quick(folder, "replay", batch)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr + (tmp_path / "said").read_text()

@@ -206,7 +206,9 @@ def _inheriting(plan: Plan, snapshot: Snapshot, stale: Collection[str]) -> list[
     rows = snapshot.select(_Inheriting, INHERITING, ingest_rules=rules, programs=identity, stale=sorted(stale), own=own)
     now = _certain(plan, plan.programs)
     alike = {
-        programs for programs in {row.programs for row in rows} if _certain(plan, _recorded_programs(snapshot, programs)) == now
+        programs
+        for programs in {row.programs for row in rows}
+        if not _certain(plan, _recorded_programs(snapshot, programs)).unlike(now)
     }
     return [row for row in rows if row.programs in alike]
 
@@ -215,18 +217,17 @@ def _recorded_programs(snapshot: Snapshot, programs: str) -> Programs:
     return Programs(tuple(row.program() for row in row_queries.programs(snapshot, [programs])))
 
 
-def _certain(plan: Plan, programs: Programs) -> set[tuple[str, str]]:
-    """Return the kinds and contents of the programs that all runs use, and not of what is only there to be loaded.
-
-    Names do not count: the observed executions show under which ones the files were used.
-    """
+def _certain(plan: Plan, programs: Programs) -> Programs:
+    """Return the programs and files that all runs use, and not what is only there to be loaded."""
     variables = plan.batch.spec.environment
-    return {
-        (one.kind, one.sha256)
-        for one in programs.all
-        if one.kind != Kind.DISTRIBUTIONS
-        and not (one.kind == Kind.FILE and referenced_files.is_in_library_folder(one.name, variables))
-    }
+    return Programs(
+        tuple(
+            one
+            for one in programs.all
+            if one.kind != Kind.DISTRIBUTIONS
+            and not (one.kind == Kind.FILE and referenced_files.is_in_library_folder(one.name, variables))
+        )
+    )
 
 
 def _kin(spec: RunSpec) -> dict[str, str | list[str] | None]:

@@ -24,6 +24,8 @@ from sierra.store.store import Snapshot
 from sierra.util.text import counted, few
 
 NAMED = 3
+HARMLESS = "harmless"
+"""Use of a file whose change is harmless to the observed executions, but perhaps not to those that were not observed."""
 
 
 class _Set(NamedTuple):
@@ -101,7 +103,9 @@ def find_with_sets(plan: Plan, snapshot: Snapshot) -> tuple[dict[str, UsedFile],
         if changed:
             stale.setdefault(one.session, changed[0])
             other.add(one.files)
-    others = {one.session: compared.harmless[one.files][0] for one in sets if one.files in compared.harmless}
+    others = {
+        one.session: compared.harmless[one.files][0]._replace(use=HARMLESS) for one in sets if one.files in compared.harmless
+    }
     unobserved = _unobserved(plan, snapshot, others.keys() - stale.keys())
     return {**stale, **{session: others[session] for session in unobserved}}, frozenset(other)
 
@@ -171,22 +175,33 @@ DIFFERENCES = {
 def reason(stale: Mapping[str, UsedFile]) -> str:
     """Return the reason why executions of these sessions do not count. Only other bytes are called a changed file."""
     files = sorted(set(stale.values()), key=lambda file: (file.path, file.use))
-    unknown = [file for file in files if file.sha256 is None and file.use not in DIFFERENCES]
-    known = list(dict.fromkeys(_described(file) for file in files if file not in unknown))
+    unknown = [file for file in files if file.sha256 is None and file.use not in (*DIFFERENCES, HARMLESS)]
+    known = list(dict.fromkeys(_described(file) for file in files if file not in unknown and file.use != HARMLESS))
     causes = [f"files that they used have changed: {few(known, NAMED)}"] if known else []
     if unknown:
-        names = few(list(dict.fromkeys(file.path for file in unknown)), NAMED)
-        causes.append(f"it is not known with which content they used {names}")
+        causes.append(f"it is not known with which content they used {_names(unknown)}")
+    if harmless := [file for file in files if file.use == HARMLESS]:
+        causes.append(f"it was not observed whether they used what has changed: {_names(harmless)}")
     return f"earlier executions do not count, because {'; and '.join(causes)}"
+
+
+def certain(stale: Mapping[str, UsedFile]) -> dict[str, UsedFile]:
+    """Return the sessions whose observed executions used what has changed."""
+    return {session: file for session, file in stale.items() if file.use != HARMLESS}
+
+
+def _names(files: Iterable[UsedFile]) -> str:
+    return few(list(dict.fromkeys(file.path for file in files)), NAMED)
 
 
 def _described(file: UsedFile) -> str:
     return f"{file.path} ({DIFFERENCES[file.use]})" if file.use in DIFFERENCES else file.path
 
 
-def unobserved_reason(runs: int) -> str:
+def unobserved_reason(runs: int, stale: Mapping[str, UsedFile]) -> str:
     """Return the reason why so many runs execute again although it is not known that they used a file that has changed."""
+    names = f": {_names(sorted(set(stale.values()), key=lambda file: file.path))}" if stale else ""
     return (
         f"{counted(runs, 'run')} execute again because their experiments were not observed: "
-        "nobody knows whether they used what has changed"
+        f"nobody knows whether they used what has changed{names}"
     )

@@ -196,7 +196,7 @@ def _notes(root: Path, now: worktree_snapshot.WorktreeState) -> Iterator[str]:
 def _enclosing(root: Path) -> Iterator[str]:
     """Yield a note if the project's repository is that of a whole machine or of a home folder."""
     top = next(folder for folder in (root, *root.parents) if (folder / ".git").exists())
-    if top != root and top in (Path(top.anchor), Path.home()):
+    if top != root and top.resolve() in (Path(top.anchor), Path.home().resolve()):
         yield (
             f"the git repository of this project is {top}; run git init in {root}, or set git = false under [source] to "
             "identify the code without git"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -122,7 +123,10 @@ def test_a_change_that_is_harmless_to_the_observed_runs_executes_the_others_agai
     assert run(root)[:2] == (6, 0)
     [packages] = venv.glob("lib/python3*/site-packages")
     (packages / "unused_package.py").touch()
-    assert run(root)[:2] == (executed, 6 - executed)
+    *counts, said = run(root)
+    assert counts == [executed, 6 - executed]
+    assert "files that they used have changed" not in said
+    assert (f"not observed: nobody knows whether they used what has changed: {packages}" in said) is few
     assert run(root)[:2] == (0, 6)
 
 
@@ -157,3 +161,31 @@ def test_a_lack_of_the_tracer_is_said_by_the_run_that_needs_it_and_not_again(
     assert said.count("runs are observed only in part, because") == 1
     assert "5.3 or newer is needed" in said
     assert "observed only in part" not in run(root)[2]
+
+
+@pytest.mark.usefixtures("dear")
+def test_files_that_exchange_their_contents_execute_the_runs_that_were_not_observed_again(root: Path, maps: Path) -> None:
+    """Only the first run is observed; it reads the file of its seed, which stays as it is."""
+    (root / "sim.py").write_text(
+        "import sys\nseed = int(open(sys.argv[1]).read().split('<random seed=\"')[1].split('\"')[0])\n"
+        "value = open(sys.argv[2 + seed % 3]).read()\n"
+        "print('tick,value', f'0,{value}', sep='\\n', file=open('swarm.csv', 'w'))\n"
+    )
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("{input}", f"{{input}} {maps}/1 {maps}/2 {maps}/3"))
+    for number in (1, 2, 3):
+        (maps / str(number)).write_text(str(number))
+    query = ("run", "population_size=1", "--runs", "6", "--no-figures", "--json")
+
+    def executed() -> int:
+        return int(json.loads(projects.quick(root, *query).stdout)["executed"])
+
+    assert executed() == 6
+    seen = {str(one["value"]) for one in projects.sql(root, "SELECT DISTINCT value FROM swarm")}
+    [first] = projects.sql(root, "SELECT path FROM files_read WHERE path LIKE '%/maps/%' AND use = 'read'")
+    one, other = sorted(path for path in maps.iterdir() if path.is_file() and str(path) != first["path"])
+    contents = one.read_text(), other.read_text()
+    assert seen & set(contents)
+    for path, content in zip((other, one), contents, strict=True):
+        path.write_text(content)
+    assert executed() == 5

@@ -540,6 +540,19 @@ def test_a_program_that_only_has_another_name_is_not_reported_as_changed() -> No
     assert list(fingerprint_programs.differences(before, changed)) == ["sim: bbbbbbbbbb recorded, cccccccccc found"]
 
 
+@pytest.mark.parametrize("kind", [Kind.PROGRAM, Kind.FILE, Kind.LIBRARY])
+def test_an_exchange_of_contents_is_a_change(kind: Kind) -> None:
+    one, other = (Program(f"/d/{name}", f"/d/{name}", digest * 64, kind) for name, digest in (("f1", "a"), ("f2", "b")))
+    exchanged = Programs((replace(one, sha256=other.sha256), replace(other, sha256=one.sha256)))
+    assert Programs((one, other)).unlike(exchanged) == ["f1", "f2"]
+
+
+@pytest.mark.parametrize("kind", [Kind.FILE, Kind.LIBRARY])
+def test_the_name_of_a_file_or_a_library_is_its_role(kind: Kind) -> None:
+    one = Program("/d/f1", "/d/f1", "a" * 64, kind)
+    assert Programs((one,)).unlike(Programs((replace(one, name="/d/f2"),))) == ["f1", "f2"]
+
+
 def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:
     def used(version: str, digest: str, numpy: str, library: str) -> Programs:
         return Programs(

@@ -533,6 +533,10 @@ def test_the_repository_of_a_home_folder_is_reported_once_and_can_be_left_out(
     [note] = capture(root).notes
     assert note.startswith(f"the git repository of this project is {home}; run git init in {root}, or set git = false")
     assert capture(home).notes == ()
+    (tmp_path / "link").symlink_to(home)
+    monkeypatch.setenv("HOME", str(tmp_path / "link"))
+    assert capture(root).notes == (note,)
+    assert len(capture(tmp_path / "link" / "work" / "project").notes) == 1
     (root / "a.txt").write_bytes(b"a\r\n")
     before = git("for-each-ref", "refs/sierra")
     found = source.capture(root, paths=(), without=WITHOUT, git=False)
