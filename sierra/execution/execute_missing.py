@@ -140,6 +140,7 @@ class Executor:
             )
             self.notes += tuple(note for note in followed.notes if note not in self.notes)
             self.interrupted = followed.interrupted
+            self.failed |= followed.inconsistent
         self.failed |= shared_use.find(self.store, self.session.paths, self._context, settle=True)
 
     def _answer(self) -> None:
