@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests import projects
+from tests.waiting import until
 
 OK = "SELECT count(*) AS n FROM runs WHERE status = 'ok'"
 REASON = "use at the same time; execute with --jobs 1, in a container, or pass {output}"
@@ -147,3 +148,21 @@ def test_a_run_of_a_session_before_is_no_witness(execute: Callable[..., tuple[in
     (tmp_path / "outside" / "do.sh").write_text(SHARING)
     _, said = execute(". $D/do.sh", query="population_size=1")
     assert REASON in said
+
+
+def test_a_session_that_dies_while_it_compares_leaves_no_wrong_rows(
+    execute: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    first = 'if grep -q "count=.3" "$2"; then echo tick,value > swarm.csv; exit; fi'
+    second = "mkdir $D/1 || mkdir $D/2 || { touch $D/begun; sleep 60; }"
+    execute(f"{first}; {second}; {SHARING}", query="population_size=3", runs=2)
+    folder = tmp_path / "project"
+    process = projects.start(folder, "run", "population_size=1", "--jobs", "2", "--no-figures")
+    until((tmp_path / "outside" / "begun").exists, "a run is compared", 60)
+    process.kill()
+    process.communicate(timeout=30)
+    assert projects.quick(folder, "gc", "--yes").returncode == 0
+    assert_own(folder)
+    assert projects.sql(folder, "SELECT count(*) > 0 AS failed FROM executions WHERE reason LIKE 'writes and reads%'") == [
+        {"failed": True}
+    ]
