@@ -39,7 +39,9 @@ from sierra.util.text import counted, few
 JOIN_S = 0.2
 ENDING_S = 3.0
 """The seconds in which another session that has executed supervised trials must have ended."""
-SECOND = "run {} is executed again and observed, because one observed run wrote a file elsewhere and read it: do others, too?"
+SECOND = "{} is executed again and observed, because one observed run wrote a file elsewhere and read it: do others, too?"
+SHOWN = 2
+"""Maximum number of named runs that are executed again."""
 NOTED = 4
 """Maximum number of reported reasons why runs cannot be evaluated again."""
 
@@ -109,26 +111,27 @@ class Executor:
     def answer(self) -> None:
         """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave.
 
-        At the end, observe one more run if nobody knows otherwise whether the runs share a file.
+        At the end, observe one more run of an experiment if nobody knows otherwise whether the runs share a file.
         """
         self._answer()
         if not self.left:
             self._compare()
 
     def _compare(self) -> None:
-        """Execute one run again, observed, if this tells whether runs share a file; those that most likely do have failed."""
-        run = shared_use.undecided(self.store, self._context)
-        if run is None:
+        """Execute runs again, observed, if this tells whether runs share a file; those that most likely do have failed."""
+        runs = shared_use.undecided(self.store, self._context)
+        if not (runs or self.attempted):
             return
-        runner = self._runner()
-        if not (self.interrupted or runner.remote or runner.stays):
-            self._options.observer.notice(SECOND.format(short(run)))
+        runner = self._runner() if runs else None
+        if runner is not None and not (self.interrupted or runner.remote or runner.stays):
+            some = few(["run " + short(run) for run in sorted(runs)], SHOWN)
+            self._options.observer.notice(SECOND.format(some))
             service = self._prepared(self._code(), stays=False)
             followed = service.execute(
                 runner,
                 self._context,
-                self._inputs({run}),
-                1,
+                self._inputs(runs),
+                len(runs),
                 self.plan.programs,
                 self._tally,
                 doubt=self._doubt,
@@ -137,6 +140,7 @@ class Executor:
             )
             self.notes += tuple(note for note in followed.notes if note not in self.notes)
             self.interrupted = followed.interrupted
+            self.failed |= followed.inconsistent
         self.failed |= shared_use.find(self.store, self.session.paths, self._context, settle=True)
 
     def _answer(self) -> None:

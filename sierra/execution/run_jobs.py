@@ -136,7 +136,7 @@ class Service:
 
         `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
         `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before. `observed`:
-        the first of them is observed as if it were the session's first.
+        the first of each experiment is observed, whatever it takes.
         """
         executing = runner.runner if isinstance(runner, WatchedRunner) else runner
         on_robots = self._setup.spec.robots is not None

@@ -2,9 +2,9 @@
 
 An execution is doubtful if it wrote a file and read it again (`reread` in `files_written`): another one that wrote a file of
 the same name meanwhile would have replaced its data. Nothing is wrong if the name is the execution's own, because it
-contains a process id, say. Therefore observed executions of two runs are compared: if both wrote a file of this name, all of
-the batch most likely did. Those that overlapped another one in time fail. If only one run was observed, the caller has
-another one observed, or else decides (`settle`) as if both had written it.
+contains a process id, say. Therefore observed executions of two runs of an experiment are compared: if both wrote a file of
+this name, all most likely did. Those that overlapped another one in time fail, except in experiments of which no observed run
+did. If only one run was observed, the caller has another one observed, or else decides (`settle`) as if both had written it.
 
 A `Kind` of things that executions may share is a query for what observed executions used, and words.
 """
@@ -50,18 +50,47 @@ KINDS = (FILES,)
 UNDECIDED = '; no second run was observed, so set observe = "all" if each run has a name of its own'
 ON_HOST = ("/tmp/", "/var/tmp/", "/dev/shm/", "/run/", "/var/run/")  # noqa: S108 - no file is made there
 """Folders that executions on different hosts do not share."""
-SHARED = """
-WITH mine AS (
-    SELECT DISTINCT execution, run FROM all_judgements SEMI JOIN (FROM batch_runs WHERE batch = $batch) USING (run)
-    WHERE purpose = 'run'
+MEMBERS = """
+members AS (
+    SELECT run, min(ordinal) AS ordinal, count(*) OVER (PARTITION BY min(ordinal)) = 1 AS alone
+    FROM batch_runs WHERE batch = $batch GROUP BY run
+)
+"""
+SHARED = f"""
+WITH {MEMBERS},
+mine AS (
+    SELECT DISTINCT execution, run, ordinal, CASE WHEN alone THEN -1 ELSE ordinal END AS scope,
+           bool_or(status = 'ok') OVER (PARTITION BY execution) AS ok, min(lamport) OVER (PARTITION BY session) AS place
+    FROM all_judgements JOIN members USING (run) WHERE purpose = 'run'
 ),
 observed AS (
-    SELECT count(DISTINCT run) AS runs FROM mine SEMI JOIN (FROM observations WHERE method = 'strace') USING (execution)
-)
-SELECT name, count(DISTINCT run) > 1 AS decided FROM ({uses}) u JOIN mine USING (execution), observed
-GROUP BY name, observed.runs HAVING bool_or(doubtful) AND (count(DISTINCT run) > 1 OR observed.runs = 1) ORDER BY name
+    SELECT execution, run, place, ordinal, ok, coalesce(o.reason, '') AS reason
+    FROM mine JOIN observations o USING (execution) WHERE method = 'strace'
+),
+last AS (
+    SELECT scope, reason, run, max(place) AS last
+    FROM (SELECT unnest([ordinal, -1]) AS scope, reason, run, place FROM observed WHERE ok) GROUP BY ALL
+),
+witnesses AS (SELECT scope, reason, arg_max(run, last, 2) AS runs, max(last, 2) AS lasts FROM last GROUP BY ALL),
+used AS (SELECT DISTINCT name, doubtful, execution, run, place, scope FROM ({{uses}}) u JOIN mine USING (execution)),
+doubtful AS (
+    SELECT d.name, d.scope, coalesce(bool_or(
+        (w.runs[1] <> d.run AND w.lasts[1] >= d.place) OR (w.runs[2] <> d.run AND w.lasts[2] >= d.place)
+    ), false) AS witnessed
+    FROM used d LEFT JOIN observed o USING (execution)
+    LEFT JOIN witnesses w ON w.scope = d.scope AND w.reason IN ('', coalesce(o.reason, ''))
+    WHERE d.doubtful GROUP BY d.name, d.scope, d.execution
+),
+unknown AS (SELECT name, list_sort(list(DISTINCT scope)) AS scopes FROM doubtful WHERE NOT witnessed GROUP BY name)
+SELECT name, count(DISTINCT run) > 1 AS decided, coalesce(any_value(scopes), []) AS scopes
+FROM used LEFT JOIN unknown USING (name)
+GROUP BY name HAVING bool_or(doubtful) AND (decided OR len(scopes) > 0) ORDER BY name
 """
-"""The things by which executions are doubtful that a second run used, too, or of which nobody knows that."""
+"""The things by which executions are doubtful that a second run used, too, or of which nobody knows that.
+
+A witness tells that another run does not use them: a run of the same experiment, observed in the same session or later, that
+succeeded and of which no more is hidden than of the doubtful one. If an experiment has only one run, any other run is one.
+"""
 OVERLAPPING = """
 WITH near AS (
     SELECT judgement, execution, run, batch, session, status, purpose, started, ended,
@@ -78,18 +107,46 @@ timed AS (
     ) AS overlaps
     FROM (SELECT DISTINCT ON (execution) * FROM near)
     WINDOW by_time AS (PARTITION BY place ORDER BY started, execution), all_there AS (PARTITION BY place)
+),
+seen AS (
+    SELECT e.session, e.batch, m.ordinal, bool_or(u.execution IS NOT NULL) AS uses
+    FROM near e JOIN batch_runs m USING (batch, run) JOIN observations o USING (execution)
+    LEFT JOIN (FROM ({uses}) WHERE list_contains($names, name)) u USING (execution)
+    WHERE e.purpose = 'run' AND (u.execution IS NOT NULL OR (o.method = 'strace' AND o.reason IS NULL AND e.status = 'ok'))
+    GROUP BY ALL
+),
+exempt AS (
+    SELECT n.judgement FROM near n JOIN batch_runs m USING (batch, run) JOIN seen USING (session, batch, ordinal)
+    GROUP BY n.judgement HAVING NOT bool_or(seen.uses)
 )
-SELECT n.judgement, n.run, n.batch FROM near n JOIN timed t USING (execution)
+SELECT n.judgement, n.run, n.batch FROM near n JOIN timed t USING (execution) ANTI JOIN exempt x ON x.judgement = n.judgement
 WHERE n.status = 'ok' AND n.purpose = 'run' AND (t.overlaps OR (n.session = $session AND epoch(n.ended) > $lost))
 ORDER BY n.batch, n.judgement
 """
 """The judgements of executions that overlapped another one in time. Those of one slot follow each other, whatever a clock says.
+
+Experiments are left out of which the session has observed runs, if none of these used any of the things.
 """
+OTHERS = f"""
+WITH {MEMBERS},
+others AS (
+    SELECT DISTINCT run, ordinal, list_contains($near, run) AS near FROM members
+    JOIN all_judgements USING (run)
+    WHERE status = 'ok' AND purpose = 'run' AND run NOT IN (
+        SELECT run FROM all_judgements JOIN ({{uses}}) USING (execution) WHERE list_contains($names, name)
+    )
+),
+scoped AS (SELECT run, near, unnest([ordinal, -1]) AS scope FROM others)
+SELECT arg_max(run, (near, run)) FROM scoped WHERE list_contains($scopes, scope) GROUP BY scope ORDER BY scope
+"""
+"""One run of each of some experiments (-1: of any) that is not known to use the things; if possible one of those nearby."""
 
 
 class _Shared(NamedTuple):
     name: str
     decided: bool
+    scopes: list[int]
+    """Experiments of which a second run must be observed; -1: a run of any other experiment."""
 
 
 class _Overlapping(NamedTuple):
@@ -124,20 +181,19 @@ def find(store: Store, session: SessionPaths, context: Context, lost: float = ma
     return {one.run for one, _ in found.values()}
 
 
-def undecided(store: Store, context: Context) -> str | None:
-    """Return a run of a batch whose observation would tell whether executions share something; None if none is needed."""
+def undecided(store: Store, context: Context) -> set[str]:
+    """Return the runs of a batch whose observation would tell whether executions share something: one of each experiment."""
+    found: set[str] = set()
     with store.snapshot() as snapshot:
         for kind in KINDS:
             names = [one for one in _shared(snapshot, context.batch, kind) if not one.decided]
-            [*users] = snapshot.values(str, _users(kind), names=[one.name for one in names]) if names else ()
-            for one in _overlapping(snapshot, context, kind, names, math.inf):
-                if one.batch == context.batch and one.run not in users:
-                    return one.run
-    return None
-
-
-def _users(kind: Kind) -> str:
-    return f"SELECT DISTINCT run FROM all_judgements JOIN ({kind.uses}) USING (execution) WHERE list_contains($names, name)"
+            near = [one.run for one in _overlapping(snapshot, context, kind, names, math.inf) if one.batch == context.batch]
+            if near:
+                scopes = sorted({scope for one in names for scope in one.scopes})
+                query = OTHERS.replace("{uses}", kind.uses)
+                given = {"batch": context.batch, "names": [one.name for one in names], "near": near, "scopes": scopes}
+                found.update(snapshot.values(str, query, **given))
+    return found
 
 
 def _shared(snapshot: Snapshot, batch: str, kind: Kind) -> list[_Shared]:

@@ -56,6 +56,7 @@ class Local:
         """When a worker that was told to end is killed, by the monotonic clock."""
         self._killed = False
         self._continued = False
+        self._stops = worker.Stops()
         self._grace = worker.GRACE_S
         self._sent: dict[str, Job] = {}
         """The jobs without a result that the worker has got, by execution."""
@@ -142,7 +143,7 @@ class Local:
         if process is None or process.poll() is not None:
             return
         late = self._end_by is not None and time.monotonic() > self._end_by
-        stopped = worker.stat_of(process.pid)[:1] == [b"T"]
+        stopped = self._stops.seen(process.pid, time.monotonic())
         if late or (stopped and self._continued and self._end_by is None):
             self._kill()
             yield "the worker was stopped again, and was killed" if stopped and not late else "the worker was killed"

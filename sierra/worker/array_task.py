@@ -894,6 +894,7 @@ class Execution:
         self._ended = 0
         self._stopping = False
         self._continued = self._killed = False
+        self._stops = worker.Stops()
         self._check_at = 0.0
 
     def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
@@ -940,8 +941,8 @@ class Execution:
 
     def _is_stopped(self) -> bool:
         """Return whether a signal has stopped the worker, which a run may do to its parent."""
-        state: List[bytes] = self._worker.stat_of(self._process.pid)[:1]
-        return state == [b"T"]
+        stopped: bool = self._stops.seen(self._process.pid, time.monotonic())
+        return stopped
 
     def _continue(self) -> None:
         """Continue the worker that a run has stopped; kill it the second time, unless it is to end anyway."""

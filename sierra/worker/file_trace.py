@@ -1865,7 +1865,8 @@ KEPT_CACHES = re.compile(
     r".*/(?:"
     r"\.?(?:s?ccache|numba|numba_cache|triton|theano|inductor|pycuda|cupy|pocl|pyopencl|keops|jax|ptxas)(?:[_.-][\w.-]*)?|"
     r"\.nv|ComputeCache|GLCache|mesa_shader_cache\w*|qtshadercache[\w.-]*|qtpipelinecache[\w.-]*|QtProject|gstreamer-\d[\w.]*|"
-    r"torchinductor_[^/]*|torch_extensions|fontconfig|font[\w-]*cache|matplotlib|ksycoca\w*|dconf|__pycache__"
+    r"torchinductor_[^/]*|torch_extensions|OptixCache[^/]*|compiledir_[^/]*|\.cache/huggingface|compiled/v\d+\.\d+|"
+    r"huggingface/(?:hub|datasets|modules|xet)|models--[^/]*|fontconfig|font[\w-]*cache|matplotlib|ksycoca\w*|dconf|__pycache__"
     r")/.*|.*\.py[co](?:\.\d+)?|/dev/shm/(?:sem\.)?(?:fastrtps|fastdds|fast_datasharing|iceoryx|iox)[^/]*",
     re.S,
 )

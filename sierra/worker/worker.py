@@ -147,6 +147,8 @@ DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 TRACED_S = 0.004  # by which a run takes longer under a tracer,
 BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
 SMALL, RACY_NS = 1 << 16, 2 * 10**9  # as in sierra.provenance.hash_cache
+MOST_LOST = 3  # comparisons of runs that tell nothing, because the observed run fails
+STOP_S = 0.5  # for SIGCONT to reach all processes that it is sent to, and much longer than the time between two looks
 UNKNOWN_S = 0.1  # for an observation, while none has ended
 LINE_BYTES = 1 << 16
 BESIDE_NS = 946684800 * 10**9  # the modification time of files beside inputs: 2000-01-01, the same for all runs
@@ -208,6 +210,8 @@ class Job(Program):
     affordable: NotRequired[float]
     """The run is observed if this takes at most so many times the mean time of a run, and while no run has ended."""
     helps: NotRequired[Helps]
+    compares: NotRequired[bool]
+    """The worker observes this run to compare it with one that was doubtful: see `Worker.with_comparison`."""
     waits: NotRequired[bool]
     """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`.
 
@@ -844,7 +848,8 @@ class Worker:
         self.continue_at = 0.0
         self.doubtful: Job | None = None
         """A run whose use of files must be compared with that of another one, which is observed as soon as it starts."""
-        self.compared = False
+        self.lost = 0
+        """The number of comparisons that have told nothing."""
 
     @property
     def status(self) -> int:
@@ -1044,6 +1049,8 @@ class Worker:
         if disturbed and not self.stopping:
             self.execute_unobserved(job, folder, slot, disturbed)
             return
+        if "compares" in job and (status or not observed):
+            self.compare_again(job)
         self.account.add(wall)
         if disturbed or (running.stopped is None and self.stopping and os.WIFSIGNALED(status)):
             running.stopped = "interrupted"
@@ -1135,32 +1142,46 @@ class Worker:
     def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
         remove(folder)
+        if "compares" in job:
+            self.compare_again(job)
         unobserved = job.copy()
+        unobserved.pop("compares", None)
         del unobserved["observe"]
         unobserved["unobserved"] = reason
         self.execute(unobserved, slot)
 
     def with_comparison(self, job: Job) -> Job:
-        """Return the job, which is observed if an observed run before it was doubtful: once, whatever it takes."""
+        """Return the job, which is observed, whatever it takes, if an observed run before it was doubtful."""
         if "client" in job or "waits" in job or "unobserved" in job:
             return job
         with self.lock:
             first, self.doubtful = self.doubtful, None
-            if first is None:
-                return job
-            self.compared = True
+        if first is None:
+            return job
         job = job.copy()
         job["observe"] = first["observe"]
         if "helps" in first:
             job["helps"] = first["helps"]
         job.pop("budget", None)
+        job.pop("affordable", None)
+        job["compares"] = True
         return job
 
     def compare(self, job: Job, trace: Trace) -> None:
-        """Let another run be observed if this one wrote and read the same files outside its folder."""
-        with self.lock:
-            if not self.compared and (trace.reread or trace.reread_new):
+        """Let the next run be observed if this one wrote and read the same files outside its folder.
+
+        It most likely is one of the same experiment, of which the first run is observed. Runs of the sample are not followed.
+        """
+        if not ("compares" in job or "budget" in job) and (trace.reread or trace.reread_new):
+            with self.lock:
                 self.doubtful = job
+
+    def compare_again(self, job: Job) -> None:
+        """Let the next run be observed in place of one that has failed, or could not be observed; at most a few times."""
+        with self.lock:
+            if self.lost < MOST_LOST:
+                self.doubtful = self.doubtful or job
+            self.lost += 1
 
     def observe(self, job: Job, folder: str) -> Observation | None:
         """Begin to observe a run, if that is requested and takes no more time than it may."""
@@ -2043,6 +2064,32 @@ def write_all(descriptor: int, data: bytes) -> None:
 def stat_of(pid: int) -> list[bytes]:
     """Return the fields of /proc/PID/stat after the program's name; empty if there is no such process."""
     return read_proc("%d/stat" % pid).rpartition(b")")[2].split()
+
+
+class Stops:
+    """Looks at a process that a run may stop by SIGSTOP.
+
+    What stops this process, too, is no run but somebody who suspends and resumes everything. Therefore a stop only counts if
+    the process is still stopped `STOP_S` later, and this one has looked at it in the meantime.
+    """
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._looked = 0.0
+
+    def seen(self, pid: int, now: float) -> bool:
+        """Look once more, at this time; return whether the process has been stopped for so long."""
+        suspended = now - self._looked > STOP_S
+        self._looked = now
+        if stat_of(pid)[:1] != [b"T"]:
+            self._since = None
+            return False
+        if suspended or self._since is None:
+            self._since = now
+        if now - self._since < STOP_S:
+            return False
+        self._since = None
+        return True
 
 
 def birth(pid: int) -> int | None:

@@ -73,6 +73,23 @@ def test_runs_that_stop_the_worker_again_fail_and_the_session_goes_on(make: Call
     assert counts == {"ok": 1, "failed": 3}, done.stdout + done.stderr
 
 
+def test_a_session_that_is_suspended_and_resumed_as_a_whole_goes_on(make: Callable[..., Path]) -> None:
+    folder = make("open(os.environ['SIERRA_RUN_DIR'] + '/../begun', 'w')\ntime.sleep(4)", runs=1)
+    process = projects.start(folder, "run", "population_size=1", "--jobs", "1", "--no-figures")
+    await_begin(folder)
+    [worker] = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    for _ in range(2):
+        for pid in (process.pid, worker):
+            os.kill(pid, signal.SIGSTOP)
+        time.sleep(1)
+        os.kill(process.pid, signal.SIGCONT)
+        time.sleep(0.2)
+        os.kill(worker, signal.SIGCONT)
+        time.sleep(0.2)
+    said = "".join(process.communicate(timeout=60))
+    assert (process.returncode, "stopped" in said) == (0, False), said
+
+
 @pytest.mark.each_case
 @pytest.mark.parametrize("observe", ["none", "first"])
 def test_the_program_that_executes_what_is_around_a_run_is_continued(

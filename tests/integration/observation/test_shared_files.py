@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests import projects
+from tests.waiting import until
 
 OK = "SELECT count(*) AS n FROM runs WHERE status = 'ok'"
 REASON = "use at the same time; execute with --jobs 1, in a container, or pass {output}"
@@ -30,7 +31,9 @@ def execute(tmp_path: Path, require: Callable[..., str]) -> Callable[..., tuple[
     def execute(script: str, *, query: str = "population_size=1,2", runs: int = 5, jobs: int = 2) -> tuple[int, str]:
         folder = tmp_path / "project"
         if not folder.exists():
-            config = projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {seed}").replace("runs = 2", f"runs = {runs}")
+            config = projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {seed} {input}").replace(
+                "runs = 2", f"runs = {runs}"
+            )
             projects.make(folder, config)
         (folder / "sim.sh").write_text(f"D={outside}\n{script}\n")
         done = projects.quick(folder, "run", query, "--jobs", str(jobs), "--no-figures")
@@ -116,3 +119,50 @@ def test_two_sessions_at_once_share_a_file(execute: Callable[..., tuple[int, str
         {"failed": True}
     ]
     assert_own(folder)
+
+
+SHARING = f"{WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv"
+PLAIN = '{ echo tick,value; echo "0,$1"; } > swarm.csv; sleep 0.05'
+
+
+def test_a_run_of_another_experiment_is_no_witness(execute: Callable[..., tuple[int, str]]) -> None:
+    script = f'if grep -q "count=.2" "$2"; then {SHARING}; else {PLAIN}; fi'
+    counted, said = execute(script, runs=2, jobs=4)
+    assert (counted, REASON in said) == (3, True), said
+
+
+def test_a_run_that_has_failed_is_no_witness(execute: Callable[..., tuple[int, str]]) -> None:
+    script = f"if mkdir $D/1 2>/dev/null; then :; elif mkdir $D/2 2>/dev/null; then exit 3; fi; {SHARING}"
+    _, said = execute(script, query="population_size=1", runs=6)
+    assert REASON in said
+
+
+def test_a_run_of_a_session_before_is_no_witness(execute: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
+    (tmp_path / "outside" / "do.sh").write_text(PLAIN)
+    config = tmp_path / "project" / "sierra.toml"
+    execute(". $D/do.sh", query="population_size=3", runs=1)
+    once, always = config.read_text().replace("runs = 1", "runs = 2"), 'runs = 2\nobserve = "all"'
+    config.write_text(once.replace("runs = 2", always))
+    assert execute(". $D/do.sh", query="population_size=1")[0] >= 2
+    config.write_text(once)
+    (tmp_path / "outside" / "do.sh").write_text(SHARING)
+    _, said = execute(". $D/do.sh", query="population_size=1")
+    assert REASON in said
+
+
+def test_a_session_that_dies_while_it_compares_leaves_no_wrong_rows(
+    execute: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    first = 'if grep -q "count=.3" "$2"; then echo tick,value > swarm.csv; exit; fi'
+    second = "mkdir $D/1 || mkdir $D/2 || { touch $D/begun; sleep 60; }"
+    execute(f"{first}; {second}; {SHARING}", query="population_size=3", runs=2)
+    folder = tmp_path / "project"
+    process = projects.start(folder, "run", "population_size=1", "--jobs", "2", "--no-figures")
+    until((tmp_path / "outside" / "begun").exists, "a run is compared", 60)
+    process.kill()
+    process.communicate(timeout=30)
+    assert projects.quick(folder, "gc", "--yes").returncode == 0
+    assert_own(folder)
+    assert projects.sql(folder, "SELECT count(*) > 0 AS failed FROM executions WHERE reason LIKE 'writes and reads%'") == [
+        {"failed": True}
+    ]

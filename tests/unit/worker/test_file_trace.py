@@ -113,6 +113,8 @@ def test_locks_and_caches_are_no_data_of_a_run(tmp_path: Path) -> None:
     opened = 'openat(AT_FDCWD</w>, "{0}", O_RDWR|O_CREAT, 0666) = 3<{0}>'
     paths = (f"{tmp_path}/empty", f"{tmp_path}/full", "/x/a.lock", "/x/.lock", "/x/block", "/dev/shm/fastrtps_port7411")
     caches = ("/x/.cache/mesa_shader_cache/index", "/x/__pycache__/a.pyc", "/x/a.pyc.12", "/x/torchinductor_me/a", "/x/.nv/c")
+    caches += ("/var/tmp/OptixCache_me/optix7cache.db", "/x/.julia/compiled/v1.10/A/b.ji", "/x/compiledir_Linux/tmp/mod.so")
+    caches += ("/x/.cache/huggingface/hub/models--a/refs/main", "/x/hf/models--a/refs/main")
     trace = calls(*(opened.format(path) for path in (*paths, *caches)))
     assert Names({"run": "/r"}).inputs(trace).reread == (f"{tmp_path}/full", "/x/block")
 
