@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -14,6 +15,7 @@ import sierra
 import sierra.store.connections
 from sierra.errors import Damaged
 from sierra.maintenance.findings import Kind
+from sierra.store.compaction import Compaction
 from sierra.store.duckdb_file_io import copy
 from sierra.store.segments import MANIFEST, OUTPUTS, Writer, on_disk
 from sierra.store.store import Store
@@ -126,9 +128,7 @@ def test_a_changed_list_of_tables_gives_no_other_answer(tmp_path: Path, unnamed:
     for damage in (lambda path: path.write_text('1 "y"\n2 "x"\n'), Path.unlink):
         damage(folder / OUTPUTS)
         if unnamed:
-            with pytest.raises(
-                Damaged, match=f"{OUTPUTS} (has other bytes than SIERRA wrote|is missing: run sierra fsck)"
-            ):
+            with pytest.raises(Damaged, match=f"{OUTPUTS} (has other bytes than SIERRA wrote|is missing: run sierra fsck)"):
                 store.sql("FROM batches")
         else:
             found = {path: name for one in store.segments() for name, path in one.outputs()}
@@ -180,6 +180,21 @@ def test_a_list_of_tables_is_compared_with_the_files_and_made_again_from_them(tm
     assert projects.quick(root, "fsck").returncode == 1
     assert projects.quick(root, "fsck", "--repair").returncode == 0
     assert sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist() == before
+
+
+def test_a_file_that_does_not_name_its_table_is_written_again_so_that_it_does(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    writer = store.writer(store.paths.work / "old", "ab" * 32)
+    pq.write_table(pa.table({"run": ["r"], "execution": ["e"], "v": [1]}), writer.path("output.x"))
+    store.publish(writer)
+    before = pq.read_table(*store.segments()[0].files.values()).to_pylist()
+    compaction = Compaction(store.paths, tmp_path / "new", "new")
+    compaction.write((store.segments()[0],), {})
+    compaction.publish()
+    [segment] = store.segments()
+    (store.paths.segments / segment.name / OUTPUTS).unlink()
+    [(name, path)] = store.segments()[0].outputs()
+    assert (name, pq.read_table(path).to_pylist()) == ("x", before)
 
 
 def test_a_segment_that_is_written_twice_has_the_same_name(tmp_path: Path) -> None:
