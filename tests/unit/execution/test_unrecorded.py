@@ -123,3 +123,20 @@ def test_engines_that_cannot_be_read_concern_only_their_session(
     other = projects.quick(root, "run", "population_size=2", "--no-figures")
     assert (other.returncode, "2 executed" in other.stdout) == (0, True), other.stderr
     assert (f"session {session} " in other.stderr, "fault in SIERRA" in other.stderr) == (True, False)
+
+
+@pytest.mark.integration
+def test_files_of_runs_in_a_work_folder_are_named_and_removed_too(tmp_path: Path, fail: Callable[..., str], root: Path) -> None:
+    (root / "sierra.toml").write_text(projects.CONFIG + f'[store]\nwork_folder = "{tmp_path}/runs"\n')
+    session = fail(lambda: Damaged(f"x: is from elsewhere; move {root}/.sierra/work/{session_of(root)} away, or do not"))
+    [runs] = (tmp_path / "runs").glob(f"*/{session}")
+    other = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert f"(x: is from elsewhere); its files are in .sierra/damaged/work-{session} and {runs};" in other.stderr
+    assert runs.is_dir()
+    assert projects.quick(root, "gc", "--damaged", "--yes").returncode == 0
+    assert not runs.exists()
+    assert projects.quick(root, "fsck").returncode == 0
+
+
+def session_of(root: Path) -> str:
+    return next(path.name for path in (root / ".sierra" / "work").iterdir() if path.is_dir())
