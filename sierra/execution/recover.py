@@ -21,9 +21,14 @@ from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.lazy_logger import Log
-from sierra.util.shortage import lacking
+from sierra.util.shortage import lacking, system_errors
 
 log = Log(__name__)
+
+OF_FILES = frozenset(
+    (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+)
+"""The system's errors about the files of a session. Any other may come from a file system that fails for a moment."""
 
 
 def finish_dead(store: Store, observer: Observer | None = None) -> int:
@@ -33,13 +38,12 @@ def finish_dead(store: Store, observer: Observer | None = None) -> int:
     """
     recovered = 0
     with sessions.dead(store.paths) as found:
-        if found:
+        for paths in list(found):
             from sierra.runners import local  # what recovers sessions is loaded only if one has died
 
-            local.end_orphans(found)
-        for paths in list(found):
-            _sweep(paths)
             try:
+                local.end_orphans([paths])
+                _sweep(paths)
                 count = recover(store, paths)
             except Exception as error:
                 found.remove(paths)
@@ -71,7 +75,7 @@ def is_at_fault(error: Exception, store: Store) -> bool:
     """Check whether a session itself is the reason why it cannot be recorded, and not the store or a lack of anything."""
     if isinstance(error, Missing | DamagedFile) and not _is_of_name(error):
         return False
-    if lacking(error) is not None:
+    if lacking(error) is not None or system_errors(error) - OF_FILES:
         return False
     try:
         store.values(str, "SELECT execution FROM executions LIMIT 0")

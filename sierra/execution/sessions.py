@@ -299,6 +299,7 @@ def locked(path: Path, *, wait: bool = True) -> int | None:
     """Return a descriptor that holds the lock; None if the file system has no locks.
 
     Raises BlockingIOError if another process holds the lock and `wait` is False. A lock that this user may only read does.
+    Raises PermissionError if the file system locks only what may be written, as NFS does, and this user may not.
     """
     flags = os.O_NOFOLLOW | os.O_CLOEXEC
     try:
@@ -311,6 +312,8 @@ def locked(path: Path, *, wait: bool = True) -> int | None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
         os.close(descriptor)
+        if error.errno == errno.EBADF:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path)) from error
         if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS):
             raise
         return None

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import SierraError
+from sierra.store import ownership_marks
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
 from sierra.util.text import one_line
@@ -24,18 +25,21 @@ class Unrecorded(NamedTuple):
     session: str
     folder: Path
     reason: str
+    elsewhere: Path | None = None
+    """The folder where its runs were executed, if it is not in `folder`."""
 
     def __str__(self) -> str:
-        where = f"{self.folder.parent.name}/{self.folder.name}"
+        where = f".sierra/{self.folder.parent.name}/{self.folder.name}{f' and {self.elsewhere}' if self.elsewhere else ''}"
         return (
-            f"session {self.session} cannot be recorded ({self.reason}); its files are in .sierra/{where}; sierra run executes "
+            f"session {self.session} cannot be recorded ({self.reason}); its files are in {where}; sierra run executes "
             "its runs again, and sierra gc --damaged removes the files"
         )
 
 
 def put_aside(store: StorePaths, paths: SessionPaths, error: Exception) -> Unrecorded:
     """Move the folder of a session that cannot be recorded, with the reason. Raises Missing."""
-    reason = one_line(error if isinstance(error, SierraError) else f"{type(error).__name__}: {error}")[:MOST]
+    reason = one_line(error if isinstance(error, SierraError) else f"{type(error).__name__}: {error}")
+    reason = reason.partition(f"; move {paths.root} away")[0][:MOST]  # it is moved away now
     with disk_errors(store.damaged):
         paths.fault.write_text(reason, "utf-8", "backslashreplace")
         store.damaged.mkdir(exist_ok=True)
@@ -43,7 +47,7 @@ def put_aside(store: StorePaths, paths: SessionPaths, error: Exception) -> Unrec
         names = itertools.chain([name], (f"{name}.{number}" for number in itertools.count(1)))
         target = next(store.damaged / name for name in names if not (store.damaged / name).exists())
         paths.root.rename(target)
-    return Unrecorded(paths.root.name, target, reason)
+    return Unrecorded(paths.root.name, target, reason, paths.elsewhere)
 
 
 def found(store: StorePaths) -> Iterator[Unrecorded]:
@@ -51,7 +55,9 @@ def found(store: StorePaths) -> Iterator[Unrecorded]:
     folders = sorted(store.damaged.iterdir()) if store.damaged.is_dir() else []
     for folder in folders:
         if (matched := NAME.fullmatch(folder.name)) and folder.is_dir() and not folder.is_symlink():
-            yield Unrecorded(matched[1], folder, _reason(SessionPaths(folder)))
+            yield Unrecorded(
+                matched[1], folder, _reason(SessionPaths(folder)), ownership_marks.elsewhere(store, folder, matched[1])
+            )
 
 
 def _reason(paths: SessionPaths) -> str:

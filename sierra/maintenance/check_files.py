@@ -12,7 +12,7 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,12 +33,10 @@ from sierra.store.segments import (
     FORMER,
     MANIFEST,
     MARK_BYTES,
-    NUMBERED,
     OUTPUT,
     OUTPUTS,
-    SUFFIX,
     Segment,
-    named,
+    named_by_themselves,
     on_disk,
     out_of_date,
     own_table,
@@ -248,7 +246,7 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
             findings.append(Finding(kind, _shown(paths, folder / name), fault))
     files: Mapping[str, str] = segment.files
     if OUTPUTS in listed and (OUTPUTS in lost or OUTPUTS in segment.missing):
-        files = {} if faults else _named_by_themselves(folder, listed.keys() - lost)
+        files = {} if faults else named_by_themselves(folder, listed.keys() - lost)
         if OUTPUTS not in lost:
             lost.add(OUTPUTS)
             what = "does not name the table of each output"
@@ -274,17 +272,6 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
         if lost or faults:
             found.broken[segment.name] = lost | ({MANIFEST} if faults else set())
         found.sound.append(replace(segment, files=sound))
-
-
-def _named_by_themselves(folder: Path, files: Iterable[str]) -> dict[str, str]:
-    """Return sound files of a segment without OUTPUTS by name, those of outputs by the tables that their own metadata names."""
-    paths = {file.removesuffix(SUFFIX): str(folder / file) for file in files if file.endswith(SUFFIX)}
-    tables: dict[str, str] = {}
-    for name, path in paths.items():
-        if matched := NUMBERED.fullmatch(name):
-            with contextlib.suppress(OSError, ValueError, pa.ArrowException):
-                tables[matched[1]] = own_table(pq.read_metadata(path)) or ""
-    return named(paths, tables)
 
 
 def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:

@@ -38,6 +38,7 @@ def extract(store: Store, batches: Collection[str], root: Path) -> Store:
             snapshot.run(setting)
         drop = remove.rows_of(snapshot, store, _others(snapshot, store, batches))
         changed = touched(snapshot, snapshot.segments, drop)
+        changed += [segment for segment in snapshot.segments if segment.renamed and segment not in changed]
         names = {segment.name for segment in changed}
         for segment in snapshot.segments:
             if segment.name not in names:

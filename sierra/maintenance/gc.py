@@ -132,7 +132,8 @@ def collect(
     recovered = recover.finish_dead(store)
     for path in list(_unfinished(paths, project)):
         worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
-    for path in aside:
+    elsewhere = [one.elsewhere for one in unrecorded.found(paths) if one.folder in aside and one.elsewhere is not None]
+    for path in (*elsewhere, *aside):  # the folders in `aside` name the others
         worker.remove(str(path))
     for path in _logs(store):
         path.unlink(missing_ok=True)

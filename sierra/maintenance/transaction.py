@@ -16,7 +16,7 @@ from sierra.execution import sessions
 from sierra.execution.sessions import Session
 from sierra.store.compaction import Compaction, out_of_use, tidy
 from sierra.store.layout import SessionPaths, StorePaths
-from sierra.store.segments import disk_errors, listed
+from sierra.store.segments import disk_errors, on_disk, out_of_date
 from sierra.util.hashing import short
 
 PATIENCE_S = 5.0
@@ -34,8 +34,9 @@ def changing(store: StorePaths) -> Iterator[Session]:
 
 
 def names(store: StorePaths) -> set[str]:
-    """Return the names of the current segments, without replaced ones."""
-    return {segment.name for segment in listed(store.segments)}
+    """Return the names of the current segments, without replaced ones. No file is verified: a repair needs them, too."""
+    found = list(on_disk(store.segments))
+    return {segment.name for segment in found} - out_of_date(found)
 
 
 def publish(

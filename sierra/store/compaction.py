@@ -5,7 +5,8 @@ A process that is killed leaves the store in its state before or after that rena
 ignored. `tidy` removes them when nobody reads them, then or at any later time.
 
 The rows that are kept do not change, and neither does their order. A file that keeps all rows and is not merged with others
-is copied byte for byte. When DuckDB rewrites the rows of an output, the old and the new rows are compared afterwards.
+is copied byte for byte, unless it is an output's and does not name its table in itself, as in former formats. When DuckDB
+rewrites the rows of an output, the old and the new rows are compared afterwards.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 
@@ -31,7 +32,19 @@ from sierra.store.objects import GROUP, ROWS
 from sierra.store.parquet_row_counts import Written, rows_by_file
 from sierra.store.read_lock import alone
 from sierra.store.schema import RECORDED, arrow_schema, is_table
-from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync, table_of
+from sierra.store.segments import (
+    AFTER,
+    OUTPUT,
+    REPLACES,
+    Segment,
+    Writer,
+    disk_errors,
+    on_disk,
+    out_of_date,
+    own_table,
+    sync,
+    table_of,
+)
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
 from sierra.store.verified_files import verify
@@ -160,7 +173,7 @@ def write_kept(group: Group, drop: Drop, writer: Writer) -> None:
 def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> None:
     """Write the kept rows of several files into one file; write none if no row is kept."""
     if len(paths) == 1 and not _any_dropped(paths[0], drop):
-        shutil.copyfile(paths[0], target)
+        write_whole_file(target, name, paths[0])
     elif name.startswith(OUTPUT):
         _write_output(target, table_of(name), paths, drop.get("execution", frozenset()))
     elif name == "objects":
@@ -168,6 +181,19 @@ def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, Abs
     else:
         schema = _schema(paths[0]) if name == "experiments" else arrow_schema(name)
         _write_tables(target, _staying(paths, drop), schema)
+
+
+def write_whole_file(target: Path, name: str, path: str, copy_file: Callable[[str, str], object] = shutil.copyfile) -> None:
+    """Copy a file of a segment. One of an output that does not name its table in itself is written again, so that it does."""
+    if name.startswith(OUTPUT) and _own_table(path) != table_of(name):
+        _write_output(target, table_of(name), [path], frozenset())
+    else:
+        copy_file(path, str(target))
+
+
+def _own_table(path: str) -> str | None:
+    with _readable(path):
+        return own_table(pq.read_metadata(path))
 
 
 def _any_dropped(path: str, drop: Mapping[str, AbstractSet[str]]) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.store.duckdb_file_io import plain
-from sierra.util.shortage import shortage
+from sierra.util.shortage import lacking, shortage
 
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
 """The pattern of a writing thread's error, which is JSON within another error."""
@@ -42,7 +43,8 @@ def disk_error(folder: Path, error: Exception) -> Missing:
 def check_shortage(error: Exception) -> None:
     """Raise Missing if an error shows a lack of something, after which nothing is known about the files that were read."""
     if (lack := shortage(error)) is not None:
-        raise Missing(f"the store cannot be read: {lack}") from error
+        where = f" ({first_line(error)})" if lacking(error) in (errno.EACCES, errno.EPERM) and str(error) else ""
+        raise Missing(f"the store cannot be read: {lack}{where}") from error
 
 
 def _plain(error: Exception) -> str:

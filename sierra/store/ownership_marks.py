@@ -115,7 +115,7 @@ def sessions(store: StorePaths) -> Iterator[SessionPaths]:
     """Yield all sessions of a store, each with the folder where its runs execute."""
     for path in _below(store.work):
         if is_session(path):
-            yield SessionPaths(path, _elsewhere(store, path))
+            yield SessionPaths(path, elsewhere(store, path, path.name))
 
 
 def strange(store: StorePaths) -> Iterator[Path]:
@@ -146,15 +146,15 @@ def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> Se
     return SessionPaths(session.root, runs)
 
 
-def _elsewhere(store: StorePaths, session: Path) -> Path | None:
+def elsewhere(store: StorePaths, folder: Path, session: str) -> Path | None:
     """Return the folder where a session's runs execute; None if none is named, or if that folder lacks its marks."""
-    said = _beginning(SessionPaths(session).elsewhere_file)
+    said = _beginning(SessionPaths(folder).elsewhere_file)
     if not said or b"\0" in said:
         return None
     runs = Path(os.fsdecode(said))
     own = id_in(store.identity)
-    placed = own is not None and runs.is_absolute() and (runs.parent.name, runs.name) == (own, session.name)
-    marked = placed and worker.is_folder(str(runs)) and _is_marked(runs.parent, str(own)) and _is_marked(runs, session.name)
+    placed = own is not None and runs.is_absolute() and (runs.parent.name, runs.name) == (own, session)
+    marked = placed and worker.is_folder(str(runs)) and _is_marked(runs.parent, str(own)) and _is_marked(runs, session)
     return runs if marked else None
 
 

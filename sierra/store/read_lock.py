@@ -7,6 +7,7 @@ has no locks or is read-only, nothing is locked.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import time
@@ -57,7 +58,7 @@ def _locked(descriptor: int, give_up: float) -> bool:
             if time.monotonic() > give_up:
                 return False
             time.sleep(0.02)
-        except OSError:
-            return True
+        except OSError as error:
+            return error.errno != errno.EBADF  # NFS locks only what may be written, and others may hold the lock
         else:
             return True

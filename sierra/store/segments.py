@@ -37,7 +37,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -48,7 +48,7 @@ from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
 from sierra.store.verified_files import MANIFEST as MANIFEST
-from sierra.store.verified_files import changed, hash_written, verify
+from sierra.store.verified_files import are_sound, changed, hash_written, verify
 from sierra.util.fs import UNFINISHED_END, inside
 from sierra.util.hashing import sha256
 from sierra.util.regular_files import open_regular
@@ -99,6 +99,8 @@ class Segment:
     """
     marks: tuple[str, ...] = ()
     """The paths of OUTPUTS, REPLACES and AFTER, as far as they exist."""
+    renamed: bool = False
+    """True if OUTPUTS is lost or has changed, and the names of tables are those that the files have in themselves."""
 
     def outputs(self) -> Iterator[tuple[str, str]]:
         """Yield the table name and the path of each file that holds rows of an output."""
@@ -141,9 +143,46 @@ def listed(folder: Path) -> list[Segment]:
     The Parquet files are verified when they are read, see `sierra.store.duckdb_file_io`.
     """
     found = list(on_disk(folder))
-    verify(mark for segment in found for mark in segment.marks)
+    verify(mark for segment in found for mark in segment.marks if not mark.endswith(f"/{OUTPUTS}"))
     hidden = out_of_date(found)
-    return [segment for segment in found if segment.name not in hidden]
+    current = [segment for segment in found if segment.name not in hidden]
+    if all(OUTPUTS not in segment.missing for segment in current) and are_sound(_lists(current)):
+        return current
+    return [segment if _names_its_tables(segment) else _renamed(segment, folder / segment.name) for segment in current]
+
+
+def _lists(segments: Iterable[Segment]) -> list[str]:
+    return [mark for segment in segments for mark in segment.marks if mark.endswith(f"/{OUTPUTS}")]
+
+
+def _names_its_tables(segment: Segment) -> bool:
+    return OUTPUTS not in segment.missing and are_sound(_lists([segment]))
+
+
+def _renamed(segment: Segment, folder: Path) -> Segment:
+    """Return a segment whose OUTPUTS is lost or has changed, with the tables that its sound files name in themselves.
+
+    If one of them names none, OUTPUTS is missing.
+    """
+    paths = {path.name: str(path) for path in sorted(folder.iterdir()) if path.name.endswith(SUFFIX)}
+    verify(path for name, path in paths.items() if name.startswith(OUTPUT))
+    files = named_by_themselves(folder, paths)
+    other = tuple(name for name in segment.missing if name != OUTPUTS)
+    return replace(segment, files=files, renamed=True, missing=other if len(files) == len(paths) else (*other, OUTPUTS))
+
+
+def named_by_themselves(folder: Path, files: Iterable[str]) -> dict[str, str]:
+    """Return sound files of a segment without OUTPUTS by name, those of outputs by the tables that their own metadata names."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    paths = {file.removesuffix(SUFFIX): str(folder / file) for file in files if file.endswith(SUFFIX)}
+    tables: dict[str, str] = {}
+    for name, path in paths.items():
+        if matched := NUMBERED.fullmatch(name):
+            with contextlib.suppress(OSError, ValueError, pa.ArrowException):
+                tables[matched[1]] = own_table(pq.read_metadata(path)) or ""
+    return named(paths, tables)
 
 
 def out_of_date(segments: Sequence[Segment]) -> set[str]:

@@ -86,8 +86,13 @@ def verify(files: Iterable[str]) -> None:
 
 def is_sound(path: str) -> bool:
     """Check that a file of a segment has the bytes that were recorded, for a caller that reports it."""
+    return are_sound([path])
+
+
+def are_sound(files: Iterable[str]) -> bool:
+    """Check that files of segments have the bytes that were recorded, for a caller that can do without those that have not."""
     try:
-        _verify([path])
+        _verify(files)
     except DamagedFile:
         return False
     return True

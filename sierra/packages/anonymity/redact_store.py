@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from sierra.maintenance.extract import link_or_copy
 from sierra.packages.anonymity.redact_rows import HIDDEN, RowRedactor
 from sierra.packages.anonymity.redaction import RULES, VERSION, Rule, rule
+from sierra.store.compaction import write_whole_file
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.row_types import RedactionRow
 from sierra.store.schema import RECORDED, arrow_schema
@@ -79,7 +80,7 @@ class _Redactor:
                 continue
             with disk_errors(writer.folder):
                 if name.startswith(OUTPUT) or not _is_rewritten(name, path):
-                    link_or_copy(path, str(writer.path(name)))
+                    write_whole_file(writer.path(name), name, path, link_or_copy)
                 else:
                     _write(writer.path(name), name, self._tables(name, path))
         writer.records(self._marks(segment))

@@ -205,6 +205,17 @@ def test_claims_are_ignored_on_file_systems_without_locks(tmp_path: Any, monkeyp
         assert found == []
 
 
+def test_a_lock_that_may_only_be_read_names_its_file_where_only_what_may_be_written_is_locked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(descriptor: int, how: int) -> None:
+        raise OSError(errno.EBADF, "Bad file descriptor")  # as NFS answers
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with pytest.raises(Missing, match=f"cannot write to {tmp_path}/work/lock: Permission denied"):
+        sessions.Session(StorePaths(tmp_path), logged=False)
+
+
 def test_session_with_an_old_empty_owner_file_is_dead_on_file_systems_without_locks(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

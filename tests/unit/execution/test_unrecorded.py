@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -85,12 +86,14 @@ def test_a_session_that_cannot_be_recorded_is_moved_away_by_the_next_command_tha
 
 
 @pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.ESTALE, errno.EIO])
 def test_a_session_that_lacks_something_is_recorded_later(
-    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    session = fail(lambda: system(errno.ENOSPC))
+    session = fail(lambda: system(number))
     other = projects.quick(root, "run", "population_size=2", "--no-figures")
-    assert (other.returncode, other.stderr.count("No space left on device")) == (3, 1)
+    assert (other.returncode, os.strerror(number) in other.stderr) == (3, True)
     assert (root / ".sierra" / "work" / session).is_dir()
     monkeypatch.undo()
     assert projects.run(root, "population_size=1")[0]["executed"] == 0
@@ -107,3 +110,33 @@ def test_a_session_of_somebody_else_stays_until_they_return(
     assert f"session {session} has died and cannot be recorded by this process" in other.stderr
     monkeypatch.undo()
     assert projects.run(root, "population_size=1")[0]["executed"] == 0
+
+
+@pytest.mark.integration
+def test_engines_that_cannot_be_read_concern_only_their_session(
+    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = fail(lambda: ValueError("a fault"))
+    monkeypatch.undo()
+    context = root / ".sierra" / "work" / session / "context.json"
+    context.write_text(json.dumps(json.loads(context.read_bytes()) | {"engine": "podman", "engines": "abc"}))
+    other = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert (other.returncode, "2 executed" in other.stdout) == (0, True), other.stderr
+    assert (f"session {session} " in other.stderr, "fault in SIERRA" in other.stderr) == (True, False)
+
+
+@pytest.mark.integration
+def test_files_of_runs_in_a_work_folder_are_named_and_removed_too(tmp_path: Path, fail: Callable[..., str], root: Path) -> None:
+    (root / "sierra.toml").write_text(projects.CONFIG + f'[store]\nwork_folder = "{tmp_path}/runs"\n')
+    session = fail(lambda: Damaged(f"x: is from elsewhere; move {root}/.sierra/work/{session_of(root)} away, or do not"))
+    [runs] = (tmp_path / "runs").glob(f"*/{session}")
+    other = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert f"(x: is from elsewhere); its files are in .sierra/damaged/work-{session} and {runs};" in other.stderr
+    assert runs.is_dir()
+    assert projects.quick(root, "gc", "--damaged", "--yes").returncode == 0
+    assert not runs.exists()
+    assert projects.quick(root, "fsck").returncode == 0
+
+
+def session_of(root: Path) -> str:
+    return next(path.name for path in (root / ".sierra" / "work").iterdir() if path.is_dir())

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from sierra.errors import Damaged, Missing
-from sierra.util.shortage import REMEDIES, lacking, shortage
+from sierra.util.shortage import REMEDIES, UNSTEADY, lacking, shortage, system_errors
 
 
 @pytest.mark.parametrize("number", REMEDIES)
@@ -24,6 +24,16 @@ def test_each_lack_is_known_from_the_system_and_from_libraries(number: int) -> N
     ):
         assert lacking(error) == number
         assert str(shortage(error)).startswith(text)
+
+
+@pytest.mark.parametrize("number", UNSTEADY)
+def test_errors_of_a_file_system_are_known_behind_others(number: int) -> None:
+    text = os.strerror(number)
+    for cause in (OSError(number, text), duckdb.IOException(f"IO Error: {text}"), OSError(f"Failed: {text}")):
+        error = Damaged("cannot be read")
+        error.__cause__ = cause
+        assert system_errors(error) == {number}
+    assert system_errors(ValueError(text)) == set()
 
 
 def test_memory_processes_and_causes_are_known() -> None:
