@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import SierraError, SqlError
 from sierra.store import statement
+from sierra.store.connections import reset
 from sierra.store.duckdb_messages import explain
 from sierra.store.schema import TABLE_NAMES
 from sierra.store.sql_names import identifier
@@ -271,7 +272,7 @@ def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iter
             yield connection
     finally:
         for name in SETTINGS:
-            connection.execute(f"RESET {name}")
+            connection.execute(reset(name))
 
 
 class _Timer:

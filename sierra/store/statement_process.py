@@ -15,12 +15,14 @@ import atexit
 import contextlib
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from sierra.store import statement_worker
 
@@ -37,7 +39,12 @@ ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "DUCKDB_JE_MALLOC_CONF": "
 KEPT = ("CREATE", "DROP", "RESET", "SET")
 """The first words of statements that another process must execute again."""
 REPLACED = "the process that executed the statement was ended"
+OF_SHORTAGE = (signal.SIGKILL, signal.SIGABRT)
+"""The signals that end a process for which there is no memory: from the system, and from itself."""
+SETTING = re.compile(r"(?:SET|RESET)\s+(\w+)")
+"""The beginning of a statement that changes a setting, with its name."""
 
+Kept: TypeAlias = "tuple[int, dict[str, Any], pa.Table | None]"
 _processes: dict[tuple[int, int], Process] = {}
 """The processes by the id of the process that they work for, and by their limit on memory."""
 
@@ -59,7 +66,7 @@ class Process:
     def __init__(self, memory: int) -> None:
         self._memory = memory
         self._running: subprocess.Popen[bytes] | None = None
-        self._kept: list[tuple[int, dict[str, Any], pa.Table | None]] = []
+        self._kept: list[Kept] = []
         """The requests that have made what connections have now, by the number of the connection."""
         self._answering: Frames | None = None
         self._count = 0
@@ -79,7 +86,7 @@ class Process:
         answer = self._asked({"on": on, **request}, table)
         if keep:
             answer.finish()
-            self._kept.append((on, request, table))
+            self._kept = _needed([*self._kept, (on, request, table)])
         return answer
 
     def forget(self, on: int) -> None:
@@ -97,10 +104,16 @@ class Process:
             if running is None or self._answering is None:
                 return
             if self._timer is None:
-                self._timer = threading.Timer(PATIENCE_S, running.kill)
+                self._timer = threading.Timer(PATIENCE_S, self._kill, (running, self._answering))
                 self._timer.daemon = True
                 self._timer.start()
             self._write(running, {"do": "interrupt", "on": on})
+
+    def _kill(self, running: subprocess.Popen[bytes], answer: Frames) -> None:
+        """End the process unless this answer has ended meanwhile: the next one has nothing to do with its interruption."""
+        with self._one:
+            if self._answering is answer:
+                running.kill()
 
     def close(self) -> None:
         """End the process, if it runs."""
@@ -138,8 +151,12 @@ class Process:
         import duckdb  # noqa: F401 - while the process imports it, too
         import pyarrow as pa  # noqa: F401
 
-        for on, request, table in self._kept:
-            self._asked({"on": on, **request}, table).finish()
+        try:
+            for on, request, table in self._kept:
+                self._asked({"on": on, **request}, table).finish()
+        except BaseException:  # no statement may meet a process that has some of its connections
+            self.close()
+            raise
 
     def _asked(self, request: dict[str, Any], table: pa.Table | None = None) -> Frames:
         running = self._running
@@ -237,8 +254,8 @@ class Frames:
             self._ended = True
             self._process.close()
             raise
-        self._ended = True
         self._process._answered()
+        self._ended = True
         last = json.loads(line)
         if "error" in last:
             raise _error(last["error"], last["text"])
@@ -256,10 +273,17 @@ class Frames:
         return self._running.stdout
 
     def _lost(self) -> Exception:
-        """Return the error for a process that has ended: it was interrupted, or else had no memory left."""
+        """Return the error for a process that has ended: it was interrupted, or had no memory left, or got another signal."""
         interrupted = self._process._timer is not None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._running.wait(PATIENCE_S)
+        ended = self._running.poll()
         self._process.close()
-        return _error("InterruptException" if interrupted else "OutOfMemoryException", REPLACED)
+        if interrupted:
+            return _error("InterruptException", REPLACED)
+        if ended is None or ended >= 0 or -ended in OF_SHORTAGE:
+            return _error("OutOfMemoryException", REPLACED)
+        return _error("InternalException", f"{REPLACED} by signal {-ended} ({signal.strsignal(-ended)})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,6 +386,22 @@ class Statement(NamedTuple):
     """One statement of a text."""
 
     type: Type
+
+
+def _needed(kept: Sequence[Kept]) -> list[Kept]:
+    """Leave out each change of a setting that a later one undoes before anything else is executed."""
+    needed: list[Kept] = []
+    undone: set[tuple[int, str]] = set()
+    for on, request, table in reversed(kept):
+        setting = SETTING.match(request.get("text", ""))
+        if setting is None:
+            undone.clear()
+        elif (on, setting[1]) in undone:
+            continue
+        else:
+            undone.add((on, setting[1]))
+        needed.append((on, request, table))
+    return needed[::-1]
 
 
 def _described(process: Process, request: dict[str, Any]) -> RemoteRelation | None:

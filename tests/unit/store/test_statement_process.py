@@ -13,7 +13,7 @@ import duckdb
 import pytest
 
 from sierra.errors import SqlError
-from sierra.store import statement_process
+from sierra.store import statement_process, statement_worker
 from sierra.store.connections import connect
 from sierra.store.derived_tables import Limits, Rules
 from sierra.store.statement_process import Remote
@@ -89,6 +89,56 @@ def test_another_process_has_the_views_and_tables_of_the_one_that_was_ended(conf
     assert cursor.execute("SELECT * FROM kept, shown").fetchall() == [(0, 7), (1, 7), (2, 7)]
     assert process(confined) != before
     cursor.close()
+
+
+def test_a_process_that_cannot_be_made_again_is_not_left_half_made(confined: Remote) -> None:
+    cursor = confined.cursor()
+    cursor.execute("CREATE TEMP TABLE kept AS SELECT 1 AS n")
+    running = confined._process
+    kept = running._kept
+    on, request, _ = kept[-1]
+    running._kept = [(on, {**request, "text": "FROM lost"}, None) if one is kept[-2] else one for one in kept]
+    os.kill(process(confined), 9)
+    for lost in (duckdb.OutOfMemoryException, duckdb.InvalidInputException, duckdb.InvalidInputException):
+        with pytest.raises(lost):
+            cursor.execute("SELECT 1")
+        assert running._running is None
+    running._kept = kept
+    assert cursor.execute("FROM kept").fetchall() == [(1,)]
+    cursor.close()
+
+
+def test_only_settings_that_something_was_made_with_are_kept(confined: Remote) -> None:
+    before = len(confined._process._kept)
+    for count in (1, 2, 1):
+        for text in (f"SET threads = {count}", "SET TimeZone = 'UTC'", "RESET threads", "RESET TimeZone"):
+            confined.execute(text)
+    assert len(confined._process._kept) == before + 2
+    confined.execute("SET threads = 1")
+    confined.execute("CREATE TABLE kept AS SELECT 1 AS n")
+    confined.execute("RESET threads")
+    assert len(confined._process._kept) == before + 4
+
+
+def test_threads_are_reset_to_those_of_the_process(confined: Remote) -> None:
+    first = confined.execute("SELECT current_setting('threads')").fetchall()
+    for text in ("SET threads = 1", "RESET threads", "SET threads = 1000"):
+        confined.execute(text)
+    assert confined.execute("SELECT current_setting('threads')").fetchall() == first
+
+
+@pytest.mark.parametrize("kind", ["IOException", "InterruptException", "OutOfMemoryException", "InvalidInputException"])
+def test_an_error_within_an_answer_has_its_class(kind: str) -> None:
+    begins = {name: start for start, name in statement_worker.WRAPPED.items()}
+    error = OSError(f"{begins.get(kind, 'Conversion Error:')} within the answer")  # pyarrow's
+    assert statement_worker.kind_of(error) == kind
+
+
+def test_another_signal_is_named(confined: Remote) -> None:
+    confined.execute("SELECT 1")
+    os.kill(process(confined), 15)
+    with pytest.raises(duckdb.InternalException, match="was ended by signal 15"):
+        confined.execute("SELECT 1")
 
 
 @pytest.mark.parametrize(
