@@ -201,7 +201,7 @@ class DerivedTables:
         if name in self._listed:
             return
         self._prepare(definition, lambda other: self._list(other, self.definitions[other]))
-        with _explained(definition.origin):
+        with explained(definition.origin):
             text = definition.text
             self._connection().execute(f"CREATE TEMP VIEW {identifier(definition.name)} AS {text}")
         self._listed.append(name)
@@ -268,7 +268,7 @@ def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iter
     try:
         for name, value in zip(SETTINGS, values, strict=True):
             connection.execute(f"SET {name} = {value}")
-        with _explained(origin, limits), _Timer(connection, limits, origin):
+        with explained(origin, limits), _Timer(connection, limits, origin):
             yield connection
     finally:
         for name in SETTINGS:
@@ -308,7 +308,7 @@ class _Timer:
 
 
 @contextlib.contextmanager
-def _explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
+def explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
     """Raise DuckDB's errors as errors of one line about `origin`."""
     import duckdb
 

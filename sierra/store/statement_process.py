@@ -41,6 +41,8 @@ KEPT = ("CREATE", "DROP", "RESET", "SET")
 REPLACED = "the process that executed the statement was ended"
 OF_SHORTAGE = (signal.SIGKILL, signal.SIGABRT)
 """The signals that end a process for which there is no memory: from the system, and from itself."""
+OBJECT = 64
+"""The memory of a Python object within a row, or of the row itself, in bytes."""
 SETTING = re.compile(r"(?:SET|RESET)\s+(\w+)")
 """The beginning of a statement that changes a setting, with its name."""
 
@@ -178,16 +180,21 @@ class Process:
 
         if running.stdin is None:
             raise AssertionError
-        content = b""
         if table is not None:
-            written = pa.BufferOutputStream()
-            with pa.ipc.new_stream(written, table.schema) as stream:
-                stream.write_table(table)
-            content = written.getvalue()
-            request = {**request, "table": content.size}
+            counted = pa.MockOutputStream()
+            _write_table(counted, table)
+            request = {**request, "table": counted.size()}
         running.stdin.write(json.dumps(request, default=_plain).encode() + b"\n")
-        running.stdin.write(content)
+        if table is not None:
+            _write_table(running.stdin, table)
         running.stdin.flush()
+
+
+def _write_table(target: Any, table: pa.Table) -> None:
+    import pyarrow as pa
+
+    with pa.ipc.new_stream(target, table.schema) as stream:
+        stream.write_table(table)
 
 
 class Frames:
@@ -226,10 +233,14 @@ class Frames:
             if batch is not None:
                 yield batch
 
-    def all(self) -> list[pa.RecordBatch]:
-        """Return all batches that were not taken yet."""
+    def all(self, *, objects: bool = False) -> list[pa.RecordBatch]:
+        """Return all batches that were not taken yet. With `objects`, they fit in memory as Python objects, too."""
         self.finish()
         rest, self._read = self._read, []
+        if objects and sum(map(_size, rest)) > self._most:
+            import duckdb
+
+            raise duckdb.OutOfMemoryException(f"the answer has rows of more than {self._most / 1e9:g} GB")
         return rest
 
     def _next(self) -> pa.RecordBatch | None:
@@ -302,13 +313,14 @@ class RemoteRelation:
         return self._then("project", columns)
 
     def fetchall(self) -> list[RawRow]:
-        return rows_of(self._rows(lossless=True).all())
+        return rows_of(self._rows(lossless=True).all(objects=True))
+
+    def to_few_rows(self) -> pa.Table:
+        """Return the rows as an Arrow table, as long as Python objects of all of them fit in memory."""
+        return self._table(objects=True)
 
     def to_arrow_table(self) -> pa.Table:
-        import pyarrow as pa
-
-        found = self._rows(lossless=False)
-        return pa.Table.from_batches(found.all(), found.schema)
+        return self._table()
 
     def to_arrow_reader(self, _: int) -> Iterator[pa.RecordBatch]:
         return self._rows(lossless=False).batches()
@@ -318,6 +330,12 @@ class RemoteRelation:
         if found is None:
             raise AssertionError
         return found
+
+    def _table(self, *, objects: bool = False) -> pa.Table:
+        import pyarrow as pa
+
+        found = self._rows(lossless=False)
+        return pa.Table.from_batches(found.all(objects=objects), found.schema)
 
     def _rows(self, *, lossless: bool) -> Frames:
         return self.process.ask(self.request["on"], {**self.request, "do": "rows", "lossless": lossless})
@@ -331,7 +349,7 @@ class RemoteResult:
         self._batches = frames.batches()
 
     def fetchall(self) -> list[RawRow]:
-        return rows_of(self._frames.all())
+        return rows_of(self._frames.all(objects=True))
 
     def fetchmany(self, _: int) -> list[RawRow]:
         """Return some of the next rows, none at the end."""
@@ -407,6 +425,28 @@ def _needed(kept: Sequence[Kept]) -> list[Kept]:
 def _described(process: Process, request: dict[str, Any]) -> RemoteRelation | None:
     found = process.ask(request["on"], {**request, "do": "describe"}).value
     return None if found is None else RemoteRelation(process, request, *found)
+
+
+def _size(batch: pa.RecordBatch) -> int:
+    """Estimate the memory of a batch's rows as Python objects, in bytes."""
+    return int(batch.nbytes) + OBJECT * (batch.num_rows + sum(map(_count, batch.columns)))
+
+
+def _count(values: pa.Array) -> int:
+    """Count values and all that are within them."""
+    import pyarrow as pa
+
+    if isinstance(values, pa.ExtensionArray):
+        return _count(values.storage)
+    if isinstance(values, pa.StructArray):
+        return len(values) + sum(map(_count, values.flatten()))
+    if isinstance(values, pa.UnionArray):
+        return len(values) + sum(_count(values.field(place)) for place in range(values.type.num_fields))
+    if isinstance(values, pa.MapArray):
+        return len(values) + _count(values.keys) + _count(values.items)
+    if isinstance(values, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray):
+        return len(values) + _count(values.flatten())
+    return len(values)
 
 
 def rows_of(batches: Sequence[pa.RecordBatch]) -> list[RawRow]:
