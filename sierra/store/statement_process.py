@@ -429,7 +429,7 @@ def _described(process: Process, request: dict[str, Any]) -> RemoteRelation | No
 
 def _size(batch: pa.RecordBatch) -> int:
     """Estimate the memory of a batch's rows as Python objects, in bytes."""
-    return int(batch.nbytes) + OBJECT * (batch.num_rows + sum(map(_count, batch.columns)))
+    return int(batch.nbytes + OBJECT * (batch.num_rows + sum(map(_count, batch.columns))))
 
 
 def _count(values: pa.Array) -> int:
