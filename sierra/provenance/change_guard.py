@@ -56,6 +56,7 @@ class ChangeGuard:
         known = self.contents.get(path, "")
         try:
             if path.removeprefix(self.root + b"/") not in self.source:
+                open_regular(path, buffering=0).close()  # nothing is written to a FIFO
                 return HashCache().counted(os.fsdecode(path)) == known
             return known in _hashes(path)
         except (Missing, OSError):
