@@ -8,6 +8,7 @@ file is read, so 50,000 files take 0.15 s. New files are not a change, because r
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,9 +19,10 @@ from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import Kind, Programs
 from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.source import suggest_exclusions
-from sierra.provenance.source.manifest import REPOSITORY, git_hash, parts, read
+from sierra.provenance.source.manifest import REPOSITORY, parts, read
 from sierra.provenance.source.selection import shown
-from sierra.util.hashing import sha256
+from sierra.util.hashing import CHUNK
+from sierra.util.regular_files import open_regular
 
 State = tuple[int, int, int, int] | None
 """Both times, the size and the inode of a file; None if there is no file."""
@@ -54,11 +56,11 @@ class ChangeGuard:
         known = self.contents.get(path, "")
         try:
             if path.removeprefix(self.root + b"/") not in self.source:
+                open_regular(path, buffering=0).close()  # nothing is written to a FIFO
                 return HashCache().counted(os.fsdecode(path)) == known
-            content = Path(os.fsdecode(path)).read_bytes()
+            return known in _hashes(path)
         except (Missing, OSError):
             return False
-        return known in (sha256(content), *(git_hash(b"blob", content, name) for name in ("sha1", "sha256")))
 
     def changed(self) -> list[bytes]:
         """Return the absolute paths of the changed files."""
@@ -111,6 +113,18 @@ def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:
                 yield from (folder + b"/" + name for name in files if name != b".git")
         else:
             yield base + b"/" + path
+
+
+def _hashes(path: bytes) -> list[str]:
+    """Return the hashes of a file: the SHA-256 of its content, and git's hashes. Raises OSError if it is no regular file."""
+    with open_regular(path, buffering=0) as file:
+        head = b"blob %d\0" % os.fstat(file.fileno()).st_size
+        git = [hashlib.new(name, head, usedforsecurity=False) for name in ("sha1", "sha256")]
+        hashed = [hashlib.sha256(), *git]
+        while content := file.read(CHUNK):
+            for one in hashed:
+                one.update(content)
+    return [one.hexdigest() for one in hashed]
 
 
 def _state(path: bytes) -> State:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import SierraError, SqlError
 from sierra.store import statement
+from sierra.store.connections import reset
 from sierra.store.duckdb_messages import explain
 from sierra.store.schema import TABLE_NAMES
 from sierra.store.sql_names import identifier
@@ -200,7 +201,7 @@ class DerivedTables:
         if name in self._listed:
             return
         self._prepare(definition, lambda other: self._list(other, self.definitions[other]))
-        with _explained(definition.origin):
+        with explained(definition.origin):
             text = definition.text
             self._connection().execute(f"CREATE TEMP VIEW {identifier(definition.name)} AS {text}")
         self._listed.append(name)
@@ -267,11 +268,11 @@ def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iter
     try:
         for name, value in zip(SETTINGS, values, strict=True):
             connection.execute(f"SET {name} = {value}")
-        with _explained(origin, limits), _Timer(connection, limits, origin):
+        with explained(origin, limits), _Timer(connection, limits, origin):
             yield connection
     finally:
         for name in SETTINGS:
-            connection.execute(f"RESET {name}")
+            connection.execute(reset(name))
 
 
 class _Timer:
@@ -307,7 +308,7 @@ class _Timer:
 
 
 @contextlib.contextmanager
-def _explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
+def explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
     """Raise DuckDB's errors as errors of one line about `origin`."""
     import duckdb
 

@@ -8,6 +8,7 @@ time.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -17,15 +18,19 @@ from typing import TYPE_CHECKING
 from sierra.errors import SierraError, SqlError
 from sierra.store import statement
 from sierra.store.connections import connect
-from sierra.store.derived_tables import Definition, Limits, limited
+from sierra.store.derived_tables import Definition, Limits, explained, limited
 from sierra.store.schema import TABLE_NAMES
 from sierra.store.sql_names import identifier
+from sierra.store.sql_result import few_rows
+from sierra.store.statement_worker import PART
 from sierra.store.store import Snapshot, Store
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 BATCH = "batch"
+OFFSET = 4
+"""The bytes that Arrow needs for a text in addition to those of its characters."""
 TELLING_NAN = frozenset(("isfinite", "isnan"))
 """Functions of a statement that considers NaN itself."""
 STAR = re.compile(r"(?i)(?:\b(?:select|distinct)|[.,]|columns\s*\()\s*\*|\bcolumns\b|\bunpivot\b")
@@ -56,21 +61,32 @@ def joined(store: Store, batches: Mapping[str, str], text: str, origin: str, *, 
         except SqlError as error:
             raise SqlError(f"{origin}: {error}") from error
         tables = {}
+        free = math.inf if store.memory is None else store.memory // PART
         for name in used.tables:
-            parts = {label: _rows(snapshot, name, limits, origin) for label, snapshot in snapshots.items()}
+            parts = {}
+            for label, snapshot in snapshots.items():
+                parts[label] = part = _rows(snapshot, name, limits, origin)
+                free -= part.nbytes + part.num_rows * (len(label.encode()) + OFFSET)
+                if free < 0:
+                    raise SierraError(
+                        f"{origin}: out of memory: the tables of several batches have {limits.memory / PART / 1e9:g} GB; "
+                        f"read fewer rows or columns, {limits.remedy.format('memory')}"
+                    )
             tables[name] = _union(parts, name, origin)
         undefined = tuple(dict.fromkeys(_undefined(snapshots, text, tables, limits, origin))) if find_undefined else ()
         needed = [sql for name in used.tables if (sql := first.derived.statements(name))]
-    database = connect(store.memory)
+    with explained(origin, limits):
+        database = connect(store.memory)
     try:
-        database.execute("SET enable_external_access = false")
-        for name, table in tables.items():
-            database.register(f"# {name}", table)
-            database.execute(f"CREATE VIEW {identifier(name)} AS SELECT * FROM {identifier(f'# {name}')}")
+        with explained(origin, limits):
+            database.execute("SET enable_external_access = false")
+            for name, table in tables.items():
+                database.register(f"# {name}", table)
+                database.execute(f"CREATE VIEW {identifier(name)} AS SELECT * FROM {identifier(f'# {name}')}")
         rows = text.strip().rstrip(";")
         rows = rows if used.ordered else f"SELECT * FROM (\n{rows}\n) ORDER BY ALL"
         with limited(database, limits, origin) as connection:
-            return Joined(connection.sql(rows).to_arrow_table(), "\n\n".join([*needed, text.strip()]), undefined)
+            return Joined(few_rows(connection.sql(rows)), "\n\n".join([*needed, text.strip()]), undefined)
     finally:
         database.close()
 
@@ -123,7 +139,7 @@ def _undefined(
     used = statement.used(first.connection, text)
     for name in used.tables:
         if not TELLING_NAN & {function for function, _ in used.calls}:
-            parts = [known[name]] if name in known else [_rows(one, name, limits, origin) for one in snapshots.values()]
+            parts = [known[name]] if name in known else (_rows(one, name, limits, origin) for one in snapshots.values())
             yield from (f"{name}.{column}" for part in parts for column in _with_nan(part, text))
         if name not in TABLE_NAMES and name in first.derived.definitions:
             yield from _undefined(snapshots, first.derived.definitions[name].sql, {}, limits, origin)

@@ -112,8 +112,14 @@ class Answer:
         return self._relation.project(", ".join((*columns, *texts)))
 
 
+def few_rows(relation: duckdb.DuckDBPyRelation) -> pa.Table:
+    """Return rows of which Python objects will be made; another process that executes the statement limits their number."""
+    found: pa.Table = getattr(relation, "to_few_rows", relation.to_arrow_table)()
+    return found
+
+
 def _through_arrow(relation: duckdb.DuckDBPyRelation) -> list[tuple[SqlValue, ...]]:
-    table = relation.to_arrow_table()
+    table = few_rows(relation)
     return [tuple(row.values()) for row in table.rename_columns(list(map(str, range(table.num_columns)))).to_pylist()]
 
 

@@ -15,12 +15,14 @@ import atexit
 import contextlib
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from sierra.store import statement_worker
 
@@ -37,7 +39,14 @@ ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "DUCKDB_JE_MALLOC_CONF": "
 KEPT = ("CREATE", "DROP", "RESET", "SET")
 """The first words of statements that another process must execute again."""
 REPLACED = "the process that executed the statement was ended"
+OF_SHORTAGE = (signal.SIGKILL, signal.SIGABRT)
+"""The signals that end a process for which there is no memory: from the system, and from itself."""
+OBJECT = 64
+"""The memory of a Python object within a row, or of the row itself, in bytes."""
+SETTING = re.compile(r"(?:SET|RESET)\s+(\w+)")
+"""The beginning of a statement that changes a setting, with its name."""
 
+Kept: TypeAlias = "tuple[int, dict[str, Any], pa.Table | None]"
 _processes: dict[tuple[int, int], Process] = {}
 """The processes by the id of the process that they work for, and by their limit on memory."""
 
@@ -59,7 +68,7 @@ class Process:
     def __init__(self, memory: int) -> None:
         self._memory = memory
         self._running: subprocess.Popen[bytes] | None = None
-        self._kept: list[tuple[int, dict[str, Any], pa.Table | None]] = []
+        self._kept: list[Kept] = []
         """The requests that have made what connections have now, by the number of the connection."""
         self._answering: Frames | None = None
         self._count = 0
@@ -79,7 +88,7 @@ class Process:
         answer = self._asked({"on": on, **request}, table)
         if keep:
             answer.finish()
-            self._kept.append((on, request, table))
+            self._kept = _needed([*self._kept, (on, request, table)])
         return answer
 
     def forget(self, on: int) -> None:
@@ -97,10 +106,16 @@ class Process:
             if running is None or self._answering is None:
                 return
             if self._timer is None:
-                self._timer = threading.Timer(PATIENCE_S, running.kill)
+                self._timer = threading.Timer(PATIENCE_S, self._kill, (running, self._answering))
                 self._timer.daemon = True
                 self._timer.start()
             self._write(running, {"do": "interrupt", "on": on})
+
+    def _kill(self, running: subprocess.Popen[bytes], answer: Frames) -> None:
+        """End the process unless this answer has ended meanwhile: the next one has nothing to do with its interruption."""
+        with self._one:
+            if self._answering is answer:
+                running.kill()
 
     def close(self) -> None:
         """End the process, if it runs."""
@@ -138,8 +153,12 @@ class Process:
         import duckdb  # noqa: F401 - while the process imports it, too
         import pyarrow as pa  # noqa: F401
 
-        for on, request, table in self._kept:
-            self._asked({"on": on, **request}, table).finish()
+        try:
+            for on, request, table in self._kept:
+                self._asked({"on": on, **request}, table).finish()
+        except BaseException:  # no statement may meet a process that has some of its connections
+            self.close()
+            raise
 
     def _asked(self, request: dict[str, Any], table: pa.Table | None = None) -> Frames:
         running = self._running
@@ -161,16 +180,21 @@ class Process:
 
         if running.stdin is None:
             raise AssertionError
-        content = b""
         if table is not None:
-            written = pa.BufferOutputStream()
-            with pa.ipc.new_stream(written, table.schema) as stream:
-                stream.write_table(table)
-            content = written.getvalue()
-            request = {**request, "table": content.size}
+            counted = pa.MockOutputStream()
+            _write_table(counted, table)
+            request = {**request, "table": counted.size()}
         running.stdin.write(json.dumps(request, default=_plain).encode() + b"\n")
-        running.stdin.write(content)
+        if table is not None:
+            _write_table(running.stdin, table)
         running.stdin.flush()
+
+
+def _write_table(target: Any, table: pa.Table) -> None:
+    import pyarrow as pa
+
+    with pa.ipc.new_stream(target, table.schema) as stream:
+        stream.write_table(table)
 
 
 class Frames:
@@ -209,10 +233,14 @@ class Frames:
             if batch is not None:
                 yield batch
 
-    def all(self) -> list[pa.RecordBatch]:
-        """Return all batches that were not taken yet."""
+    def all(self, *, objects: bool = False) -> list[pa.RecordBatch]:
+        """Return all batches that were not taken yet. With `objects`, they fit in memory as Python objects, too."""
         self.finish()
         rest, self._read = self._read, []
+        if objects and sum(map(_size, rest)) > self._most:
+            import duckdb
+
+            raise duckdb.OutOfMemoryException(f"the answer has rows of more than {self._most / 1e9:g} GB")
         return rest
 
     def _next(self) -> pa.RecordBatch | None:
@@ -237,8 +265,8 @@ class Frames:
             self._ended = True
             self._process.close()
             raise
-        self._ended = True
         self._process._answered()
+        self._ended = True
         last = json.loads(line)
         if "error" in last:
             raise _error(last["error"], last["text"])
@@ -256,10 +284,17 @@ class Frames:
         return self._running.stdout
 
     def _lost(self) -> Exception:
-        """Return the error for a process that has ended: it was interrupted, or else had no memory left."""
+        """Return the error for a process that has ended: it was interrupted, or had no memory left, or got another signal."""
         interrupted = self._process._timer is not None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._running.wait(PATIENCE_S)
+        ended = self._running.poll()
         self._process.close()
-        return _error("InterruptException" if interrupted else "OutOfMemoryException", REPLACED)
+        if interrupted:
+            return _error("InterruptException", REPLACED)
+        if ended is None or ended >= 0 or -ended in OF_SHORTAGE:
+            return _error("OutOfMemoryException", REPLACED)
+        return _error("InternalException", f"{REPLACED} by signal {-ended} ({signal.strsignal(-ended)})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,13 +313,14 @@ class RemoteRelation:
         return self._then("project", columns)
 
     def fetchall(self) -> list[RawRow]:
-        return rows_of(self._rows(lossless=True).all())
+        return rows_of(self._rows(lossless=True).all(objects=True))
+
+    def to_few_rows(self) -> pa.Table:
+        """Return the rows as an Arrow table, as long as Python objects of all of them fit in memory."""
+        return self._table(objects=True)
 
     def to_arrow_table(self) -> pa.Table:
-        import pyarrow as pa
-
-        found = self._rows(lossless=False)
-        return pa.Table.from_batches(found.all(), found.schema)
+        return self._table()
 
     def to_arrow_reader(self, _: int) -> Iterator[pa.RecordBatch]:
         return self._rows(lossless=False).batches()
@@ -294,6 +330,12 @@ class RemoteRelation:
         if found is None:
             raise AssertionError
         return found
+
+    def _table(self, *, objects: bool = False) -> pa.Table:
+        import pyarrow as pa
+
+        found = self._rows(lossless=False)
+        return pa.Table.from_batches(found.all(objects=objects), found.schema)
 
     def _rows(self, *, lossless: bool) -> Frames:
         return self.process.ask(self.request["on"], {**self.request, "do": "rows", "lossless": lossless})
@@ -307,7 +349,7 @@ class RemoteResult:
         self._batches = frames.batches()
 
     def fetchall(self) -> list[RawRow]:
-        return rows_of(self._frames.all())
+        return rows_of(self._frames.all(objects=True))
 
     def fetchmany(self, _: int) -> list[RawRow]:
         """Return some of the next rows, none at the end."""
@@ -364,9 +406,47 @@ class Statement(NamedTuple):
     type: Type
 
 
+def _needed(kept: Sequence[Kept]) -> list[Kept]:
+    """Leave out each change of a setting that a later one undoes before anything else is executed."""
+    needed: list[Kept] = []
+    undone: set[tuple[int, str]] = set()
+    for on, request, table in reversed(kept):
+        setting = SETTING.match(request.get("text", ""))
+        if setting is None:
+            undone.clear()
+        elif (on, setting[1]) in undone:
+            continue
+        else:
+            undone.add((on, setting[1]))
+        needed.append((on, request, table))
+    return needed[::-1]
+
+
 def _described(process: Process, request: dict[str, Any]) -> RemoteRelation | None:
     found = process.ask(request["on"], {**request, "do": "describe"}).value
     return None if found is None else RemoteRelation(process, request, *found)
+
+
+def _size(batch: pa.RecordBatch) -> int:
+    """Estimate the memory of a batch's rows as Python objects, in bytes."""
+    return int(batch.nbytes + OBJECT * (batch.num_rows + sum(map(_count, batch.columns))))
+
+
+def _count(values: pa.Array) -> int:
+    """Count values and all that are within them."""
+    import pyarrow as pa
+
+    if isinstance(values, pa.ExtensionArray):
+        return _count(values.storage)
+    if isinstance(values, pa.StructArray):
+        return len(values) + sum(map(_count, values.flatten()))
+    if isinstance(values, pa.UnionArray):
+        return len(values) + sum(_count(values.field(place)) for place in range(values.type.num_fields))
+    if isinstance(values, pa.MapArray):
+        return len(values) + _count(values.keys) + _count(values.items)
+    if isinstance(values, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray):
+        return len(values) + _count(values.flatten())
+    return len(values)
 
 
 def rows_of(batches: Sequence[pa.RecordBatch]) -> list[RawRow]:

@@ -27,6 +27,12 @@ ROWS = 100_000
 """The largest number of rows in a frame."""
 THREADS = 8
 """The largest number of DuckDB's threads: the system counts the whole stack of each."""
+WRAPPED = {
+    "INTERRUPT Error:": "InterruptException",
+    "Out of Memory Error:": "OutOfMemoryException",
+    "IO Error:": "IOException",
+}
+"""DuckDB's classes of errors by the beginning of their text."""
 
 Request = dict[str, Any]
 
@@ -38,6 +44,7 @@ class Worker:
         self._answers = answers
         self._memory = memory
         self._largest = memory // PART
+        self._threads = THREADS
         self._connections: dict[int, Any] = {}
         self._lossless: dict[int, bool] = {}
 
@@ -47,16 +54,15 @@ class Worker:
             do: Callable[..., Any] = getattr(self, request["do"])
             last = {"value": do(request) if table is None else do(request, table)}
         except BaseException as error:
-            kind = "OutOfMemoryException" if isinstance(error, MemoryError) else type(error).__name__
-            last = {"error": kind, "text": str(error)}
+            last = {"error": kind_of(error), "text": str(error)}
         self._say(last)
 
     def connect(self, request: Request) -> None:
         import duckdb
 
         given = request["config"]
-        threads = min(THREADS, int(given.get("threads", os.cpu_count() or 1)))
-        config = {**given, "threads": threads, "memory_limit": f"{self._memory}B"}
+        self._threads = min(THREADS, int(given.get("threads", os.cpu_count() or 1)))
+        config = {**given, "threads": self._threads, "memory_limit": f"{self._memory}B"}
         self._connections[request["made"]] = duckdb.connect(":memory:", config=config)
 
     def cursor(self, request: Request) -> None:
@@ -76,13 +82,18 @@ class Worker:
     def execute(self, request: Request) -> None:
         connection = self._of(request)
         self._convert(request["on"], lossless=True)
-        text = request["text"]
-        if text == "RESET memory_limit":  # not to DuckDB's own limit: what is larger must be written to the disk
-            text = f"SET memory_limit = '{self._memory}B'"
-        connection.execute(text, request["parameters"])
+        connection.execute(self._within(request["text"]), request["parameters"])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a relation would bind the statement twice
             self._send(connection.to_arrow_reader(ROWS))
+
+    def _within(self, text: str) -> str:
+        """Return a statement that does not reset a setting to DuckDB's own limit, but to that of this process."""
+        if text == "RESET memory_limit":  # what is larger must be written to the disk
+            return f"SET memory_limit = '{self._memory}B'"
+        if text == "RESET threads" or (text.startswith("SET threads = ") and int(text.split()[-1]) > self._threads):
+            return f"SET threads = {self._threads}"
+        return text
 
     def describe(self, request: Request) -> tuple[list[str], list[str]] | None:
         """Return the names and types of the columns of a relation; None if the statement has no rows."""
@@ -133,6 +144,15 @@ class Worker:
     def _say(self, last: object) -> None:
         self._answers.write(json.dumps(last).encode() + b"\n")
         self._answers.flush()
+
+
+def kind_of(error: BaseException) -> str:
+    """Return the name of DuckDB's class of an error; pyarrow raises those within an answer as errors of its own."""
+    if isinstance(error, MemoryError):
+        return "OutOfMemoryException"
+    if isinstance(error, OSError) and error.errno is None:
+        return next((name for start, name in WRAPPED.items() if str(error).startswith(start)), "InvalidInputException")
+    return type(error).__name__
 
 
 def kind(statement: Any) -> str:

@@ -473,9 +473,10 @@ class Snapshot:
         try:
             yield
         except duckdb.Error as error:
-            if isinstance(error, duckdb.IOException) or type(error) is duckdb.Error:
+            of_files = f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException)
+            if of_files or isinstance(error, duckdb.IOException) or type(error) is duckdb.Error:
                 check_shortage(error)
-            if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
+            if of_files:
                 raise Damaged(f"the store cannot be read: {explain(error)}") from error
             if type(error) is duckdb.Error:
                 raise Damaged(f"the store cannot be read: {explain(error)}; sierra fsck names damaged files") from error

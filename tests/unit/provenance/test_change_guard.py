@@ -129,6 +129,14 @@ def test_only_a_file_with_other_bytes_is_said_to_have_changed(tmp_path: Path) ->
     assert "programs may have changed, as their times say, since the runs began: code, tool (" in str(before.doubt())
     files["tool"].write_text("y")
     assert "code or programs have changed since the runs began: tool (" in str(before.doubt())
+    files["tool"].write_text("x")
+    files["code"].unlink()
+    os.mkfifo(files["code"])  # nobody writes to it: its reader would wait for ever
+    assert "code or programs have changed since the runs began: code (" in str(before.doubt())
+    (tmp_path / "pyvenv.cfg").touch()  # files of virtual environments are read in another way
+    files["tool"].unlink()
+    os.mkfifo(files["tool"])
+    assert "code or programs have changed since the runs began: code, tool (" in str(before.doubt())
 
 
 @pytest.mark.integration

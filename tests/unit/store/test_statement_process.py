@@ -12,10 +12,11 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from sierra.errors import SqlError
-from sierra.store import statement_process
+from sierra.errors import SierraError, SqlError
+from sierra.store import statement_process, statement_worker
 from sierra.store.connections import connect
-from sierra.store.derived_tables import Limits, Rules
+from sierra.store.derived_tables import Definition, Limits, Rules
+from sierra.store.several_batches import joined
 from sierra.store.statement_process import Remote
 from sierra.store.store import Snapshot, Store
 from tests.unit.store.test_hostile_statements import STATEMENTS
@@ -91,6 +92,56 @@ def test_another_process_has_the_views_and_tables_of_the_one_that_was_ended(conf
     cursor.close()
 
 
+def test_a_process_that_cannot_be_made_again_is_not_left_half_made(confined: Remote) -> None:
+    cursor = confined.cursor()
+    cursor.execute("CREATE TEMP TABLE kept AS SELECT 1 AS n")
+    running = confined._process
+    kept = running._kept
+    on, request, _ = kept[-1]
+    running._kept = [(on, {**request, "text": "FROM lost"}, None) if one is kept[-2] else one for one in kept]
+    os.kill(process(confined), 9)
+    for lost in (duckdb.OutOfMemoryException, duckdb.InvalidInputException, duckdb.InvalidInputException):
+        with pytest.raises(lost):
+            cursor.execute("SELECT 1")
+        assert running._running is None
+    running._kept = kept
+    assert cursor.execute("FROM kept").fetchall() == [(1,)]
+    cursor.close()
+
+
+def test_only_settings_that_something_was_made_with_are_kept(confined: Remote) -> None:
+    before = len(confined._process._kept)
+    for count in (1, 2, 1):
+        for text in (f"SET threads = {count}", "SET TimeZone = 'UTC'", "RESET threads", "RESET TimeZone"):
+            confined.execute(text)
+    assert len(confined._process._kept) == before + 2
+    confined.execute("SET threads = 1")
+    confined.execute("CREATE TABLE kept AS SELECT 1 AS n")
+    confined.execute("RESET threads")
+    assert len(confined._process._kept) == before + 4
+
+
+def test_threads_are_reset_to_those_of_the_process(confined: Remote) -> None:
+    first = confined.execute("SELECT current_setting('threads')").fetchall()
+    for text in ("SET threads = 1", "RESET threads", "SET threads = 1000"):
+        confined.execute(text)
+    assert confined.execute("SELECT current_setting('threads')").fetchall() == first
+
+
+@pytest.mark.parametrize("kind", ["IOException", "InterruptException", "OutOfMemoryException", "InvalidInputException"])
+def test_an_error_within_an_answer_has_its_class(kind: str) -> None:
+    begins = {name: start for start, name in statement_worker.WRAPPED.items()}
+    error = OSError(f"{begins.get(kind, 'Conversion Error:')} within the answer")  # pyarrow's
+    assert statement_worker.kind_of(error) == kind
+
+
+def test_another_signal_is_named(confined: Remote) -> None:
+    confined.execute("SELECT 1")
+    os.kill(process(confined), 15)
+    with pytest.raises(duckdb.InternalException, match="was ended by signal 15"):
+        confined.execute("SELECT 1")
+
+
 @pytest.mark.parametrize(
     "statement",
     ["SELECT repeat('x', 2000000000)", "SELECT list_sum(range(1000000000))", "SELECT list(range) FROM range(900000000)"],
@@ -102,6 +153,38 @@ def test_no_statement_takes_more_memory_than_the_limit(confined: Remote, stateme
     assert confined.execute("SELECT 1").fetchall() == [(1,)]
     status = Path(f"/proc/{process(confined)}/status").read_text()
     assert int(status.split("VmHWM:")[1].split()[0]) * 1024 < MEMORY + 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    "statement",
+    ["SELECT true FROM range(2000000)", "SELECT list(true) FROM range(2000000)", "SELECT {'a': [true]} FROM range(600000)"],
+)
+@pytest.mark.each_case
+def test_no_answer_becomes_more_objects_than_the_limit(confined: Remote, statement: str) -> None:
+    with pytest.raises(duckdb.OutOfMemoryException, match="the answer has rows of more"):
+        confined.execute(statement).fetchall()
+    relation = confined.sql(statement)
+    assert relation is not None
+    with pytest.raises(duckdb.OutOfMemoryException):
+        relation.fetchall()
+    with pytest.raises(duckdb.OutOfMemoryException):
+        relation.to_few_rows()
+    assert relation.to_arrow_table().num_rows in (1, 600_000, 2_000_000)
+
+
+def test_tables_of_several_batches_have_a_limit(recorded: Path) -> None:
+    limits = Limits(memory=MEMORY)
+    large = Definition(
+        "large", "SELECT min(run) AS run, i, repeat('x', 1000) FROM runs, range(50000) AS t(i) GROUP BY i", "large"
+    )
+    store = Store(recorded / ".sierra", lambda: Rules({"large": large}, limits)).confined()
+    [batch, *_] = [row["batch"] for row in store.rows("SELECT DISTINCT batch FROM experiments")]
+    with pytest.raises(SierraError, match=r"^own: out of memory: the tables of several batches .* or raise memory in \[sql\]$"):
+        joined(store, {"a": str(batch), "b": str(batch)}, "SELECT count(*) AS n FROM large", "own")
+    large = Definition("large", "SELECT run, i FROM runs, range(2000) AS t(i)", "large")
+    store = Store(recorded / ".sierra", lambda: Rules({"large": large}, limits)).confined()
+    found = joined(store, {"a": str(batch), "b": str(batch)}, "SELECT batch, count(*) > 0 AS some FROM large GROUP BY 1", "own")
+    assert found.table.to_pylist() == [{"batch": "a", "some": True}, {"batch": "b", "some": True}]
 
 
 def test_a_function_that_cannot_be_interrupted_is_ended(confined: Remote, monkeypatch: pytest.MonkeyPatch) -> None:
