@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import zipfile
@@ -108,7 +107,7 @@ code = subprocess.run(sys.argv[1:]).returncode
 print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
 sys.exit(code)
 """
-"""Execute a command and print the largest memory of its processes, in kB. A process has that of the one that started it, too."""
+"""Execute a command and print the largest memory of its processes, in kB. A process inherits that of the one that starts it."""
 
 
 def test_a_statement_of_a_package_that_takes_all_memory_or_time_is_ended(package: Path, tmp_path: Path) -> None:
