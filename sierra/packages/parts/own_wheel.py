@@ -35,8 +35,8 @@ LOCK = "extra_metadata/requirements.lock"
 """The lock in SIERRA's metadata, with all extras."""
 KEPT = ("METADATA", "entry_points.txt", "licenses/", "extra_metadata/")
 """The files of SIERRA's metadata that belong to the wheel. The others are written by the program that installed it."""
-LEFT_OUT = re.compile(r"__pycache__|\.sierra|.*\.py[co]|\..*_cache|\.DS_Store")
-"""Files and folders that programs leave among the code of an editable installation."""
+LEFT_OUT = re.compile(r"__pycache__|.*\.py[co]|\.(?!gitignore$).*|.*~|.*\.(orig|rej)")
+"""Files and folders that programs, editors and merges leave among the code of an editable installation."""
 ENTRY = re.compile(r"(?m)^(?=[A-Za-z0-9])")
 VIA = re.compile(r"(?m)^ +# +(?:via +)?([A-Za-z0-9][\w.-]*)")
 
