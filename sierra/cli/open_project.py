@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 
 from sierra.api import Project
+from sierra.util.first_import import Load, load_with
 
 ALLOCATOR = "ARROW_DEFAULT_MEMORY_POOL"
 
@@ -37,26 +37,12 @@ def project() -> Project:
     hidden from pyarrow if a command loads pyarrow. It also gets the system's allocator instead of its own, which keeps freed
     memory: this saves 80 MB for 100,000 runs. Neither affects users of SIERRA from Python.
     """
-    if not {"pandas", "pyarrow"} & sys.modules.keys():
-        sys.meta_path.insert(0, _LeanArrow())
+    if "pandas" not in sys.modules:
+        load_with("pyarrow", _load)
     return Project(_folder.get())
 
 
-class _LeanArrow:
-    """An importer of pyarrow that loads it without pandas."""
-
-    def find_spec(self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name != "pyarrow":
-            return None
-        sys.meta_path.remove(self)
-        spec = PathFinder.find_spec(name, path, target)
-        if spec is not None and spec.loader is not None:
-            load = spec.loader.exec_module
-            spec.loader.exec_module = lambda module: _load(module, load)  # type: ignore[method-assign]
-        return spec
-
-
-def _load(module: ModuleType, load: Callable[[ModuleType], None]) -> None:
+def _load(module: ModuleType, load: Load) -> None:
     """Load pyarrow without pandas and with the system's allocator.
 
     An environment variable selects the allocator, because the C++ code of pyarrow obeys nothing else; it reads it once.

@@ -12,14 +12,13 @@ import contextlib
 import importlib
 import logging
 import os
-import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from importlib.machinery import ModuleSpec, PathFinder
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 from sierra.errors import ConfigError
+from sierra.util.first_import import Load, load_with
 
 NAME = "matplotlib"
 BACKEND, FILE = "MPLBACKEND", "MATPLOTLIBRC"
@@ -29,24 +28,10 @@ OWN_FILE = "mpl-data/matplotlibrc"
 
 def prepare() -> None:
     """Have the first import of matplotlib by this process done in this way."""
-    if NAME not in sys.modules and not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Finder())
+    load_with(NAME, _load)
 
 
-class _Finder:
-    """An importer of matplotlib."""
-
-    def find_spec(self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name != NAME:
-            return None
-        spec = PathFinder.find_spec(name, path, target)
-        if spec is not None and spec.loader is not None:
-            load = spec.loader.exec_module
-            spec.loader.exec_module = lambda module: _load(module, load)  # type: ignore[method-assign]
-        return spec
-
-
-def _load(module: ModuleType, load: Callable[[ModuleType], None]) -> None:
+def _load(module: ModuleType, load: Load) -> None:
     with _quiet(), variables({BACKEND: None, FILE: str(Path(module.__path__[0], OWN_FILE))}):
         try:
             load(module)

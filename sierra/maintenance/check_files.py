@@ -296,7 +296,7 @@ def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
 
 
 class _Lack(str):
-    """What is lacking to read a file."""
+    """A lack that keeps a file from being read."""
 
 
 def _hashed(path: Path) -> tuple[str, int]:

@@ -1,4 +1,4 @@
-"""What the system may not give: open files, memory, space, processes, permissions. The lack of any of them is never damage."""
+"""Lacks of the system: open files, memory, space, processes, permissions. None of them is ever damage."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 _at_quit: list[Callable[[], None]] = []
-"""What ends the processes that this one has started, when SIGQUIT ends it."""
+"""The functions that end the processes that this one has started, when SIGQUIT ends it."""
 
 
 def at_quit(end: Callable[[], None]) -> Callable[[], None]:

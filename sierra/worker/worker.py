@@ -2069,8 +2069,8 @@ def stat_of(pid: int) -> list[bytes]:
 class Stops:
     """Looks at a process that a run may stop by SIGSTOP.
 
-    What stops this process, too, is no run but somebody who suspends and resumes everything. Therefore a stop only counts if
-    the process is still stopped `STOP_S` later, and this one has looked at it in the meantime.
+    If this process was stopped too, then no run did it, but somebody who suspends and resumes everything. Therefore a stop
+    only counts if the process is still stopped `STOP_S` later, and this one has looked at it in the meantime.
     """
 
     def __init__(self) -> None:

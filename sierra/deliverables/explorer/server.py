@@ -271,7 +271,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class _Requests(RawIOBase):
-    """What a client sends; a request that comes too slowly as a whole raises TimeoutError."""
+    """The bytes that a client sends; a request that comes too slowly as a whole raises TimeoutError."""
 
     def __init__(self, client: socket.socket) -> None:
         self._client = client

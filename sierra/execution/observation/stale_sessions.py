@@ -169,7 +169,7 @@ DIFFERENCES = {
     "link": "it leads elsewhere",
     FOUND_ELSEWHERE: "found first now",
 }
-"""How files differ of which the content was not compared, by their use."""
+"""The differences of files of which the content was not compared, by their use."""
 
 
 def reason(stale: Mapping[str, UsedFile]) -> str:

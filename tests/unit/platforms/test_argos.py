@@ -1151,7 +1151,7 @@ def test_of_a_folder_of_libraries_only_libraries_count(tmp_path: Path, name: str
 
 @pytest.mark.integration
 def test_a_library_that_no_observed_run_loaded_does_not_count(tmp_path: Path, require: Callable[..., str]) -> None:
-    """Of two runs, only the first is observed; the second one counts because the first one does."""
+    """Only the first of two runs is observed; the second one counts because the first one does."""
     require("strace")
     folder = argos_project(tmp_path / "p")
     config = folder / "sierra.toml"
