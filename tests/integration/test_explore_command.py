@@ -87,9 +87,11 @@ def _ask(page: Page, statement: str) -> None:
 
 
 def computed(pid: int) -> float:
-    """Return the CPU seconds of a process so far."""
+    """Return the CPU seconds so far of a process and of those that it has started."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    own = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    started = (child for path in Path(f"/proc/{pid}/task").glob("*/children") for child in path.read_text().split())
+    return own + sum(computed(int(child)) for child in started)
 
 
 def test_nothing_of_a_hostile_package_is_executed(tmp_path: Path) -> None:

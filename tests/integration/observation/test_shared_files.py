@@ -132,7 +132,9 @@ def test_a_run_of_another_experiment_is_no_witness(execute: Callable[..., tuple[
 
 
 def test_a_run_that_has_failed_is_no_witness(execute: Callable[..., tuple[int, str]]) -> None:
-    script = f"if mkdir $D/1 2>/dev/null; then :; elif mkdir $D/2 2>/dev/null; then exit 3; fi; {SHARING}"
+    observed = "! grep -q 'TracerPid:.0$' /proc/$$/status"
+    second_fails = f"if {observed}; then mkdir $D/1 2>/dev/null || {{ mkdir $D/2 2>/dev/null && exit 3; }}; fi"
+    script = f"{second_fails}; {SHARING}"
     _, said = execute(script, query="population_size=1", runs=6)
     assert REASON in said
 
