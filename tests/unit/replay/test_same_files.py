@@ -1,4 +1,4 @@
-"""What a replay says about files that were not recorded."""
+"""Notes of a replay about files that were not recorded."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import duckdb
@@ -187,10 +188,9 @@ def test_tables_of_several_batches_have_a_limit(recorded: Path) -> None:
     assert found.table.to_pylist() == [{"batch": "a", "some": True}, {"batch": "b", "some": True}]
 
 
-def test_a_function_that_cannot_be_interrupted_is_ended(confined: Remote, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(statement_process, "PATIENCE_S", 0.1)
-    confined.execute("SELECT 1")
-    before = process(confined)
+@contextmanager
+def interrupting(confined: Remote) -> Iterator[None]:
+    """Interrupt a connection again and again, until the end of the context."""
     ended = threading.Event()
 
     def interrupt() -> None:
@@ -200,11 +200,18 @@ def test_a_function_that_cannot_be_interrupted_is_ended(confined: Remote, monkey
     thread = threading.Thread(target=interrupt)
     thread.start()
     try:
-        with pytest.raises(duckdb.InterruptException):
-            confined.execute(ENDLESS).fetchall()
+        yield
     finally:
         ended.set()
         thread.join()
+
+
+def test_a_function_that_cannot_be_interrupted_is_ended(confined: Remote, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(statement_process, "PATIENCE_S", 0.1)
+    confined.execute("SELECT 1")
+    before = process(confined)
+    with interrupting(confined), pytest.raises(duckdb.InterruptException):
+        confined.execute(ENDLESS).fetchall()
     assert confined.execute("SELECT 1").fetchall() == [(1,)]
     assert process(confined) != before
 
@@ -212,20 +219,8 @@ def test_a_function_that_cannot_be_interrupted_is_ended(confined: Remote, monkey
 def test_what_can_be_interrupted_keeps_its_process(confined: Remote) -> None:
     confined.execute("CREATE TEMP TABLE kept AS SELECT 1 AS n")
     before = process(confined)
-    ended = threading.Event()
-
-    def interrupt() -> None:
-        while not ended.wait(0.05):
-            confined.interrupt()
-
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    try:
-        with pytest.raises(duckdb.InterruptException):
-            confined.execute("SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b").fetchall()
-    finally:
-        ended.set()
-        thread.join()
+    with interrupting(confined), pytest.raises(duckdb.InterruptException):
+        confined.execute("SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b").fetchall()
     assert (confined.execute("FROM kept").fetchall(), process(confined)) == ([(1,)], before)
 
 
