@@ -552,6 +552,8 @@ class Job:
     """
     affordable: float | None = None
     """The run is observed if this takes at most so many times the mean time of a run. None: whatever it takes."""
+    experiment: int | None = None
+    """The number of its experiment, if one run of each is observed: should that fail, the worker observes another one."""
     beside: str | None = None
     """The folder with the files that lie beside the input files of all runs."""
     folders: Mapping[str, str] | None = None

@@ -40,6 +40,7 @@ JOIN_S = 0.2
 ENDING_S = 3.0
 """The seconds in which another session that has executed supervised trials must have ended."""
 SECOND = "{} is executed again and observed, because one observed run wrote a file elsewhere and read it: do others, too?"
+FAILED = "{} is executed again and observed, because observed runs have failed: do runs use a file at the same time?"
 SHOWN = 2
 """Maximum number of named runs that are executed again."""
 NOTED = 4
@@ -111,7 +112,7 @@ class Executor:
     def answer(self) -> None:
         """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave.
 
-        At the end, observe one more run of an experiment if nobody knows otherwise whether the runs share a file.
+        At the end, observe one more run of an experiment if nobody knows otherwise whether its runs share a file.
         """
         self._answer()
         if not self.left:
@@ -119,29 +120,35 @@ class Executor:
 
     def _compare(self) -> None:
         """Execute runs again, observed, if this tells whether runs share a file; those that most likely do have failed."""
-        runs = shared_use.undecided(self.store, self._context)
-        if not (runs or self.attempted):
+        if (self.failed or self._tally.failed) and (unseen := shared_use.unseen(self.store, self._context)):
+            self._observe(unseen, FAILED)
+        undecided = shared_use.undecided(self.store, self._context)
+        if undecided:
+            self._observe(undecided, SECOND)
+        if undecided or self.attempted:
+            self.failed |= shared_use.find(self.store, self.session.paths, self._context, settle=True)
+
+    def _observe(self, runs: set[str], why: str) -> None:
+        """Execute runs again, observed, if that is possible here and now."""
+        runner = self._runner()
+        if self.interrupted or runner.remote or runner.stays:
             return
-        runner = self._runner() if runs else None
-        if runner is not None and not (self.interrupted or runner.remote or runner.stays):
-            some = few(["run " + short(run) for run in sorted(runs)], SHOWN)
-            self._options.observer.notice(SECOND.format(some))
-            service = self._prepared(self._code(), stays=False)
-            followed = service.execute(
-                runner,
-                self._context,
-                self._inputs(runs),
-                len(runs),
-                self.plan.programs,
-                self._tally,
-                doubt=self._doubt,
-                attempt=1,
-                observed=True,
-            )
-            self.notes += tuple(note for note in followed.notes if note not in self.notes)
-            self.interrupted = followed.interrupted
-            self.failed |= followed.inconsistent
-        self.failed |= shared_use.find(self.store, self.session.paths, self._context, settle=True)
+        self._options.observer.notice(why.format(few(["run " + short(run) for run in sorted(runs)], SHOWN)))
+        service = self._prepared(self._code(), stays=False)
+        followed = service.execute(
+            runner,
+            self._context,
+            self._inputs(runs),
+            len(runs),
+            self.plan.programs,
+            self._tally,
+            doubt=self._doubt,
+            attempt=1,
+            observed=True,
+        )
+        self.notes += tuple(note for note in followed.notes if note not in self.notes)
+        self.interrupted = followed.interrupted
+        self.failed |= followed.inconsistent
 
     def _answer(self) -> None:
         while not (self.interrupted or self.left):

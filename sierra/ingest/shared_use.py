@@ -140,6 +140,17 @@ scoped AS (SELECT run, near, unnest([ordinal, -1]) AS scope FROM others)
 SELECT arg_max(run, (near, run)) FROM scoped WHERE list_contains($scopes, scope) GROUP BY scope ORDER BY scope
 """
 """One run of each of some experiments (-1: of any) that is not known to use the things; if possible one of those nearby."""
+UNSEEN = f"""
+WITH {MEMBERS},
+mine AS (
+    SELECT run, ordinal, status = 'ok' AS ok, (host, slot) AS lane,
+           execution IN (SELECT execution FROM observations) AS observed
+    FROM all_judgements JOIN members USING (run) WHERE session = $session AND purpose = 'run'
+)
+SELECT max(run) FILTER (ok) FROM mine GROUP BY ordinal
+HAVING bool_or(observed) AND NOT bool_or(observed AND ok) AND bool_or(ok) AND (SELECT count(DISTINCT lane) > 1 FROM mine)
+"""
+"""A successful run of each experiment of which all runs that the session has observed have failed, if several ran at a time."""
 
 
 class _Shared(NamedTuple):
@@ -194,6 +205,15 @@ def undecided(store: Store, context: Context) -> set[str]:
                 given = {"batch": context.batch, "names": [one.name for one in names], "near": near, "scopes": scopes}
                 found.update(snapshot.values(str, query, **given))
     return found
+
+
+def unseen(store: Store, context: Context) -> set[str]:
+    """Return a run of each experiment whose observation is needed, because the runs that the session has observed failed."""
+    with store.snapshot() as snapshot:
+        if not snapshot.holds("observations"):
+            return set()
+        snapshot.views.make(("observations", "batch_runs", "all_judgements"))
+        return set(snapshot.values(str, UNSEEN, batch=context.batch, session=context.session))
 
 
 def _shared(snapshot: Snapshot, batch: str, kind: Kind) -> list[_Shared]:

@@ -294,6 +294,8 @@ def record(job: Job) -> worker.Job:
             record["affordable"] = job.affordable
         if job.helps is not None:
             record["helps"] = {"tracer": job.helps.tracer, "digests": job.helps.digests}
+    if job.experiment is not None:
+        record["experiment"] = job.experiment
     return record
 
 

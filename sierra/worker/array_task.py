@@ -111,6 +111,7 @@ if TYPE_CHECKING:
         """Not in the common job; nor is the budget."""
         budget: float
         affordable: float
+        experiment: int
         end: int
         """The number of jobs; only in the last line."""
 

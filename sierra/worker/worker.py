@@ -147,7 +147,8 @@ DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 TRACED_S = 0.004  # by which a run takes longer under a tracer,
 BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
 SMALL, RACY_NS = 1 << 16, 2 * 10**9  # as in sierra.provenance.hash_cache
-MOST_LOST = 3  # comparisons of runs that tell nothing, because the observed run fails
+MOST_LOST = 3  # observed runs that another one replaces, because they have failed: in each experiment, and to compare runs
+ANY = -1  # stands for all experiments
 STOP_S = 0.5  # for SIGCONT to reach all processes that it is sent to, and much longer than the time between two looks
 UNKNOWN_S = 0.1  # for an observation, while none has ended
 LINE_BYTES = 1 << 16
@@ -209,9 +210,11 @@ class Job(Program):
     """The run is in a sample: the part of the runs' time that observations of the sample may take."""
     affordable: NotRequired[float]
     """The run is observed if this takes at most so many times the mean time of a run, and while no run has ended."""
+    experiment: NotRequired[int]
+    """The number of its experiment. If the observed run fails, another one is observed: see `Worker.request_another`."""
     helps: NotRequired[Helps]
     compares: NotRequired[bool]
-    """The worker observes this run to compare it with one that was doubtful: see `Worker.with_comparison`."""
+    """The worker observes this run to compare it with one that was doubtful: see `Worker.with_observation`."""
     waits: NotRequired[bool]
     """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`.
 
@@ -846,10 +849,13 @@ class Worker:
         self.trusts = True  # that a tracer works which has worked before
         self.parent = os.getppid()
         self.continue_at = 0.0
-        self.doubtful: Job | None = None
-        """A run whose use of files must be compared with that of another one, which is observed as soon as it starts."""
-        self.lost = 0
-        """The number of comparisons that have told nothing."""
+        self.requests: dict[int, Job] = {}
+        """By experiments: a run, observed in vain, in whose place the next one is observed.
+
+        `ANY`: a run whose use of files must be compared with that of another one.
+        """
+        self.lost: dict[int, int] = {}
+        """By the same numbers: how many observations were requested in place of others."""
 
     @property
     def status(self) -> int:
@@ -998,7 +1004,7 @@ class Worker:
 
     def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
-        job = self.with_comparison(job)
+        job = self.with_observation(job)
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
@@ -1049,8 +1055,6 @@ class Worker:
         if disturbed and not self.stopping:
             self.execute_unobserved(job, folder, slot, disturbed)
             return
-        if "compares" in job and (status or not observed):
-            self.compare_again(job)
         self.account.add(wall)
         if disturbed or (running.stopped is None and self.stopping and os.WIFSIGNALED(status)):
             running.stopped = "interrupted"
@@ -1069,6 +1073,8 @@ class Worker:
         if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
             remains["spare"] = True
+        if running.observation and (status or not observed or remains["stopped"] or remains["error"]):
+            self.request_another(job)
         if observed:
             remains["observed"] = True
         if job.get("waits") and not held and running.meter:
@@ -1142,20 +1148,20 @@ class Worker:
     def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
         remove(folder)
-        if "compares" in job:
-            self.compare_again(job)
+        self.request_another(job)
         unobserved = job.copy()
         unobserved.pop("compares", None)
         del unobserved["observe"]
         unobserved["unobserved"] = reason
         self.execute(unobserved, slot)
 
-    def with_comparison(self, job: Job) -> Job:
-        """Return the job, which is observed, whatever it takes, if an observed run before it was doubtful."""
+    def with_observation(self, job: Job) -> Job:
+        """Return the job, which is observed if a run before it was doubtful, or was observed for its experiment and failed."""
         if "client" in job or "waits" in job or "unobserved" in job:
             return job
         with self.lock:
-            first, self.doubtful = self.doubtful, None
+            compares = ANY in self.requests
+            first = self.requests.pop(ANY if compares else job.get("experiment", ANY), None)
         if first is None:
             return job
         job = job.copy()
@@ -1164,7 +1170,10 @@ class Worker:
             job["helps"] = first["helps"]
         job.pop("budget", None)
         job.pop("affordable", None)
-        job["compares"] = True
+        if compares:
+            job["compares"] = True
+        elif "affordable" in first:
+            job["affordable"] = first["affordable"]
         return job
 
     def compare(self, job: Job, trace: Trace) -> None:
@@ -1174,14 +1183,20 @@ class Worker:
         """
         if not ("compares" in job or "budget" in job) and (trace.reread or trace.reread_new):
             with self.lock:
-                self.doubtful = job
+                self.requests[ANY] = job
 
-    def compare_again(self, job: Job) -> None:
-        """Let the next run be observed in place of one that has failed, or could not be observed; at most a few times."""
+    def request_another(self, job: Job) -> None:
+        """Let another run be observed in place of one that has failed, or could not be observed; at most a few times.
+
+        Any run may be compared with a doubtful one; else it is the next of the experiment. None replaces one of the sample.
+        """
+        key = ANY if "compares" in job else job.get("experiment")
+        if key is None or "budget" in job:
+            return
         with self.lock:
-            if self.lost < MOST_LOST:
-                self.doubtful = self.doubtful or job
-            self.lost += 1
+            if self.lost.setdefault(key, 0) < MOST_LOST:
+                self.requests.setdefault(key, job)
+            self.lost[key] += 1
 
     def observe(self, job: Job, folder: str) -> Observation | None:
         """Begin to observe a run, if that is requested and takes no more time than it may."""

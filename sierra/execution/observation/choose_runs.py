@@ -44,7 +44,8 @@ def choose(
     if config.observe == "all":
         yield from (replace(job, observe=folders, helps=helps) for _, job in jobs)
         return
-    for run, job in jobs:
+    for run, unnumbered in jobs:
+        job = replace(unnumbered, experiment=run.experiment)
         if not begun:
             yield replace(job, observe=folders, helps=helps)
         elif run.experiment not in begun:

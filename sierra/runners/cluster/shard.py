@@ -208,6 +208,8 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
             record["budget"] = job.budget
         if job.affordable is not None:
             record["affordable"] = job.affordable
+    if job.experiment is not None:
+        record["experiment"] = job.experiment
     return record
 
 

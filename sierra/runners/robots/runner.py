@@ -330,6 +330,7 @@ class Robots:
             observe=robot.folders() if job.observe is not None else None,
             budget=None,
             affordable=None,
+            experiment=None,
             helps=None,
             members=(),
         )

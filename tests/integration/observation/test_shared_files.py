@@ -139,6 +139,27 @@ def test_a_run_that_has_failed_is_no_witness(execute: Callable[..., tuple[int, s
     assert REASON in said
 
 
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("fails", "runs", "jobs"),
+    [("exit 3", 6, 2), ("exit 3", 4, 4), ("exit 0", 6, 2)],
+    ids=["next", "all at once", "without output"],
+)
+def test_sharing_is_seen_although_the_first_observed_run_fails(
+    execute: Callable[..., tuple[int, str]], fails: str, runs: int, jobs: int
+) -> None:
+    observed = "! grep -q 'TracerPid:.0$' /proc/$$/status"
+    script = f"if {observed} && mkdir $D/1 2>/dev/null; then sleep 0.3; {fails}; fi; {SHARING}"
+    counted, said = execute(script, query="population_size=1", runs=runs, jobs=jobs)
+    assert (counted < runs - 1, REASON in said) == (True, True), said
+
+
+def test_names_of_their_own_count_although_the_first_observed_run_fails(execute: Callable[..., tuple[int, str]]) -> None:
+    script = f"mkdir $D/1 2>/dev/null && {{ sleep 0.3; exit 3; }}; {WRITE.format('$D/$$.csv')}; cp $D/$$.csv swarm.csv"
+    counted, said = execute(script, query="population_size=1", runs=4, jobs=4)
+    assert counted == 3, said
+
+
 def test_a_run_of_a_session_before_is_no_witness(execute: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
     (tmp_path / "outside" / "do.sh").write_text(PLAIN)
     config = tmp_path / "project" / "sierra.toml"

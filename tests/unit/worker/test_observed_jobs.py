@@ -88,6 +88,43 @@ def test_the_first_run_of_an_experiment_is_observed_only_if_it_is_affordable(fol
     assert [end["execution"] for end in execute(folder, *jobs) if end.get("observed")] == ["unknown", "cheap"]
 
 
+FAILING = {"failed": "exit 1", "endless": "exec sleep 9", "good": "true"}
+
+
+@pytest.mark.parametrize("how", ["failed", "endless"])
+def test_another_run_of_the_experiment_is_observed_in_place_of_one_that_fails(
+    folder: Path, require: Callable[..., str], how: str
+) -> None:
+    require("strace")
+    first = job("first", FAILING[how], experiment=1, limits={"wall_s": 0.5})
+    others = [(2, "other", "good"), (1, "second", how), (1, "third", "good"), (1, "fourth", "good")]
+    later = [job(name, FAILING[what], experiment=number, limits={"wall_s": 0.5}) for number, name, what in others]
+    for one in later:
+        del one["observe"]
+    assert [end["execution"] for end in execute(folder, first, *later) if end.get("observed")] == ["first", "second", "third"]
+
+
+def test_runs_of_an_experiment_that_always_fails_are_not_all_observed(folder: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    jobs = [job(str(number), "exit 1", experiment=1) for number in range(9)]
+    for one in jobs[1:]:
+        del one["observe"]
+    assert len([end for end in execute(folder, *jobs) if end.get("observed")]) == 1 + worker.MOST_LOST
+
+
+def test_a_run_observed_in_place_of_another_must_be_affordable_and_the_sample_has_no_successors(
+    folder: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    first = job("first", "exit 1", experiment=1, affordable=0.0)
+    sampled = job("sampled", "exit 1", experiment=2, budget=1e9)
+    others = [job(name, "true", experiment=number) for name, number in (("one", 1), ("two", 2))]
+    for one in others:
+        del one["observe"]
+    ends = execute(folder, first, sampled, *others)
+    assert [end["execution"] for end in ends if end.get("observed")] == ["first", "sampled"]
+
+
 def test_the_account_allows_one_more_observation_only_if_it_fits() -> None:
     account = Account()
     assert account.allows(None)
