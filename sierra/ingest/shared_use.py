@@ -119,7 +119,8 @@ exempt AS (
     SELECT n.judgement FROM near n JOIN batch_runs m USING (batch, run) JOIN seen USING (session, batch, ordinal)
     GROUP BY n.judgement HAVING NOT bool_or(seen.uses)
 )
-SELECT n.judgement, n.run, n.batch FROM near n JOIN timed t USING (execution) ANTI JOIN exempt x ON x.judgement = n.judgement
+SELECT n.judgement, n.run, n.batch, n.session
+FROM near n JOIN timed t USING (execution) ANTI JOIN exempt x ON x.judgement = n.judgement
 WHERE n.status = 'ok' AND n.purpose = 'run' AND (t.overlaps OR (n.session = $session AND epoch(n.ended) > $lost))
 ORDER BY n.batch, n.judgement
 """
@@ -143,14 +144,13 @@ SELECT arg_max(run, (near, run)) FROM scoped WHERE list_contains($scopes, scope)
 UNSEEN = f"""
 WITH {MEMBERS},
 mine AS (
-    SELECT run, ordinal, status = 'ok' AS ok, (host, slot) AS lane,
-           execution IN (SELECT execution FROM observations) AS observed
+    SELECT run, ordinal, status = 'ok' AS ok, execution IN (SELECT execution FROM observations) AS observed
     FROM all_judgements JOIN members USING (run) WHERE session = $session AND purpose = 'run'
 )
 SELECT max(run) FILTER (ok) FROM mine GROUP BY ordinal
-HAVING bool_or(observed) AND NOT bool_or(observed AND ok) AND bool_or(ok) AND (SELECT count(DISTINCT lane) > 1 FROM mine)
+HAVING bool_or(observed) AND NOT bool_or(observed AND ok) AND bool_or(ok)
 """
-"""A successful run of each experiment of which all runs that the session has observed have failed, if several ran at a time."""
+"""A successful run of each experiment of which all runs that the session has observed have failed."""
 
 
 class _Shared(NamedTuple):
@@ -164,22 +164,26 @@ class _Overlapping(NamedTuple):
     judgement: str
     run: str
     batch: str
+    session: str
 
 
 def find(store: Store, session: SessionPaths, context: Context, lost: float = math.inf, *, settle: bool = False) -> set[str]:
     """Find successful executions of a batch that shared something with others, record findings, and return their runs.
 
     `lost`: the time since which a run of the session was executing that is not recorded, in seconds since the epoch. `settle`:
-    executions are taken as sharing a thing that only one observed run has used.
+    executions of the session are taken as sharing a thing that only one observed run has used.
     """
     found: dict[str, tuple[_Overlapping, str]] = {}
     with store.snapshot() as snapshot:
         for kind in KINDS:
-            names = [one for one in _shared(snapshot, context.batch, kind) if one.decided or settle]
-            reason = kind.reason.replace("{names}", few([one.name for one in names], NAMED)) + f"; {kind.cure}"
-            reason += "" if all(one.decided for one in names) else UNDECIDED
-            for one in _overlapping(snapshot, context, kind, names, lost):
-                found.setdefault(one.judgement, (one, reason))
+            shared = _shared(snapshot, context.batch, kind)
+            for decided in (True, False) if settle else (True,):
+                names = [one for one in shared if one.decided is decided]
+                reason = kind.reason.replace("{names}", few([one.name for one in names], NAMED)) + f"; {kind.cure}"
+                reason += "" if decided else UNDECIDED
+                for one in _overlapping(snapshot, context, kind, names, lost):
+                    if decided or one.session == context.session:
+                        found.setdefault(one.judgement, (one, reason))
     now, lamport = datetime.now(UTC), context.lamport()
     for batch in sorted({one.batch for one, _ in found.values()}):
         writer = store.writer(session.segment, batch)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from sierra.execution.execute_missing import Executor
+from sierra.ingest import shared_use
 from tests import projects
 from tests.waiting import until
 
@@ -189,3 +192,17 @@ def test_a_session_that_dies_while_it_compares_leaves_no_wrong_rows(
     assert projects.sql(folder, "SELECT count(*) > 0 AS failed FROM executions WHERE reason LIKE 'writes and reads%'") == [
         {"failed": True}
     ]
+
+
+def test_a_session_that_cannot_compare_decides_nothing_for_others(
+    execute: Callable[..., tuple[int, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[int] = []
+
+    def compare(session: Executor) -> None:
+        for context in (replace(session._context, session="0" * 16), session._context):
+            found.append(len(shared_use.find(session.store, session.session.paths, context, settle=True)))
+
+    monkeypatch.setattr(Executor, "_compare", compare)
+    execute(f"{WRITE.format('$D/$$.csv')}; sleep 0.5; cp $D/$$.csv swarm.csv", query="population_size=1", runs=2)
+    assert found == [0, 2]
