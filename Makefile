@@ -58,7 +58,7 @@ test: install ## run the tests that need no cluster, container or network; more 
 integration: install .venv-validators/installed ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
 	$(PYTEST) -m "integration and not nightly"
 
-nightly: install ## run the tests that take too long for each change, and ten minutes of soak
+nightly: install .venv-validators/installed ## run the tests that take too long for each change, and ten minutes of soak
 	$(PYTEST) -m nightly
 	$(BIN)/python -m tests.soak --minutes $(MINUTES)
 

@@ -21,6 +21,7 @@ VARIABLES: dict[str, dict[str, str]] = {
     "fonts": {"FONTCONFIG_FILE": "/nonexistent", "FONTCONFIG_PATH": "/nonexistent"},
     "file": {"MATPLOTLIBRC": "bad/matplotlibrc"},
 }
+ALL = {"all": {name: value for variables in VARIABLES.values() for name, value in variables.items()}}
 pytestmark = pytest.mark.integration
 
 
@@ -34,8 +35,7 @@ def figures(root: Path, variables: dict[str, str]) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("variables", VARIABLES.values(), ids=VARIABLES)
-@pytest.mark.each_case
+@pytest.mark.parametrize("variables", (ALL | VARIABLES).values(), ids=ALL | VARIABLES)
 def test_figures_are_the_same_with_all_variables(recorded: Path, tmp_path: Path, variables: dict[str, str]) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     (root / "bad").mkdir()
