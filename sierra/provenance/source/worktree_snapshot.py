@@ -3,9 +3,9 @@
 Nothing of the user's is changed. Git works on SIERRA's own index, `<git dir>/sierra/<key>.index`, which starts with the files
 of the user's index. It is kept, so that the next time git reads only files whose times or sizes have changed. Each snapshot
 works on a copy of it, and renames the copy into its place at the end. Two snapshots at the same time do not wait for each
-other; the last one wins. An index has files as git converted them when it read them. Therefore the settings and attributes of that
-time are kept beside it, and if others apply to a file now, all files are read again. If git cannot read the index, it is discarded and starts from the user's index again, or from the
-commit's files if the user's index is damaged too.
+other; the last one wins. An index has files as git converted them when it read them. Therefore the settings and attributes of
+that time are kept beside it, and if others apply to a file now, all files are read again. If git cannot read the index, it is
+discarded and starts from the user's index again, or from the commit's files if the user's index is damaged too.
 
 *The files on disk are recorded*, because they are what executes. An index can tell git not to check a file
 (assume-unchanged, skip-worktree); these marks are removed. A file that a sparse checkout leaves out is not in the tree, and
