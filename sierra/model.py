@@ -24,6 +24,8 @@ FOLDER = "sierraFolder7d1c0e4b"
 """The beginning of the marks that stand for folders in generated inputs. No template may contain it."""
 IN_PROJECT = "{project}/"
 """The beginning of a path in the project, wherever the project is."""
+REDACTED = "/redacted/"
+"""The folder of the pseudonyms of folders in redacted records."""
 
 
 # ---------------------------------------------------------------- the query

@@ -66,6 +66,7 @@ class Standing(NamedTuple):
 
 OF_LAST_SESSION = f"{LATEST} SELECT session, programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
 STANDINGS = f"""
+WITH last AS (SELECT * FROM all_judgements WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts))
 SELECT t.counts,
        coalesce(t.own IN (SELECT execution FROM reused_executions WHERE session = $session), false) AS unchanged,
        t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
@@ -75,9 +76,10 @@ FROM standing t LEFT JOIN (
     SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
            CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN ingest_rules END AS ingest_rules,
            packages IS NOT NULL AS imported, status = 'ok' AND (session, run) NOT IN (
-               SELECT (session, run) FROM ({OBSERVED}) JOIN batch_runs USING (batch, ordinal)
+               SELECT (session, run) FROM ({OBSERVED} AND e.session IN (SELECT session FROM last))
+               JOIN batch_runs USING (batch, ordinal) WHERE run IN (SELECT run FROM last)
            ) AS unobserved
-    FROM all_judgements WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts)
+    FROM last
 ) e ON e.execution = t.execution
 GROUP BY ALL ORDER BY runs DESC, run
 """  # noqa: S608 - of our own parts

@@ -66,13 +66,14 @@ class Event:
 
 EXECUTED = f"""
 CREATE TEMP TABLE happened AS
-WITH observed AS (
-    SELECT DISTINCT session, run FROM ({OBSERVED}) JOIN batch_runs USING (batch, ordinal)
-),
-mine AS (
+WITH mine AS (
     SELECT e.judgement, e.judged_at, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
            e.programs, e.ingest_rules, e.purpose, e.lamport, e.packages
     FROM all_judgements e SEMI JOIN wanted USING (run)
+),
+observed AS (
+    SELECT DISTINCT session, run FROM ({OBSERVED} AND e.session IN (SELECT session FROM mine))
+    JOIN batch_runs USING (batch, ordinal) WHERE run IN (SELECT run FROM wanted)
 ),
 first AS (SELECT * EXCLUDE (judgement, judged_at, place) FROM mine WHERE judgement = execution),
 earlier AS (

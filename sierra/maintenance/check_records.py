@@ -31,9 +31,9 @@ from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.findings import Affected, Finding, Kind, of
-from sierra.model import RunSpec, Value
+from sierra.model import REDACTED, RunSpec, Value
 from sierra.provenance import environment, source
-from sierra.provenance.dependency_model import fingerprint
+from sierra.provenance.dependency_model import Identified, fingerprint, fingerprint_by_name
 from sierra.provenance.source.stored_repositories import proves
 from sierra.store.deliverable_records import deliverable_id
 from sierra.store.duckdb_file_io import read_parquet
@@ -319,11 +319,20 @@ def _using(records: Records, key: str, identity: str) -> Affected:
 def _programs(records: Records) -> Iterator[Finding]:
     """Check the ids of program lists. The programs of one fingerprint are adjacent, repeated as often as they were recorded."""
     for path in records.files.get("programs", ()):
-        statement = f"SELECT programs, name, sha256 FROM {read_parquet([path])}"
+        statement = f"SELECT programs, name, path, sha256 FROM {read_parquet([path])}"
         for identity, rows in groupby(records.each(statement), itemgetter(0)):
-            if identity != fingerprint((name, found) for _, name, found in rows if name is not None):
+            if not _is_fingerprint(identity, [row[1:] for row in rows if row[1] is not None]):
                 what = f"programs {short(str(identity))} do not have the id that follows from their names and SHA-256"
                 yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, "programs", identity))
+
+
+def _is_fingerprint(identity: str, programs: Sequence[Identified]) -> bool:
+    """Check an id of programs. In redacted records, the folders of programs are not those of which the id was made."""
+    if identity in (fingerprint(programs), fingerprint_by_name(programs)):
+        return True
+    return fingerprint(programs) != fingerprint_by_name(programs) and any(
+        part is not None and REDACTED in part for name, path, _ in programs for part in (name, path)
+    )
 
 
 def _file_sets(records: Records) -> Iterator[Finding]:

@@ -19,6 +19,7 @@ from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import Kind, Programs
 from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.source import suggest_exclusions
+from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import REPOSITORY, parts, read
 from sierra.provenance.source.selection import shown
 from sierra.util.hashing import CHUNK
@@ -58,9 +59,14 @@ class ChangeGuard:
             if path.removeprefix(self.root + b"/") not in self.source:
                 open_regular(path, buffering=0).close()  # nothing is written to a FIFO
                 return HashCache().counted(os.fsdecode(path)) == known
-            return known in _hashes(path)
+            return known in _hashes(path) or known == self._committed(path)
         except (Missing, OSError):
             return False
+
+    def _committed(self, path: bytes) -> str | None:
+        """Return git's hash of what it would commit of a file, which it may convert; None outside git."""
+        root = Path(os.fsdecode(self.root))
+        return Git(root)("hash-object", "--", os.fsdecode(path)).decode().strip() if in_repository(root) else None
 
     def changed(self) -> list[bytes]:
         """Return the absolute paths of the changed files."""

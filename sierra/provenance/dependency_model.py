@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable, Sequence, Set
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence, Set
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -32,7 +33,9 @@ class Kind(StrEnum):
 RENAMED = frozenset((Kind.PROGRAM, Kind.DISTRIBUTIONS))
 """Kinds that may have another name without a difference, as a Python and its distributions; those of others are their roles."""
 Role = tuple[Kind, str, str]
-"""The kind, the name without its location, and the SHA-256."""
+"""The kind, the name as in `roles`, and the SHA-256."""
+Identified = tuple[str, str | None, str | None]
+"""The name, the path and the SHA-256 of a program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,10 @@ class Program:
         """The name without its location."""
         return called(self.name)
 
+    @property
+    def identified(self) -> Identified:
+        return self.name, self.path, self.sha256
+
 
 @dataclass(frozen=True, slots=True)
 class Programs:
@@ -62,14 +69,15 @@ class Programs:
 
     @property
     def id(self) -> str:
-        return fingerprint((program.name, program.sha256) for program in self.all)
+        return fingerprint(program.identified for program in self.all)
 
     def unlike(self, others: Programs) -> list[str]:
         """Return the names of programs that differ between the two, or that only one of them has.
 
         A program that has only another name is left out; the name of a file or a library is its role.
         """
-        mine, theirs = ({(one.kind, one.called, one.sha256) for one in side.all} for side in (self, others))
+        role = roles(*([one.identified for one in side.all] for side in (self, others)))
+        mine, theirs = ({(one.kind, role[one.identified], one.sha256) for one in side.all} for side in (self, others))
         lost, come = mine - theirs, theirs - mine
         renamed = _without_shared_names(lost, come) & _without_shared_names(come, lost)
         return sorted({name for kind, name, sha256 in lost | come if (kind, sha256) not in renamed})
@@ -88,9 +96,44 @@ def _without_shared_names(some: Set[Role], others: Set[Role]) -> set[tuple[str, 
 NOTHING = Programs(())
 
 
-def fingerprint(programs: Iterable[tuple[str, str]]) -> str:
-    """Return the hash of names and SHA-256, independent of location and order."""
-    return digest("programs", {"programs": sorted({(called(name), found) for name, found in programs})})
+def fingerprint(programs: Iterable[Identified]) -> str:
+    """Return the hash of names and SHA-256, independent of order, and of location unless names are ambiguous (see `roles`)."""
+    role = roles(list(programs))
+    return _fingerprint((name, sha256) for (_, _, sha256), name in role.items())
+
+
+def fingerprint_by_name(programs: Iterable[Identified]) -> str:
+    """Return the fingerprint of earlier versions, which did not tell programs of the same name apart."""
+    return _fingerprint((called(name), sha256) for name, _, sha256 in programs)
+
+
+def _fingerprint(programs: Iterable[tuple[str, str | None]]) -> str:
+    return digest("programs", {"programs": sorted(set(programs))})
+
+
+def roles(*sets: Collection[Identified]) -> dict[Identified, str]:
+    """Return the name under which each program is compared: the name without its location.
+
+    If a set has several contents of that name, it is the full name; if several have that too (libraries that two programs load
+    under one name), the path comes before it.
+    """
+    names = _ambiguous(sets, lambda one: called(one[0]))
+    full = _ambiguous(sets, lambda one: one[0])
+
+    def role(one: Identified) -> str:
+        name, path, _ = one
+        if called(name) not in names:
+            return called(name)
+        return f"{path}: {name}" if name in full else name
+
+    return {one: role(one) for programs in sets for one in programs}
+
+
+def _ambiguous(sets: Iterable[Iterable[Identified]], named: Callable[[Identified], str]) -> set[str]:
+    """Return the names that several contents of one set have."""
+    found = ({(named(one), one[2]) for one in programs} for programs in sets)
+    counted = [Counter(name for name, _ in pairs) for pairs in found]
+    return {name for counts in counted for name, count in counts.items() if count > 1}
 
 
 def versions(listed: str | None) -> dict[str, str]:

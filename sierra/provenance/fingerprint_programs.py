@@ -18,7 +18,6 @@ from __future__ import annotations
 import os
 import shutil
 import types
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
@@ -28,7 +27,17 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.model import IN_PROJECT
 from sierra.provenance import libraries, pythons
-from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
+from sierra.provenance.dependency_model import (
+    INSTALLED,
+    NOTHING,
+    Kind,
+    Program,
+    Programs,
+    by_likelihood,
+    called,
+    roles,
+    versions,
+)
 from sierra.provenance.hash_cache import HashCache
 from sierra.util import processors
 from sierra.util.hashing import sha256, short
@@ -216,12 +225,8 @@ def differences(
     those that executions were observed to use (`used`). A program that has only another name is no difference, unless there is
     no other one.
     """
-    several = {name for programs in (before, now) for name in _ambiguous(programs.all)}
-
-    def by_name(programs: Iterable[Program]) -> dict[str, Program]:
-        return {one.name if one.called in several else one.called: one for one in programs}
-
-    old, new = by_name(before.all), by_name(now.all)
+    role = roles(*([one.identified for one in programs.all] for programs in (before, now)))
+    old, new = ({role[one.identified]: one for one in programs.all} for programs in (before, now))
     renamed = _renamed(old, new)
     names = (old.keys() | new.keys()) - renamed.keys() - set(renamed.values())
     pairs = [(name, old.get(name), new.get(name)) for name in sorted(names)]
@@ -248,12 +253,6 @@ def _renamed(old: Mapping[str, Program], new: Mapping[str, Program]) -> dict[str
     came = {(new[name].kind, new[name].sha256): name for name in sorted(new.keys() - old.keys(), reverse=True)}
     keys = {name: (old[name].kind, old[name].sha256) for name in sorted(old.keys() - new.keys())}
     return {name: came.pop(key) for name, key in keys.items() if key in came}
-
-
-def _ambiguous(programs: Iterable[Program]) -> set[str]:
-    """Return the location-independent names that several programs share."""
-    counted = Counter(called(name) for name in {one.name for one in programs})
-    return {name for name, count in counted.items() if count > 1}
 
 
 def _described(one: Program | None, other: Program | None) -> str:

@@ -24,7 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.execution_tables import ProgramsTable
-from sierra.provenance.dependency_model import Kind, Program, Programs
+from sierra.provenance.dependency_model import Kind, Program, Programs, roles
 from sierra.store.layout import user_versions
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
@@ -46,12 +46,14 @@ def with_versions(programs: Programs, table: ProgramsTable, variables: Mapping[s
     """Return the programs with the versions that they report; `variables` are those of the runs, with PATH."""
     cache = Cache(user_versions(), MAX_ENTRIES)
     identity = programs.id
+    role = roles([one.identified for one in programs.all])
 
     def version(program: Program) -> str | None:
         words = _words(program, table, root)
         if not words or not Path(program.path).exists():
             return program.version
-        key = digest("version", {"colours": False, "programs": identity, "name": program.called, "words": list(words)})
+        name = role[program.identified]
+        key = digest("version", {"colours": False, "programs": identity, "name": name, "words": list(words)})
         known = cache.get(key)
         if not isinstance(known, str):
             known = _version((program.path, *words), variables) or ""

@@ -121,9 +121,11 @@ def test_id_of_ingest_rules_is_unchanged() -> None:
 
 
 def test_fingerprint_of_programs_is_unchanged_and_independent_of_order_and_folder() -> None:
-    used = [("/usr/bin/sim", "a" * 64), ("libm.so.6", "b" * 64), ("{project}/map.png", "c" * 64)]
+    names = ("/usr/bin/sim", "libm.so.6", "{project}/map.png")
+    used = [(name, f"/x/{name}", digest * 64) for name, digest in zip(names, "abc", strict=True)]
     assert fingerprint(used) == fingerprint(reversed(used)) == PROGRAMS
-    assert fingerprint([("/opt/bin/sim", "a" * 64), *used[1:]]) == PROGRAMS
+    assert fingerprint([("/opt/bin/sim", "/opt/bin/sim", "a" * 64), *used[1:]]) == PROGRAMS
+    assert fingerprint([*used, ("/opt/bin/sim", "/opt/bin/sim", "a" * 64)]) == PROGRAMS
 
 
 def test_id_of_a_source_is_unchanged_and_independent_of_notes() -> None:

@@ -64,7 +64,7 @@ SELECT DISTINCT e.session, m.batch, m.ordinal
 FROM observations o JOIN executions e USING (execution) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
 WHERE o.reason IS NULL AND e.status = 'ok' AND e.purpose = 'run'
 """
-"""Experiments of which a session observed a successful run completely."""
+"""Experiments of which a session observed a successful run completely. A reader may append a condition on `e.session`."""
 UNOBSERVED = f"""
 SELECT DISTINCT e.session FROM all_judgements e LEFT JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
 ANTI JOIN ({OBSERVED}) o ON o.session = e.session AND o.batch = m.batch AND o.ordinal = m.ordinal

@@ -6,14 +6,15 @@ If a side's runs were executed with several of them, the values of all are compa
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from sierra.containers import container_setup
 from sierra.execution.row_queries import used_distributions
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Compared, Difference, changed, shown
-from sierra.provenance.dependency_model import INSTALLED, by_likelihood, called, mentioned, versions
+from sierra.provenance.dependency_model import INSTALLED, Identified, by_likelihood, mentioned, roles, versions
 from sierra.store.row_types import EnvironmentRow, IsolationRow, ProgramRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
@@ -36,7 +37,9 @@ def other_programs(
     snapshot: Snapshot, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
 ) -> Iterator[Difference]:
     """Yield differences of two groups of program sets, by the ids of the sets."""
-    old, new = (_programs(snapshot.select(ProgramRow, PROGRAMS, i=list(ids))) for ids in (before, after))
+    rows = [snapshot.select(ProgramRow, PROGRAMS, i=list(ids)) for ids in (before, after)]
+    role = roles(*_sets(chain(*rows)).values())
+    old, new = (_by_role(side, role) for side in rows)
     used = used_distributions(snapshot, (*before, *after))
     names = dict.fromkeys((*old, *new))
     for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
@@ -51,12 +54,24 @@ KINDS = {"program": 0, "file": 1, "distributions": 2, "library": 3}
 """Order of kinds; distributions of a Python come after all of them."""
 
 
-def _programs(rows: Sequence[ProgramRow]) -> dict[tuple[str, str], list[ProgramRow]]:
-    """Return the rows of programs by kind and name, independent of their paths."""
+def _sets(rows: Iterable[ProgramRow]) -> dict[str, list[Identified]]:
+    """Return the programs of each set by its id."""
+    found: dict[str, list[Identified]] = {}
+    for row in rows:
+        found.setdefault(row.programs, []).append(_identified(row))
+    return found
+
+
+def _by_role(rows: Iterable[ProgramRow], role: Mapping[Identified, str]) -> dict[tuple[str, str], list[ProgramRow]]:
+    """Return the rows of programs by kind and role, independent of their paths unless names are ambiguous."""
     found: dict[tuple[str, str], list[ProgramRow]] = {}
     for row in rows:
-        found.setdefault((row.kind, called(row.name)), []).append(row)
+        found.setdefault((row.kind, role[_identified(row)]), []).append(row)
     return found
+
+
+def _identified(row: ProgramRow) -> Identified:
+    return row.name, row.path, row.sha256
 
 
 def _which(rows: Sequence[ProgramRow]) -> str:

@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import Any, TypeVar
 
 from sierra.ingest.observations import file_set
+from sierra.model import REDACTED
 from sierra.provenance import environment, source
 from sierra.store.row_types import TABLES, EnvironmentRow, FileReadRow, IsolationRow, SourceRow
 from sierra.store.store import Snapshot
@@ -73,7 +74,7 @@ class RowRedactor:
         self.package = Pseudonyms("package-{}", snapshot.values(str, PACKAGES))
         self.attempt = Pseudonyms("attempt-{}", snapshot.values(str, ATTEMPTS))
         paths = (_on_robot(one)[1] for path in snapshot.values(str, PATHS) for one in path.split(":"))
-        self._folder = Pseudonyms("/redacted/{}", (_folder(path) for path in paths if not _is_general(path)))
+        self._folder = Pseudonyms(f"{REDACTED}{{}}", (_folder(path) for path in paths if not _is_general(path)))
         self._environments = _by_id(snapshot, EnvironmentRow, self._environment)
         self._sources = _by_id(snapshot, SourceRow, _source)
         self._isolations = _by_id(snapshot, IsolationRow, _isolation)

@@ -17,7 +17,8 @@ import hashlib
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.provenance.source.git import Git
@@ -29,28 +30,77 @@ from sierra.util.hashing import sealed, sha256, sha256_file, unsealed
 ATTRIBUTES = ("text", "eol", "crlf", "filter", "ident", "working-tree-encoding")
 CONVERTED = f":(exclude,attr:{' '.join(f'!{name}' for name in ATTRIBUTES)})"
 """The files for which any of these attributes is specified."""
+SETTINGS = (b"core.autocrlf", b"core.eol", b"filter.")
+"""The beginnings of the settings by which git converts files."""
 ABSENT, OFF, LFS = ("unspecified", "unset"), ("false", "no", "off", "0"), "lfs"
 CHUNK = 1 << 20
 
 
-def find(git: Git, files: Files, index: Path | None = None) -> dict[bytes, str]:
-    """Return the SHA-256 of the bytes on disk of each of these files that git would restore with other bytes.
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """The rules by which git converts the files of an index: its settings, and the attributes of these files."""
 
-    `index` has the files, by default the user's index. Raises Missing if git fails.
-    """
-    settings = git("config", "--list", "-z")
+    wanted: Mapping[bytes, bytes]
+    """The files that may be converted."""
+    settings: bytes
+    attributes: bytes
+    """The output of `git check-attr -z`."""
+
+    @property
+    def id(self) -> str:
+        return sha256(self.settings + self.attributes)
+
+    def kept(self) -> bytes:
+        """Return the rules in the form in which they are kept beside SIERRA's index: hashes, and the attributes of files."""
+        return b"%s %s " % (self.id.encode(), sha256(self.settings).encode()) + written(self._by_path())
+
+    def are(self, kept: bytes) -> bool:
+        """Return True if exactly these rules, for the same files, were kept."""
+        return kept.startswith(self.id.encode())
+
+    def differ(self, kept: bytes, files: Files, fresh: Set[bytes]) -> bool:
+        """Return True if files of an index were read by other rules, which were kept, except those that are `fresh`."""
+        _, settings, attributes = kept.split(b" ", 2)
+        was, now = read(attributes), self._by_path()
+        changed = (path for path in was.keys() | now.keys() if was.get(path) != now.get(path))
+        return settings != sha256(self.settings).encode() or any(path in files and path not in fresh for path in changed)
+
+    def _by_path(self) -> dict[bytes, bytes]:
+        """Return the attributes that each file has."""
+        found = {
+            path: " ".join(f"{name}={value}" for name, value in values.items() if value != ABSENT[0]).encode()
+            for path, values in _by_path(self.attributes).items()
+        }
+        return {path: values for path, values in found.items() if values}
+
+
+def rules(git: Git, files: Files, index: Path | None = None) -> Rules:
+    """Return the rules for these files. `index` has them, by default the user's index. Raises Missing if git fails."""
+    listed = git("config", "--list", "-z").split(b"\0")
+    settings = b"\0".join(line for line in listed if line.startswith(SETTINGS))
     autocrlf = _last(settings, b"core.autocrlf")
     pathspecs = () if autocrlf and autocrlf not in OFF else (CONVERTED,)
-    listed = read(git("ls-files", "--stage", "-z", "--", *pathspecs, index=index))
-    wanted = {path: files[path] for path, what in listed.items() if what[:3] == b"100" and files.get(path) == what[:-2]}
+    found = read(git("ls-files", "--stage", "-z", "--", *pathspecs, index=index))
+    wanted = {path: files[path] for path, what in found.items() if what[:3] == b"100" and files.get(path) == what[:-2]}
+    given = b"".join([path + b"\0" for path in wanted])
+    attributes = git("check-attr", "--stdin", "-z", *ATTRIBUTES, index=index, given=given) if wanted else b""
+    return Rules(wanted, settings, attributes)
+
+
+def find(git: Git, files: Files, index: Path | None = None, by: Rules | None = None) -> dict[bytes, str]:
+    """Return the SHA-256 of the bytes on disk of each of these files that git would restore with other bytes.
+
+    `index` has the files, by default the user's index; `by` are the rules for them. Raises Missing if git fails.
+    """
+    by = by or rules(git, files, index)
+    wanted, settings, attributes = by.wanted, by.settings, by.attributes
     if not wanted:
         return {}
-    given = b"".join([path + b"\0" for path in wanted])
-    attributes = git("check-attr", "--stdin", "-z", *ATTRIBUTES, index=index, given=given)
-    memory = _Memory(git, sha256(settings + attributes))
+    memory = _Memory(git, by.id)
     seen = {path: b"%s %s" % (now, what) for path, what in wanted.items() if (now := _state(git.root, path))}
     answers = {path: known for path, now in seen.items() if (known := memory.get(path, now)) is not None}
     if len(answers) < len(seen):
+        autocrlf = _last(settings, b"core.autocrlf")
         crlf = autocrlf not in (None, "input", *OFF) or _last(settings, b"core.eol") == "crlf"
         unknown = {path: parts(wanted[path])[1] for path in seen.keys() - answers.keys()}
         answers.update(_Restored(git, index, _by_path(attributes), unknown, crlf=crlf).answers())

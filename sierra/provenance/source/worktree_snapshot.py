@@ -1,10 +1,11 @@
 """Snapshots of a repository's working tree as a git tree: the current files, tracked or untracked, but not ignored ones.
 
-Nothing of the user's is changed. Git works on SIERRA's own index, `<git dir>/sierra/<key>.index`, which starts as a copy of
-the user's index. It is kept, so that the next time git reads only files whose times or sizes have changed. Each snapshot
+Nothing of the user's is changed. Git works on SIERRA's own index, `<git dir>/sierra/<key>.index`, which starts with the files
+of the user's index. It is kept, so that the next time git reads only files whose times or sizes have changed. Each snapshot
 works on a copy of it, and renames the copy into its place at the end. Two snapshots at the same time do not wait for each
-other; the last one wins. If git cannot read the index, it is discarded and starts from the user's index again, or from the
-commit's files if the user's index is damaged too.
+other; the last one wins. An index has files as git converted them when it read them. Therefore the settings and attributes of
+that time are kept beside it, and if others apply to a file now, all files are read again. If git cannot read the index, it is
+discarded and starts from the user's index again, or from the commit's files if the user's index is damaged too.
 
 *The files on disk are recorded*, because they are what executes. An index can tell git not to check a file
 (assume-unchanged, skip-worktree); these marks are removed. A file that a sparse checkout leaves out is not in the tree, and
@@ -40,11 +41,17 @@ from sierra.provenance.source import converted, lfs, manifest
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sealed, unsealed
 
 MANY = 500
 """Minimum number of new files that are written as a pack."""
 SMALL = 1 << 16
 ABANDONED_S = 3600
+RULES = ".rules"
+"""The suffix of the file with the rules by which the files of an index were converted."""
+CHECKSUM = 20
+"""The length of the checksum of an index in front of the rules, so that they are never those of another index."""
 IGNORE_IT = "list it in .gitignore"
 STATUS = (
     *("-c", "core.sparseCheckout=false", "status", "--porcelain=v2", "--branch", "-z"),
@@ -120,17 +127,18 @@ class _Written(NamedTuple):
 
 def _write_tree(git: Git, index: _Index, chosen: PathSelection, large: int) -> _Written:
     root = git.root
-    status = index.status()
-    files = index.update(status, large)
-    while unfit := [*chosen.others(files), *_hollow(root, files), *index.ignored(files)]:
-        index.remove(unfit)
-        status = index.status()
-        files = index.update(status, large)
+    status, files = _read_all(root, index, chosen, large)
+    rules = converted.rules(git, files, index.path)
+    if not index.was_read_by(rules, files, status):
+        index.start_from_users()
+        status, files = _read_all(root, index, chosen, large)
+        rules = converted.rules(git, files, index.path)
+        index.was_read_by(rules, files, status)
     lfs.check(git, index.path, files)
     for path, _ in repositories(files):
         lfs.check_all(Git(root / os.fsdecode(path)))
     submodules = dict(_submodules(root, files))
-    lossy = converted.find(git, files, index.path)
+    lossy = converted.find(git, files, index.path, rules)
     inner = {
         path: record(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
     }
@@ -140,6 +148,17 @@ def _write_tree(git: Git, index: _Index, chosen: PathSelection, large: int) -> _
         lossy |= {path + b"/" + below: digest for below, digest in snapshot.converted.items()}
     lossy |= _converted_in_submodules(root, submodules, inner.keys())
     return _Written(status, write(git, files) if inner else index.write_tree(), files, submodules, lossy)
+
+
+def _read_all(root: Path, index: _Index, chosen: PathSelection, large: int) -> tuple[Status, dict[bytes, bytes]]:
+    """Read the stale files into the index until it has exactly the files of the source; return the status and the files."""
+    status = index.status()
+    files = index.update(status, large)
+    while unfit := [*chosen.others(files), *_hollow(root, files), *index.ignored(files)]:
+        index.remove(unfit)
+        status = index.status()
+        files = index.update(status, large)
+    return status, files
 
 
 def _converted_in_submodules(root: Path, submodules: Iterable[str], known: Iterable[bytes]) -> dict[bytes, str]:
@@ -163,6 +182,9 @@ def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
     root = git.root
     with _index(git, chosen) as index:
         status = index.status()
+        if not index.was_read_by(converted.rules(git, files := index.files(), index.path), files, status):
+            index.start_from_users()
+            status = index.status()
         if status.commit is None:
             raise ConfigError(f'[source] dirty = "ignore": the repository of {root} has no commit yet; commit something first')
         files = {path: what for path, what in of_tree(git, status.commit).items() if chosen(path)}
@@ -209,6 +231,9 @@ class _Index:
         self._git = git
         self._chosen = chosen
         self._kept = kept
+        self._read_by: bytes | None = None
+        """The rules by which the files of a kept index were converted; empty if they are unknown, None for a new index."""
+        self._rules = b""
 
     def status(self) -> Status:
         """Return how commit, index and files differ, based on the most recent index that git can read."""
@@ -222,21 +247,55 @@ class _Index:
         self.start_from_commit()
         return self._status()
 
+    def start_from_users(self) -> None:
+        """Discard the kept index, so that the next status reads all files again."""
+        self._kept.unlink(missing_ok=True)
+        self.path.unlink(missing_ok=True)
+
     def start_from_commit(self) -> None:
         """Replace the index by one with the commit's files; an empty one if there is no commit."""
+        self._read_by = None
         self.path.unlink(missing_ok=True)
         self._git("read-tree", "--empty" if self._git.head() is None else "HEAD", index=self.path, at_top=True)
 
     def _copy_kept(self) -> None:
         shutil.copy2(self._kept, self.path)  # with its time: git uses it to decide which files to read again
+        self._read_by = b""
+        with contextlib.suppress(OSError):
+            known = unsealed(self._kept.with_suffix(RULES).read_bytes()) or b""
+            if known.startswith(_checksum(self.path)):
+                self._read_by = known[CHECKSUM:]
 
     def _copy_users(self) -> None:
-        shutil.copy2(self._git.index, self.path)
-        listing = self._git("ls-files", "-v", "-z", index=self.path, at_top=True).split(b"\0")
-        blind = [line[2:] for line in listing if line[:1].islower() or line[:1] == b"S"]
-        for mark in ("--no-assume-unchanged", "--no-skip-worktree") if blind else ():
-            self._update_index(mark, blind, at_top=True)
+        """Start with the files of the user's index, but without its times and marks.
+
+        Git reads all files again, by its present rules. The user's index may have files that were read by earlier ones.
+        """
+        if not self._git.index.exists():
+            raise FileNotFoundError(self._git.index)
+        self._read_by = None
+        lines = self._git("ls-files", "--stage", "-z", at_top=True).split(b"\0")[:-1]
+        marked = self._git("ls-files", "-t", "-z", "--", ":(glob)**/.gitattributes", at_top=True).split(b"\0")
+        gone = {line[2:] for line in marked if line[:1] == b"H" and _lstat(self._git.top, line[2:]) is None}
+        kept = [line + b"\0" for line in lines if line.partition(b"\t")[2] not in gone]  # git would apply those of the index
+        self._git("update-index", "-z", "--index-info", index=self.path, given=b"".join(kept), at_top=True)
         self._git("update-index", "-q", "--refresh", index=self.path, optional=True)
+
+    def was_read_by(self, rules: converted.Rules, files: Files, status: Status) -> bool:
+        """Return True if the files, except the stale ones, were converted by these rules, and remember the rules."""
+        before = self._read_by
+        if before and rules.are(before):
+            self._rules = before
+            return True
+        self._rules = rules.kept()
+        return before is None or (before != b"" and not rules.differ(before, files, set(status.stale)))
+
+    def keep(self) -> None:
+        """Keep the index, and the rules by which its files were converted, for the next time."""
+        with contextlib.suppress(OSError):
+            rules = _checksum(self.path) + self._rules
+            self.path.replace(self._kept)
+            write_whole(self._kept.with_suffix(RULES), sealed(rules))
 
     def _status(self) -> Status:
         output = self._git(*STATUS, *self._chosen.pathspecs(), index=self.path)
@@ -251,6 +310,10 @@ class _Index:
             _write_pack(self._git, [path for path, size in sizes.items() if size <= SMALL])
         self._update_index("--add", list(sizes), "--remove", "--replace")
         self._add_repositories(inner)
+        return self.files()
+
+    def files(self) -> dict[bytes, bytes]:
+        """Return all files in the index."""
         listing = self._git("ls-files", "--stage", "-z", index=self.path)
         return {path: what[:-2] for path, what in manifest.read(listing).items()}
 
@@ -329,9 +392,16 @@ def _index(git: Git, chosen: PathSelection) -> Iterator[_Index]:
     key = sha256(b"\0".join((git.prefix, *chosen.only))).hexdigest()[:16]
     with _scratch(git) as path:
         kept = path.with_name(f"{key}.index")
-        yield _Index(git, chosen, path, kept)
-        with contextlib.suppress(OSError):
-            path.replace(kept)
+        index = _Index(git, chosen, path, kept)
+        yield index
+        index.keep()
+
+
+def _checksum(index: Path) -> bytes:
+    """Return the checksum at the end of an index: its last 20 bytes, also of a longer one."""
+    with index.open("rb") as file:
+        file.seek(-CHECKSUM, os.SEEK_END)
+        return file.read()
 
 
 @contextlib.contextmanager

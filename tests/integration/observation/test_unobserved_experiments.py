@@ -65,7 +65,7 @@ def test_a_changed_file_executes_only_the_experiment_again_that_used_it(root: Pa
     assert run(root)[:2] == (6, 0)
     (maps / "2").write_text("99")
     predicted = projects.quick(root, "run", QUERY, "--dry-run", "--explain").stdout
-    assert "2 runs: executed with other programs" in predicted
+    assert "2 runs: executed with other programs or files" in predicted
     executed, reused, said = run(root)
     assert (executed, reused) == (2, 4)
     assert f"4 runs reused, because the executions did not use what has changed: {maps}/2" in said
@@ -98,7 +98,7 @@ def test_an_experiment_that_was_not_observed_executes_again_if_any_file_outside_
     (maps / "1").write_text("99")
     predicted = projects.quick(root, "run", QUERY, "--dry-run", "--explain").stdout
     assert "4 runs: not observed" in predicted
-    assert "2 runs: executed with other programs" in predicted
+    assert "2 runs: executed with other programs or files" in predicted
     assert f"{maps}/1" in predicted
     executed, reused, said = run(root)
     assert (executed, reused) == (6, 0)

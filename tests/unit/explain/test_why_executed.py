@@ -119,12 +119,12 @@ def test_changed_program_is_the_reason_for_another_execution(outside: tuple[Path
     small = ask(root, "population_size=1", runs=1)
     install(2)
     again = why(root, small)["next_run"]
-    assert again[0] == "1 run: executed with other programs"
+    assert again[0] == "1 run: executed with other programs or files"
     assert again[1].startswith("sim: ")
     ask(root, "population_size=1", runs=1)
     said = why(root, a_run(root))
     assert causes(said)[0] == "new"
-    assert causes(said)[1].startswith("executed with other programs before: sim: ")
+    assert causes(said)[1].startswith("executed with other programs or files before: sim: ")
     execution = said["history"][1]["causes"][0]["execution"]
     assert [one["execution"] for one in said["effective"]] == [execution]
     assert causes(why(root, execution)) == causes(said)[1:]

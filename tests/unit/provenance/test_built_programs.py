@@ -91,7 +91,7 @@ def test_executing_a_recorded_batch_with_a_rebuilt_library_is_reported(tmp_path:
     assert "2 executed" in ended.stdout
     assert "since then: libraries that differ from the record: {project}/build/libspeed.so" in ended.stderr
     told = projects.quick(root, "why", batch_of(root)).stdout
-    assert re.search(r"other programs before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
+    assert re.search(r"other programs or files before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
 
 
 @pytest.mark.nightly

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.provenance import source
-from sierra.provenance.source import converted
+from sierra.provenance import change_guard, source
+from sierra.provenance.dependency_model import Kind, Program, Programs
+from sierra.provenance.source import converted, manifest, worktree_snapshot
 from sierra.provenance.source.capture import Source
 from tests import projects
 
@@ -54,6 +55,11 @@ def capture(root: Path, *, dirty: str = "record") -> Source:
 def commit(git: Git, root: Path) -> None:
     git("add", "--all", cwd=root)
     git("commit", "-q", "-m", "x", cwd=root)
+
+
+def blob(found: Source) -> str:
+    """Return git's hash of the file `data.txt` of a source."""
+    return manifest.parts(manifest.read(found.manifest)[b"data.txt"])[1]
 
 
 def sha256(content: bytes) -> str:
@@ -194,12 +200,69 @@ def test_files_that_have_not_changed_are_not_read_again(git: Git, tmp_path: Path
     assert (capture(root).converted, read) == (first.converted, [])
 
 
+RULES = {
+    "setting": ("", {"core.autocrlf": "input"}, "", {"core.autocrlf": "false"}),
+    "attribute": ("* text=auto", {}, "", {}),
+    "another": ("* text=auto", {}, "* -text", {}),
+    "filter": ("* filter=one", {"filter.one.clean": "tr -d a"}, "* filter=one", {"filter.one.clean": "cat"}),
+}
+"""Attributes and settings of git that change `data.txt`, and others that do not."""
+
+
+@pytest.mark.parametrize("snapshots", [1, pytest.param(0, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "case", [pytest.param(name, marks=[] if name == "setting" else pytest.mark.integration) for name in RULES]
+)
+def test_files_are_converted_by_the_present_rules_of_git(case: str, snapshots: int, git: Git, tmp_path: Path) -> None:
+    """Indexes have what git made of a file that has not changed since, by the rules of that time."""
+    root, (attributes, settings, other_attributes, other_settings) = tmp_path / "p", RULES[case]
+    (root / "data.txt").write_bytes(b"a\r\n")
+    os.utime(root / "data.txt", (1, 1))  # git trusts the times of a file that is older than its index
+
+    def rules(attributes: str, settings: dict[str, str]) -> None:
+        (root / ".gitattributes").write_text(attributes)
+        if not attributes:
+            (root / ".gitattributes").unlink()
+        for name, value in settings.items():
+            git("config", name, value)
+
+    rules(attributes, settings)
+    commit(git, root)
+    before = [blob(capture(root)) for _ in range(snapshots)]
+    rules(other_attributes, other_settings)
+    after = capture(root)
+    assert blob(after) == git("hash-object", "--no-filters", "data.txt")
+    assert blob(after) not in before
+    assert after.converted == {}
+    assert capture(root).tree == after.tree
+    rules(attributes, settings)
+    assert [blob(capture(root)) for _ in range(snapshots)] == before
+
+
+def test_git_does_not_read_all_files_again_for_new_files_and_other_settings(
+    git: Git, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "p"
+    (root / ".gitattributes").write_text("*.txt text=auto\n")
+    (root / "a.txt").write_bytes(b"a\r\n")
+    commit(git, root)
+    capture(root)
+    monkeypatch.delattr(worktree_snapshot._Index, "start_from_users")
+    git("config", "branch.x.remote", "y")
+    (root / "b.txt").write_bytes(b"a\r\n")
+    assert set(capture(root).converted) == {"a.txt", "b.txt"}
+    (root / "a.txt").unlink()
+    (root / "b.txt").write_bytes(b"b\n")
+    assert set(capture(root).converted) == set()
+
+
 SIZES = """\
 import os
 size = len(open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "data.txt"), "rb").read())
 open("swarm.csv", "w").write(f"tick,size\\n0,{size}\\n")
 """
 QUERY = ("population_size=1", "--runs", "1")
+SIZES_FOUND = "SELECT DISTINCT size FROM swarm ORDER BY 1"
 LAST = "SELECT size FROM swarm JOIN effective USING (execution)"
 
 
@@ -230,6 +293,40 @@ def test_other_bytes_with_the_same_id_are_executed_again(observe: str, git: Git,
     (root / "data.txt").write_bytes(b"a\r\nb\r\n")
     assert projects.run(root, *QUERY)[0]["executed"] == 0
     assert projects.sql(root, LAST) == [{"size": 6}]
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("observe", ["none", "all"])
+def test_bytes_that_earlier_rules_of_git_hid_are_executed_again(observe: str, git: Git, tmp_path: Path) -> None:
+    root = sized(git, tmp_path / "p", observe)
+    os.utime(root / "data.txt", (1, 1))
+    git("update-index", "--refresh")
+    assert projects.run(root, *QUERY)[0]["executed"] == 1
+    (root / ".gitattributes").unlink()
+    said = projects.run(root, *QUERY)[1]
+    assert "found" not in said
+    assert projects.sql(root, SIZES_FOUND) == [{"size": 6}]
+    (root / "data.txt").write_bytes(b"a\nb\n")
+    assert projects.run(root, *QUERY)[0]["executed"] == 1
+    assert projects.sql(root, SIZES_FOUND) == [{"size": 4}, {"size": 6}]
+
+
+def test_a_file_that_git_converts_and_that_is_only_touched_is_not_said_to_have_changed(git: Git, tmp_path: Path) -> None:
+    root, names = tmp_path / "p", ("crlf", "auto", "up-low", "utf16", "lfs", "strip")
+    (root / ".gitattributes").write_text("".join(f"/{name} {CASES[name][0]}\n" for name in names))
+    for name in names:
+        (root / name).write_bytes(CASES[name][1])
+    found = capture(root)
+    programs = Programs(tuple(Program(path, str(root / path), digest, Kind.FILE) for path, digest in found.converted.items()))
+    before = change_guard.guard(root, found.manifest, programs)
+    for name in names:
+        os.utime(root / name, (1, 1))
+    assert "code or programs may have changed, as their times say," in str(before.doubt())
+    for name in ("crlf", "lfs", "strip"):
+        (root / name).write_bytes(b"changed\r\n")
+        assert f"code or programs have changed since the runs began: {name}" in str(before.doubt())
+        (root / name).write_bytes(CASES[name][1])
 
 
 @pytest.mark.integration

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import venv
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -545,6 +546,88 @@ def test_an_exchange_of_contents_is_a_change(kind: Kind) -> None:
     one, other = (Program(f"/d/{name}", f"/d/{name}", digest * 64, kind) for name, digest in (("f1", "a"), ("f2", "b")))
     exchanged = Programs((replace(one, sha256=other.sha256), replace(other, sha256=one.sha256)))
     assert Programs((one, other)).unlike(exchanged) == ["f1", "f2"]
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize(("name", "after"), [("map.txt", "132"), ("map.txt", "113"), ("map.txt", "122"), ("sim", "132")])
+def test_files_and_programs_of_one_name_are_told_apart(name: str, after: str, tmp_path: Path) -> None:
+    """The contents 1, 2, 3 or 1, 1, 2 of three files change places, or one of them becomes that of another."""
+    folder, before = tmp_path / "p", "123" if after == "132" else "112"
+    paths = [tmp_path / place / name for place in "abc"]
+
+    def write(contents: str) -> None:
+        for path, content in zip(paths, contents, strict=True):
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(f"#!/bin/sh\necho {content}\n" if name == "sim" else content)
+            path.chmod(0o755)
+
+    call = "$($1),$($2),$($3)" if name == "sim" else "$(cat $1),$(cat $2),$(cat $3)"
+    make(folder, f"{{project}}/drive.sh {' '.join(map(str, paths))}", "[source]\npaths = ['drive.sh']")
+    (folder / "sierra.toml").write_text((folder / "sierra.toml").read_text().replace("runs = 1", "runs = 1\nobserve = 'none'"))
+    (folder / "drive.sh").write_text(f'#!/bin/sh\necho a,b,c > out.csv; echo "{call}" >> out.csv\n')
+    (folder / "drive.sh").chmod(0o755)
+    write(before)
+    assert [projects.run(folder, "n=1")[0]["executed"] for _ in range(2)] == [1, 0]
+    write(after)
+    explained = projects.quick(folder, "run", "n=1", "--dry-run", "--explain").stdout
+    [changed] = [path for path, was, now in zip(paths, before, after, strict=True) if was != now][:1]
+    assert str(changed) in explained
+    assert projects.run(folder, "n=1")[0]["executed"] == 1
+    assert projects.sql(folder, "SELECT a, b, c FROM out") == [dict(zip("abc", map(int, after), strict=True))]
+    assert str(changed) in projects.quick(folder, "why", projects.sql(folder, "SELECT batch FROM batches")[0]["batch"]).stdout
+    assert projects.quick(folder, "fsck").returncode == 0
+    write(before)
+    assert projects.run(folder, "n=1")[0]["executed"] == 0
+
+
+@pytest.mark.integration
+def test_a_store_that_does_not_tell_files_of_one_name_apart_is_sound_and_so_is_an_anonymous_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The records of earlier versions stay readable, but their executions do not count. Redacted records lack folders."""
+    folder = tmp_path / "p"
+    for place in "ab":
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "map.txt").write_text(place)
+    words = "{project}/drive.sh {project}/../a/map.txt {project}/../b/map.txt"
+    described = "[package]\ntitle = 'x'\nauthors = [{name = 'Jane Qvist'}]\nlicense = 'MIT'"
+    make(folder, words, f"[source]\npaths = ['drive.sh']\n{described}")
+    (folder / "sierra.toml").write_text((folder / "sierra.toml").read_text().replace("runs = 1", "runs = 1\nobserve = 'none'"))
+    (folder / "drive.sh").write_text("#!/bin/sh\necho x,y > out.csv; echo $(cat $1),$(cat $2) >> out.csv\n")
+    (folder / "drive.sh").chmod(0o755)
+    with monkeypatch.context() as patch:
+        patch.setattr(dependency_model, "fingerprint", dependency_model.fingerprint_by_name)
+        project = sierra.open(folder)
+        assert project.run("n=1", figures=False).executed == 1
+    assert sierra.open(folder).fsck().sound
+    assert [projects.run(folder, "n=1")[0]["executed"] for _ in range(2)] == [1, 0]
+    assert sierra.open(folder).fsck().sound
+    [batch] = [one.batch for one in sierra.open(folder).batches]
+    sierra.open(folder).package(batch, report=False, path=tmp_path / "one.zip", anonymous=True)
+    with zipfile.ZipFile(tmp_path / "one.zip") as file:
+        file.extractall(tmp_path / "one")
+    other = sierra.open(tmp_path / "one" / "project")
+    assert {"/redacted/1/map.txt", "/redacted/2/map.txt"} <= set(rows(other, "file"))
+    assert other.fsck().sound
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [(Kind.LIBRARY, "libcore.so.1"), (Kind.DISTRIBUTIONS, f"python{dependency_model.INSTALLED}")]
+)
+def test_libraries_and_environments_of_one_name_are_told_apart_by_their_paths(kind: Kind, name: str) -> None:
+    one, other = (Program(name, f"/{folder}/lib", digest * 64, kind) for folder, digest in ("a1", "b2"))
+    before = Programs((one, other))
+    now = Programs((replace(one, sha256=other.sha256), replace(other, sha256=one.sha256)))
+    assert before.id != now.id
+    assert before.id == Programs((other, one, one)).id
+    assert before.unlike(now) == [f"/a/lib: {name}", f"/b/lib: {name}"]
+    assert any("/a/lib" in line for line in fingerprint_programs.differences(before, now))
+
+
+def test_equal_programs_of_one_name_are_identified_without_their_location() -> None:
+    here, there = (Programs(tuple(Program(f"/{top}/{one}/sim", "", "a" * 64) for one in "ab")) for top in ("x", "y"))
+    assert here.id == there.id == Programs(here.all[:1]).id
 
 
 @pytest.mark.parametrize("kind", [Kind.FILE, Kind.LIBRARY])

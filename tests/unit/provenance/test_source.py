@@ -163,7 +163,7 @@ def test_concurrent_snapshots_agree_and_leave_no_temporary_files(repository: Pat
         thread.join()
     assert len(found) == 4
     assert len({one.tree for one in found}) == 1
-    assert [path.suffix for path in (repository / ".git" / "sierra").iterdir()] == [".index"]
+    assert {path.suffix for path in (repository / ".git" / "sierra").iterdir()} == {".index", ".rules"}
 
 
 def test_old_files_of_a_killed_snapshot_are_removed(repository: Path) -> None:
@@ -226,7 +226,7 @@ def test_the_cached_index_follows_commits_and_branches(repository: Path, git: Gi
 @pytest.mark.parametrize("damage", [b"", b"nonsense", b"DIRC" + bytes(100)])
 def test_an_unreadable_index_is_discarded(repository: Path, git: Git, damage: bytes) -> None:
     before = capture(repository)
-    [kept] = (repository / ".git" / "sierra").iterdir()
+    [kept] = (repository / ".git" / "sierra").glob("*.index")
     kept.write_bytes(damage)
     assert capture(repository) == before
     kept.unlink()

@@ -121,7 +121,7 @@ def test_why_names_the_changed_file(root: Path) -> None:
     projects.run(root, QUERY)
     execution = projects.sql(root, "SELECT run FROM executions ORDER BY lamport LIMIT 1")[0]["run"]
     said = projects.quick(root, "why", execution).stdout
-    assert f"executed with other programs before: files that they used have changed: {library}/factor" in said
+    assert f"executed with other programs or files before: files that they used have changed: {library}/factor" in said
     assert "without this session's knowledge" not in said
     assert projects.quick(root, "fsck").returncode == 0
 
