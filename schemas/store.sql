@@ -468,7 +468,7 @@ CREATE TABLE listings (
 CREATE TABLE files_written (
     "execution" VARCHAR,  -- the execution
     "path" VARCHAR,  -- its path, as in files_read; outside the run's own folder {run}, it is known of observed runs only
-    "use" VARCHAR  -- written, removed, or reread (written and read again, so that other executions may have written it meanwhile); reread_new if the execution made the name itself, or a folder above it
+    "use" VARCHAR  -- written, removed, or reread (written and read again, so that other executions may have written it meanwhile); reread_new if the execution made the name itself, or a folder above it, and had not removed it before
 );
 
 -- Sessions whose executions do not count in a later session's batch, because files that they used have changed.

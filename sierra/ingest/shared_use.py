@@ -1,8 +1,9 @@
 """Executions that used the same thing outside their folders at the same time, and so may have each other's data.
 
 An execution is doubtful if it wrote a file and read it again (`reread` in `files_written`): another one that wrote a file of
-the same name meanwhile would have replaced its data. Nothing is wrong if the name is the execution's own, because it
-contains a process id, say. Therefore observed executions of two runs of an experiment are compared: if both wrote a file of
+the same name meanwhile would have replaced its data. It is also doubtful if it made the name itself (`reread_new`), and an
+execution of another run has made the same. Nothing is wrong if the name is the execution's own, because it contains a process
+id, say. Therefore observed executions of two runs of an experiment are compared: if both wrote a file of
 this name, all most likely did. Those that overlapped another one in time fail, except in experiments of which no observed run
 did. If only one run was observed, the caller has another one observed, or else decides (`settle`) as if both had written it.
 
@@ -34,15 +35,16 @@ class Kind(NamedTuple):
     doubts: str
     """A condition for the rows of doubtful executions."""
     uses: str
-    """A query for all uses: `execution`, `name`, and whether the execution is `doubtful`."""
+    """A query for all uses: `execution`, `name`, and whether the execution is `doubtful`; NULL: if another one is so, too."""
     reason: str
     cure: str
 
 
 FILES = Kind(
     "files_written",
-    "use = 'reread'",
-    "SELECT execution, path AS name, use = 'reread' AS doubtful FROM files_written",
+    "use IN ('reread', 'reread_new')",
+    "SELECT execution, path AS name, CASE use WHEN 'reread' THEN true WHEN 'reread_new' THEN NULL ELSE false END AS doubtful "
+    "FROM files_written",
     "writes and reads {names}, which other runs use at the same time",
     "execute with --jobs 1, in a container, or pass {output}",
 )
@@ -72,7 +74,11 @@ last AS (
     FROM (SELECT unnest([ordinal, -1]) AS scope, reason, run, place FROM observed WHERE ok) GROUP BY ALL
 ),
 witnesses AS (SELECT scope, reason, arg_max(run, last, 2) AS runs, max(last, 2) AS lasts FROM last GROUP BY ALL),
-used AS (SELECT DISTINCT name, doubtful, execution, run, place, scope FROM ({{uses}}) u JOIN mine USING (execution)),
+used AS (
+    SELECT DISTINCT name, execution, run, place, scope,
+           coalesce(doubtful, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) > 1) AS doubtful
+    FROM ({{uses}}) u JOIN mine USING (execution)
+),
 doubtful AS (
     SELECT d.name, d.scope, coalesce(bool_or(
         (w.runs[1] <> d.run AND w.lasts[1] >= d.place) OR (w.runs[2] <> d.run AND w.lasts[2] >= d.place)

@@ -553,7 +553,7 @@ class FileWrittenRow(NamedTuple):
     use: Annotated[
         str,
         "written, removed, or reread (written and read again, so that other executions may have written it meanwhile); "
-        "reread_new if the execution made the name itself, or a folder above it",
+        "reread_new if the execution made the name itself, or a folder above it, and had not removed it before",
     ]
 
 

@@ -66,8 +66,9 @@ the run. Names are str with surrogate escapes (os.fsdecode), because a name need
   removed again is in neither list. Unnamed files (O_TMPFILE) count when they are linked to a name.
 - `reread`: regular files that the run wrote and later read, executed, or moved into its own folder, so that another run which
   writes a file of this name at the same time may replace what it reads. A file that is opened for both counts, unless it is
-  only a lock: it has the name of one, or nobody has written to it. `reread_new` has those of which the run made the name itself
-  (O_EXCL, as mkstemp does) or a folder above it: no other run can have the same name, unless it found that folder.
+  only a lock (see `is_lock`). So does a link to its own files that the run made and followed. `reread_new` has those of which
+  the run made the name itself (O_EXCL, as mkstemp does) or a folder above it, and had not removed it before: no other run can
+  have the same name at the same time, unless it removes that name or finds that folder.
 
 Not seen: changes of rights, owners, times and attributes; what was open before the program started; files that another process
 has opened and passed through a socket (`notes` say that the run connected to one; recvmsg is not traced, because it may be
@@ -279,6 +280,7 @@ class Way(Protocol):
 
 REREAD = ("reread", "reread_new")
 MOST_REREAD = 1000
+TOO_MANY_REREAD = "it wrote and read more than %d files outside its folder" % MOST_REREAD
 LISTS = frozenset(("executed", "read", "found", "missed", "refused", "listed", "written", "removed"))
 
 
@@ -616,6 +618,9 @@ UNREADABLE = frozenset((b"EFAULT", b"?"))
 FLAG = re.compile(rb"O_[A-Z]+")
 CONTENT = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC"))
 """Flags of a call that may change the content of a file."""
+BOTH, EMPTIED, ALONE = range(3)
+"""Uses of a file that a run has written: opened for writing and reading, the same and emptied, or only read."""
+LOCK_BYTES = 64
 LOCK = re.compile(rb"(?:.*[/._-])?lo?ck(?:file)?", re.I | re.S)
 FOLDERS = frozenset((b"O_PATH", b"O_DIRECTORY"))
 WRITING = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC", b"O_CREAT"))
@@ -698,9 +703,12 @@ class Log:
         self._read_links: set[bytes] = set()
         self._changed: set[bytes] = set()
         """Names under which the run has written content, also if it has removed them since."""
-        self._reread: dict[bytes, bool] = {}
-        """Those that it has used again, and whether it did more than to open them once for reading and writing."""
-        self._reread_new: set[bytes] = set()
+        self._reread: dict[bytes, int] = {}
+        """Those that it has used again, and the surest of BOTH, EMPTIED and ALONE."""
+        self._reread_new: dict[bytes, int] = {}
+        """The same for names that it has made itself, or a folder above them."""
+        self._made_links: set[bytes] = set()
+        """Links to its own files that it has made outside its folder."""
         self._origins: dict[bytes, bytes] = {}
         self._moved_old = False
         """Whether the run has moved anything that existed before."""
@@ -909,6 +917,7 @@ class Log:
             call.process.folder.path = path
             self._find(path)
             self._read_links.add(path)
+            self._use_links(path)
 
     def change_to_open_folder(self, call: Call) -> None:
         match = OPENED.match(call.words)
@@ -954,6 +963,7 @@ class Log:
     def _real_name(self, path: bytes) -> bytes:
         """Return a path with the links in its folder followed, but not a link that it names itself."""
         folder, _, name = path.rpartition(b"/")
+        self._use_links(folder)
         real = self._folders.get(folder)
         if real is None:
             real = self._folders[folder] = os.path.realpath(folder or b"/").rstrip(b"/")
@@ -1016,6 +1026,7 @@ class Log:
             self._reasons["it executed a file through /proc"] = None
         elif not path.startswith(b"/proc/"):
             self._executed[path] = None
+            self._use_links(path)
             self._use_again(self._real_name(path))
 
     def open(self, call: Call) -> None:
@@ -1031,6 +1042,7 @@ class Log:
         real = self._real_name(path) if call.path is None else plain(call.path)
         if not real.startswith(b"/"):
             return  # a pipe or a socket
+        self._use_links(path)
         if b"O_TMPFILE" in flags:
             return
         if flags & FOLDERS:
@@ -1047,16 +1059,21 @@ class Log:
         if flags & WRITING:
             self._write(real, made=empty, new=new, content=bool(flags & CONTENT))
         if not (new or b"O_WRONLY" in flags):
-            self._use_again(real, surely=b"O_TRUNC" in flags or not flags & CONTENT)
+            self._use_again(real, EMPTIED if b"O_TRUNC" in flags else BOTH if flags & CONTENT else ALONE)
 
-    def _use_again(self, real: bytes, *, surely: bool = True) -> None:
+    def _use_again(self, real: bytes, use: int = ALONE) -> None:
         """A file is read, or moved, that the run may have written itself: note it then."""
         if real not in self._changed:
             return
-        if any(name in self._new for name in with_folders(real)):
-            self._reread_new.add(real)
-        else:
-            self._reread[real] = surely or self._reread.get(real, False)
+        new = any(name in self._new for name in with_folders(real))
+        names = self._reread_new if new else self._reread
+        names[real] = max(use, names.get(real, use))
+
+    def _use_links(self, path: bytes) -> None:
+        """A path is followed: note those links in it that lead to the run's own files, because the run has made them."""
+        if self._made_links:
+            for name in self._made_links.intersection(with_folders(path)):
+                self._use_again(name)
 
     def _read_file(self, path: bytes, real: bytes) -> None:
         origin = self._origin(real)
@@ -1075,6 +1092,8 @@ class Log:
         self._written.add(real)
         if content:
             self._changed.add(real)
+        self._made_links.discard(real)
+        new = new and real not in self._removed  # another run may make room for itself in the same way
         self._removed.discard(real)
         self._absent.discard(real)
         if made:
@@ -1092,6 +1111,7 @@ class Log:
 
     def _remove(self, real: bytes) -> None:
         self._origins.pop(real, None)
+        self._made_links.discard(real)
         self._written.discard(real)
         self._absent.add(real)
         if any(name in self._new for name in with_folders(real)):
@@ -1113,6 +1133,7 @@ class Log:
         if path is not None and call.error:
             self._failed(path, call.error)
         elif path is not None:
+            self._use_links(path)
             self._write(os.path.realpath(path), made=False)
 
     def make(self, call: Call) -> None:
@@ -1123,7 +1144,21 @@ class Log:
             self._failed(path, call.error)
         elif path is not None:
             self._folders.clear()
-            self._write(self._real_name(path), new=True)
+            real = self._real_name(path)
+            self._write(real, new=True)
+            if form in (TWO, LINK_AT):
+                self._note_link(call, form, real)
+
+    def _note_link(self, call: Call, form: re.Pattern[bytes], real: bytes) -> None:
+        """A link is made: keep it if others may replace it, and it leads to what is the run's own."""
+        match = form.match(call.words)
+        if match and not self._is_in_own_folder(real):
+            target = clean(os.path.join(os.path.dirname(real), plain(match.group(3))))
+            if self._is_in_own_folder(target) or self._is_own(target):
+                self._made_links.add(real)
+
+    def _is_in_own_folder(self, path: bytes) -> bool:
+        return (path + b"/").startswith(os.path.dirname(self._cwd) + b"/")
 
     def remove(self, call: Call) -> None:
         path = self._path(call, ONE_AT if call.name == b"unlinkat" else ONE)
@@ -1156,7 +1191,7 @@ class Log:
 
     def _take(self, source: bytes, target: bytes) -> None:
         """A name is given to something that has another one: a run that takes it into its own folder uses it."""
-        if target.startswith(os.path.dirname(self._cwd) + b"/"):
+        if self._is_in_own_folder(target):
             self._use_again(source)
 
     def rename(self, call: Call) -> None:
@@ -1174,9 +1209,12 @@ class Log:
         if source in self._holders:
             self._move_folder(source + b"/", target + b"/")
         self._take(source, target)
+        is_link = source in self._made_links
         self._remove(source)
         self._new.discard(target)
         self._write(target, new=b"RENAME_NOREPLACE" in flags)
+        if is_link:
+            self._made_links.add(target)
         self._set_origin(target, source if origin is None else origin)
 
     def _move_folder(self, old: bytes, new: bytes) -> None:
@@ -1186,7 +1224,7 @@ class Log:
             self._reasons["it renamed too many folders"] = None
             return
         self._folders.clear()
-        for names in (self._written, self._new, self._absent, self._changed):
+        for names in (self._written, self._new, self._absent, self._changed, self._made_links):
             for name in [name for name in names if name.startswith(old)]:
                 names.discard(name)
                 names.add(new + name[len(old) :])
@@ -1215,6 +1253,7 @@ class Log:
         self._find(path)
         if call.name in (b"readlink", b"readlinkat"):
             self._read_links.add(path)
+            self._use_links(path)
 
     def list(self, call: Call) -> None:
         match = OPENED.match(call.words)
@@ -1289,8 +1328,10 @@ class Log:
         }
         trace = Trace(
             way,
-            reread=tuple(sorted(os.fsdecode(path) for path, surely in self._reread.items() if not is_lock(path, surely))),
-            reread_new=tuple(sorted(map(os.fsdecode, self._reread_new))),
+            reread=tuple(sorted(os.fsdecode(path) for path, use in self._reread.items() if not is_lock(path, use))),
+            reread_new=tuple(
+                sorted(os.fsdecode(path) for path, use in self._reread_new.items() if not is_lock(path, use, new=True))
+            ),
             links={os.fsdecode(path): os.fsdecode(self._links[path]) for path in sorted(self._links)},
             reasons=tuple(one_line(reason) for reason in (*self._reasons, *(self._now_unknown() if living else ()))),
             disturbed=self._disturbed and one_line(self._disturbed),
@@ -1348,18 +1389,20 @@ class Log:
         return programs
 
 
-def is_lock(path: bytes, surely: bool) -> bool:
-    """Return whether a file that a run wrote and read has no content for others: a lock, or no regular file.
+def is_lock(path: bytes, use: int, *, new: bool = False) -> bool:
+    """Return whether a file that a run wrote and read has no content for others: a lock, or neither a file nor a link.
 
-    `surely`: the run did more than to open it once for both. Else it is also a lock if nobody has written to it.
+    A file is a lock if it has the name of one, and is small or gone. One that is gone was a lock if the run made its name, or
+    did not read it for itself. Those of other names are locks if they were opened once for both and nobody has written to them.
     """
-    if LOCK.fullmatch(path):
-        return True
+    named = LOCK.fullmatch(path) is not None
     try:
-        status = os.stat(path)
+        status = os.lstat(path)
     except OSError:
-        return False
-    return not stat.S_ISREG(status.st_mode) or (status.st_size == 0 and not surely)
+        return named and (new or use < ALONE)
+    if not stat.S_ISREG(status.st_mode):
+        return named or not stat.S_ISLNK(status.st_mode)
+    return status.st_size <= LOCK_BYTES if named else status.st_size == 0 and use == BOTH
 
 
 def missing_interpreter(path: bytes) -> list[bytes]:
@@ -1857,20 +1900,26 @@ def key_of(status: os.stat_result) -> tuple[int, ...]:
 KERNEL = ("/proc", "/sys", "/dev")
 SHARED_MEMORY = "/dev/shm"  # noqa: S108 - what another program has left there may be an input
 OWN_ROOTS = {"run": "the run's own folder", "work": "a folder of runs", "store": "the store"}
+OF_RUNS = ("project", "work", "store")
+"""Folders in which there are no caches, but files that several runs may use."""
 UNLISTED = "unlisted"
 CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
 CACHING = ("fontconfig", "matplotlib", "mesa_shader_cache", "mesa_shader_cache_db", "nvidia", "pip", "uv/.lock")
 """Folders in a user's cache that only make programs faster. All else there may be an input: an environment, a model."""
-KEPT_CACHES = re.compile(
-    r".*/(?:"
-    r"\.?(?:s?ccache|numba|numba_cache|triton|theano|inductor|pycuda|cupy|pocl|pyopencl|keops|jax|ptxas)(?:[_.-][\w.-]*)?|"
-    r"\.nv|ComputeCache|GLCache|mesa_shader_cache\w*|qtshadercache[\w.-]*|qtpipelinecache[\w.-]*|QtProject|gstreamer-\d[\w.]*|"
-    r"torchinductor_[^/]*|torch_extensions|OptixCache[^/]*|compiledir_[^/]*|\.cache/huggingface|compiled/v\d+\.\d+|"
-    r"huggingface/(?:hub|datasets|modules|xet)|models--[^/]*|fontconfig|font[\w-]*cache|matplotlib|ksycoca\w*|dconf|__pycache__"
-    r")/.*|.*\.py[co](?:\.\d+)?|/dev/shm/(?:sem\.)?(?:fastrtps|fastdds|fast_datasharing|iceoryx|iox)[^/]*",
-    re.S,
+KEPT = (
+    r"s?ccache|numba|triton|theano|pycuda|cupy|pocl|pyopencl|keops[\d.]*|jax|ptxas|torchinductor_[^/]*|torch_extensions|"
+    r"ComputeCache|GLCache|OptixCache[^/]*|mesa_shader_cache\w*|qtshadercache[\w.-]*|qtpipelinecache[\w.-]*|QtProject|"
+    r"gstreamer-\d[\w.]*|huggingface/(?:hub|datasets|modules|xet)|fontconfig|font[\w-]*cache|matplotlib|ksycoca[\w=+-]*|dconf"
 )
-"""Files that programs keep to be faster, or in order to talk to each other, wherever they are: no data of a run."""
+KEPT_IN_CACHE = re.compile(r"(?:[^/]+/)?(?:%s)(?:/.*)?" % KEPT, re.S)
+"""Files that programs keep to be faster, as they are named in a user's cache, perhaps in a program's own folder there."""
+KEPT_IN_HOME = re.compile(
+    r"\.(?:%s|nv|aesara|pytensor|julia/compiled/v\d+\.\d+|config/(?:dconf|QtProject\.conf))(?:/.*)?" % KEPT, re.S
+)
+KEPT_IN_TMP = re.compile(r"/(?:var/)?tmp/(?:torchinductor_[^/]*|OptixCache[^/]*|numba_cache|jax_cache|kdecache-[^/]*)/.*", re.S)
+KEPT_ANYWHERE = re.compile(r".*/__pycache__/.*|.*\.py[co](?:\.\d+)?", re.S)
+CHANNELS = re.compile(r"/dev/shm/(?:sem\.)?(?:fastrtps|fastdds|fast_datasharing|iceoryx|iox)[^/]*", re.S)  # noqa: S108 - no file is made there
+"""Memory by which programs talk to each other."""
 PYTHON_CACHE = "__pycache__"
 
 
@@ -1880,7 +1929,8 @@ class Names:
     `roots` maps names to folders, for example project, home, prefix (the virtual environment of the runs' Python), run (the
     run's own folder, with its output and temporary files), work (where runs have their folders), store, cache
     (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root. All other paths are their own names. If
-    several folders have one name, their keys end in a colon and a word: `project`, `project:given`.
+    several folders have one name, their keys end in a colon and a word: `project`, `project:given`. No path is named by `work`:
+    only files that runs share have names there, and these are different files in each session.
 
     Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, work
     and store, unless a deeper root is not among these (a checkout of the project in the store); what is in a cache only for
@@ -1903,19 +1953,24 @@ class Names:
         kept = [folder for folder, name in pairs if name == "cache"]
         kept += [os.path.join(folder, ".cache") for folder, name in pairs if name == "home"]
         self._caches = (*CACHES, *(os.path.join(folder, name) for folder in kept for name in CACHING))
+        homes = [(folder, KEPT_IN_HOME) for folder, name in pairs if name == "home"]
+        self._keepers = (*((folder, KEPT_IN_CACHE) for folder in kept), *homes)
 
     def name(self, path: str) -> str:
         """Return the name of an absolute path."""
         for folder, name in self._roots:
-            if is_below(path, folder):
+            if name != "work" and is_below(path, folder):
                 return "{%s}%s" % (name, path[len(folder.rstrip("/")) :])
         return path
+
+    def _root_of(self, path: str) -> str | None:
+        return next((name for folder, name in self._roots if is_below(path, folder)), None)
 
     def left_out(self, path: str) -> str | None:
         """Return what makes a path no input; None if it is one."""
         if any(is_below(path, folder) for folder in KERNEL) and not is_below(path, SHARED_MEMORY):
             return "the kernel"
-        root = next((name for folder, name in self._roots if is_below(path, folder)), None)
+        root = self._root_of(path)
         if root in OWN_ROOTS:
             return OWN_ROOTS[root]
         if any(is_below(path, folder) for folder in self._caches):
@@ -1929,8 +1984,17 @@ class Names:
         return path not in self._unlisted and not self.left_out(path)
 
     def _is_data(self, path: str) -> bool:
-        """Return whether a file that a run wrote and read may have data of another run."""
-        return not (self.left_out(path) or KEPT_CACHES.fullmatch(path))
+        """Return whether a file that a run wrote and read may have data of another run. Only its own folder is its own."""
+        root = self._root_of(path)
+        if root == "run" or KEPT_ANYWHERE.fullmatch(path):
+            return False
+        return root in OF_RUNS or not (self.left_out(path) or self._is_kept(path))
+
+    def _is_kept(self, path: str) -> bool:
+        """Return whether a program keeps a file to be faster, or in order to talk to others."""
+        if KEPT_IN_TMP.fullmatch(path) or CHANNELS.fullmatch(path):
+            return True
+        return any(is_below(path, folder) and form.fullmatch(path[len(folder) + 1 :]) for folder, form in self._keepers)
 
     def inputs(self, trace: Trace) -> Trace:
         """Return a trace without what is left out.
@@ -1945,9 +2009,17 @@ class Names:
         lists["missed"] = [path for path in lists["missed"] if not any(is_below(path, one) for one in self._lacking)]
         lists["found"] = [path for path in lists["found"] if path not in self._above and os.path.realpath(path) not in sources]
         links = {path: real for path, real in trace.links.items() if not self.left_out(path) and not self.left_out(real)}
-        again, new = (tuple(filter(self._is_data, paths))[:MOST_REREAD] for paths in (trace.reread, trace.reread_new))
-        trace = trace._replace(links=links, reread=again, reread_new=new)
+        again, new = (list(filter(self._is_data, paths)) for paths in (trace.reread, trace.reread_new))
+        reasons = (*trace.reasons, TOO_MANY_REREAD) if max(len(again), len(new)) > MOST_REREAD else trace.reasons
+        trace = trace._replace(links=links, reread=most_lasting(again), reread_new=most_lasting(new), reasons=reasons)
         return filled(trace, {name: tuple(paths) for name, paths in lists.items()})
+
+
+def most_lasting(paths: Sequence[str]) -> tuple[str, ...]:
+    """Return as many paths as are recorded, sorted; names that still exist come first, because others may use them, too."""
+    if len(paths) <= MOST_REREAD:
+        return tuple(paths)
+    return tuple(sorted(sorted(paths, key=lambda path: not os.path.lexists(path))[:MOST_REREAD]))
 
 
 def lacking(roots: Mapping[str, str]) -> Iterator[str]:

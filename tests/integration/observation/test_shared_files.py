@@ -51,6 +51,7 @@ TEMPFILE = (
     'f.write("\\n"); f.flush(); open("swarm.csv", "w").write(open(f.name).read())'
 )
 WRITE = '{{ echo tick,value; echo "0,$1"; }} > {0}; sleep 0.05'
+MANY = "d=$(mktemp -d $D/XXXXXX); for i in $(seq 1001); do echo x > $D/$i.$$; done; cat $D/*.$$ > $d/x; rm $D/*.$$"
 
 
 @pytest.mark.each_case
@@ -64,8 +65,30 @@ WRITE = '{{ echo tick,value; echo "0,$1"; }} > {0}; sleep 0.05'
         f"t=$(mktemp $D/XXXXXX); {WRITE.format('$t')}; mv $t $D/out.csv; cp $D/out.csv swarm.csv",
         f"exec 8<>$D/out.csv; {WRITE.format('/dev/fd/8')}; cat /dev/fd/8 $D/out.csv | tail -n 2 > swarm.csv",
         f"{WRITE.format('/dev/shm/sierra-test-out.csv')}; cp /dev/shm/sierra-test-out.csv swarm.csv",
+        f"mkdir -p $D/jax-swarm; {WRITE.format('$D/jax-swarm/out.csv')}; cp $D/jax-swarm/out.csv swarm.csv",
+        f"{WRITE.format('../../out.csv')}; cp ../../out.csv swarm.csv",
+        f"{WRITE.format('own')}; cp --remove-destination own $D/out.csv; rm own; sleep 0.05; cp $D/out.csv swarm.csv",
+        f"{WRITE.format('$D/out.lock')}; echo '#{'x' * 64}' >> $D/out.lock; head -n 2 $D/out.lock > swarm.csv",
+        f"{MANY}; {WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv",
+        f"ln -sfn $PWD $D/now; {WRITE.format('$D/now/swarm.csv')}",
+        f"{WRITE.format('own.csv')}; ln -s $PWD/own.csv $D/$$; mv -T $D/$$ $D/now; sleep 0.05; cat $D/now > swarm.csv",
     ],
-    ids=["copied", "moved", "linked", "folder", "replaced", "both", "memory"],
+    ids=[
+        "copied",
+        "moved",
+        "linked",
+        "folder",
+        "replaced",
+        "both",
+        "memory",
+        "like a cache",
+        "beside",
+        "made again",
+        "like a lock",
+        "many",
+        "link",
+        "new link",
+    ],
 )
 def test_runs_that_share_a_file_do_not_count(execute: Callable[..., tuple[int, str]], script: str) -> None:
     counted, said = execute(script)
@@ -98,8 +121,10 @@ def test_two_runs_at_once_are_compared_although_only_one_was_observed(execute: C
         f"t=$(mktemp $D/XXXXXX); {WRITE.format('$t')}; cp $t swarm.csv; exec 9<>$D/lock; flock 9",
         f"TMPDIR=$(mktemp -d $D/XXXXXX); export TMPDIR; t=$(mktemp); {WRITE.format('$t')}; mv $t swarm.csv",
         f"python3 -c '{TEMPFILE}' $D $1",
+        f"d=$(mktemp -d $D/XXXXXX); ln -sfn $PWD $d/now; ln -sfn $PWD $D/last; {WRITE.format('$d/now/swarm.csv')}",
+        f"echo $$ > $D/pid.lock; cat $D/pid.lock > /dev/null; {WRITE.format('swarm.csv')}",
     ],
-    ids=["pid", "mktemp", "folder", "lock", "tmpdir", "tempfile"],
+    ids=["pid", "mktemp", "folder", "lock", "tmpdir", "tempfile", "links", "pid in a lock"],
 )
 def test_runs_with_names_of_their_own_count(execute: Callable[..., tuple[int, str]], script: str) -> None:
     counted, said = execute(script, runs=10, jobs=4)

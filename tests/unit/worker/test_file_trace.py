@@ -87,6 +87,16 @@ MADE = 'openat(AT_FDCWD</w>, "/x/out", O_RDWR|O_CREAT|O_EXCL, 0600) = 3</x/out>'
         (('mkdir("/x", 0777) = 0', OUT, IN), False, True),
         (('mkdir("/x", 0777) = -1 EEXIST (File exists)', OUT, IN), True, False),
         ((MADE, 'unlink("/x/out") = 0', IN), True, False),
+        (('unlink("/x/out") = 0', MADE, IN), True, False),
+        (('rename("/x/out", "/x/old") = 0', MADE, IN), True, False),
+        (('rmdir("/x") = 0', 'mkdir("/x", 0777) = 0', OUT, IN), True, False),
+        ((MADE, 'unlink("/x/out") = 0', MADE, IN), False, True),
+        (('symlink("/r/output", "/x/out") = 0', IN.replace("/x/out", "/x/out/in", 1)), False, True),
+        (('unlink("/x/out") = 0', 'symlink("/r/output", "/x/out") = 0', 'chdir("/x/out") = 0'), True, False),
+        (('symlink("/r/a", "/x/tmp") = 0', 'rename("/x/tmp", "/x/out") = 0', IN.replace("</x/out", "</r/b")), True, False),
+        (('symlink("/r", "/x/tmp") = 0', 'rename("/x/tmp", "/x/out") = 0', 'rename("/r/a", "/x/out/b") = 0'), True, False),
+        (('unlink("/x/out") = 0', 'symlink("/r/output", "/x/out") = 0'), False, False),
+        (('unlink("/x/out") = 0', 'symlink("/y/of/all", "/x/out") = 0', IN.replace("</x/out", "</y/of/all")), False, False),
         ((MADE.replace("out", "tmp"), 'rename("/x/tmp", "/x/out") = 0', IN), True, False),
         (
             (MADE.replace("out", "tmp"), 'renameat2(AT_FDCWD, "/x/tmp", AT_FDCWD, "/x/out", RENAME_NOREPLACE) = 0', IN),
@@ -107,16 +117,59 @@ def test_a_file_that_a_run_wrote_and_then_used_is_noted(lines: tuple[str, ...], 
     assert (trace.reread, trace.reread_new) == (("/x/out",) * reread, ("/x/out",) * new)
 
 
-def test_locks_and_caches_are_no_data_of_a_run(tmp_path: Path) -> None:
-    (tmp_path / "empty").touch()
-    (tmp_path / "full").write_text("x")
+def reread(roots: dict[str, str], *paths: str) -> tuple[str, ...]:
+    """Return those of the paths that are noted if a run opens them for both."""
     opened = 'openat(AT_FDCWD</w>, "{0}", O_RDWR|O_CREAT, 0666) = 3<{0}>'
-    paths = (f"{tmp_path}/empty", f"{tmp_path}/full", "/x/a.lock", "/x/.lock", "/x/block", "/dev/shm/fastrtps_port7411")
-    caches = ("/x/.cache/mesa_shader_cache/index", "/x/__pycache__/a.pyc", "/x/a.pyc.12", "/x/torchinductor_me/a", "/x/.nv/c")
-    caches += ("/var/tmp/OptixCache_me/optix7cache.db", "/x/.julia/compiled/v1.10/A/b.ji", "/x/compiledir_Linux/tmp/mod.so")
-    caches += ("/x/.cache/huggingface/hub/models--a/refs/main", "/x/hf/models--a/refs/main")
-    trace = calls(*(opened.format(path) for path in (*paths, *caches)))
-    assert Names({"run": "/r"}).inputs(trace).reread == (f"{tmp_path}/full", "/x/block")
+    return Names({"run": "/r", **roots}).inputs(calls(*map(opened.format, paths))).reread
+
+
+def test_locks_are_no_data_of_a_run(tmp_path: Path) -> None:
+    sizes = {"empty": 0, "full": 1, "pid.lock": 64, "data.lock": 65}
+    for name, size in sizes.items():
+        (tmp_path / name).write_bytes(b"1" * size)
+    kept = reread({}, *(f"{tmp_path}/{name}" for name in sizes), "/x/a.lock", "/x/.lock", "/x/block")
+    assert kept == (f"{tmp_path}/data.lock", f"{tmp_path}/full", "/x/block")
+
+
+LOCKED = 'openat(AT_FDCWD</w>, "/x/.lock", {0}, 0600) = 3</x/.lock>'
+
+
+@pytest.mark.parametrize(
+    ("flags", "then", "doubtful"),
+    [
+        ("O_WRONLY|O_CREAT|O_TRUNC", "O_RDONLY", True),
+        ("O_RDWR|O_CREAT|O_TRUNC", "O_RDWR|O_CREAT|O_TRUNC", False),
+        ("O_WRONLY|O_CREAT|O_EXCL", "O_RDONLY", False),
+    ],
+)
+def test_a_lock_that_is_gone_was_made_new_or_not_read_for_itself(flags: str, then: str, doubtful: bool) -> None:
+    trace = calls(LOCKED.format(flags), LOCKED.format(then), 'unlink("/x/.lock") = 0')
+    assert (len(trace.reread), trace.reread_new) == (doubtful, ())
+
+
+def test_caches_are_no_data_of_a_run_where_caches_lie() -> None:
+    roots = {"home": "/h", "cache": "/c", "project": "/h/.p", "work": "/h/.p/.sierra/work/s", "store": "/h/.p/.sierra"}
+    caches = ("/h/.cache/mesa_shader_cache/index", "/c/numba/a", "/c/app/qtshadercache-x86_64/a", "/h/.nv/ComputeCache/c")
+    caches += ("/h/.julia/compiled/v1.10/A/b.ji", "/h/.theano/compiledir_Linux/tmp/mod.so", "/tmp/torchinductor_me/a")
+    caches += ("/var/tmp/OptixCache_me/optix7cache.db", "/h/.cache/huggingface/hub/models--a/refs/main", "/c/keops2.1/a")
+    caches += ("/x/__pycache__/a.nbi", "/x/a.pyc.12", "/h/.p/__pycache__/a.pyc", "/dev/shm/fastrtps_port7411")
+    data = ("/h/numba/a", "/h/jax/a", "/h/.cache/jax-swarm/a", "/h/.cache/a/b/numba/c", "/h/.p/.triton/a", "/h/.p/ccache/a")
+    data += ("/h/.p/.sierra/a", "/h/.p/.sierra/work/a", "/h/.p/.sierra/work/s/a", "/h/.p/.sierra/work/s/numba/a")
+    data += ("/tmp/matplotlib/a", "/tmp/a/torchinductor_b/c", "/x/triton_v2/a", "/x/compiled/v1.2/a", "/x/.cache/numba/a")
+    assert reread(roots, *caches, *data, "/r/home/.cache/numba/a", "/h/.p/.sierra/work/s/r/a") == tuple(
+        sorted((*data, "/h/.p/.sierra/work/s/r/a"))
+    )
+    assert Names(roots).name("/h/.p/.sierra/work/s/a") == "{store}/work/s/a"
+
+
+def test_names_that_still_exist_are_recorded_first_if_there_are_too_many(tmp_path: Path) -> None:
+    (tmp_path / "z").write_text("x")
+    many = [f"{tmp_path}/{number:04}" for number in range(file_trace.MOST_REREAD)]
+    trace = Trace("strace", reread=(*many, f"{tmp_path}/z"))
+    cut = Names({}).inputs(trace)
+    assert (cut.reread, cut.complete) == ((*many[:-1], f"{tmp_path}/z"), False)
+    whole = Names({}).inputs(trace._replace(reread=tuple(many)))
+    assert (whole.reread, whole.complete) == (tuple(many), True)
 
 
 def test_a_log_that_is_cut_anywhere_is_never_complete() -> None:
