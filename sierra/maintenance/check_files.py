@@ -33,6 +33,7 @@ from sierra.store.segments import (
     FORMER,
     MANIFEST,
     MARK_BYTES,
+    NAME,
     OUTPUT,
     OUTPUTS,
     Segment,
@@ -48,7 +49,6 @@ from sierra.util.fs import UNFINISHED_END
 from sierra.util.hashing import sha256, unsealed
 from sierra.util.shortage import shortage
 
-NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
 """The pattern of the name of a segment that a repair has put aside."""
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
@@ -95,7 +95,7 @@ def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> 
     with ThreadPoolExecutor(THREADS) as pool:
         for name, segment in present.items():
             folder = paths.segments / name
-            if folder.is_symlink() or not NAME.fullmatch(name):
+            if folder.is_symlink() or not folder.is_dir() or not NAME.fullmatch(name):
                 continue
             if name in hidden:
                 found.left.append(name)
@@ -236,6 +236,7 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
         if UNFINISHED.fullmatch(name)
         else Finding(Kind.STRAY, _shown(paths, folder / name), "is not listed in the segment's MANIFEST")
         for name in sorted(entries - listed.keys())
+        if not faults or UNFINISHED.fullmatch(name)
     ]
     hashed = dict(zip(sorted(entries), pool.map(lambda name: _hashed(folder / name), sorted(entries)), strict=True))
     lost: set[str] = set()

@@ -28,7 +28,7 @@ from typing import NamedTuple
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import sessions
 from sierra.maintenance import check_records, fsck, lost_remarks
-from sierra.maintenance.check_files import DERIVED, FIXED, NAME
+from sierra.maintenance.check_files import DERIVED, FIXED
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Kind
 from sierra.maintenance.fsck import Checked, Report, Tell
@@ -36,7 +36,7 @@ from sierra.maintenance.lost_remarks import Doubtful
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
-from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, Segment, manifest
+from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, NAME, Segment, manifest
 from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
@@ -95,6 +95,7 @@ def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell =
     _ours(paths)
     checked = _checked(paths, root, tell)
     done = [*_fixed(paths, checked, dry_run), *_manifests(paths, checked, dry_run), *_strays(paths, checked, dry_run)]
+    done += _segments_folder(paths, dry_run)
     if done and not dry_run:
         checked = _checked(paths, root, tell)
     done += _salvage(paths, root, checked, dry_run, tell)
@@ -128,11 +129,13 @@ def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
     wrong = {finding.path for finding in checked.report.findings} & FIXED.keys()
     for name in sorted(wrong):
         if not dry_run:
+            _make_room(paths, paths.root / name)
             write_whole(paths.root / name, FIXED[name].encode())
         yield f"{name}: written again"
     for name in sorted({finding.path for finding in checked.report.findings if finding.kind is Kind.DAMAGED} & DERIVED):
         if not dry_run:
-            (paths.root / name).unlink()
+            _make_room(paths, paths.root / name)
+            (paths.root / name).unlink(missing_ok=True)
         yield f"{name}: removed; SIERRA creates it again"
 
 
@@ -143,18 +146,35 @@ def _manifests(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[s
         text = manifest(files)
         if MANIFEST in checked.contents.broken[name] and sha256(text)[:16] == name[-16:]:
             if not dry_run:
+                _make_room(paths, folder / MANIFEST)
                 write_whole(folder / MANIFEST, text)
             checked.contents.broken.pop(name)
             yield f"segments/{name}/{MANIFEST}: rebuilt from the segment's files; its hash agrees with the segment's name"
 
 
 def _strays(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
+    awaited = {segment.after for segment in checked.contents.sound}
     for finding in checked.report.findings:
         path = paths.root / finding.path
+        if (path == paths.segments and path.is_dir()) or path.name in awaited:  # without it, sound records would be hidden
+            continue
         if finding.kind is Kind.STRAY and (path.is_symlink() or path.exists()):
             if not dry_run:
                 aside(paths, path)
             yield f"{finding.path}: moved to damaged/"
+
+
+def _segments_folder(paths: StorePaths, dry_run: bool) -> Iterator[str]:
+    if not paths.segments.is_dir():
+        if not dry_run:
+            paths.segments.mkdir()
+        yield "segments: created again, without the records that are lost"
+
+
+def _make_room(paths: StorePaths, path: Path) -> None:
+    """Move a folder to `damaged/` that is in the place of a file."""
+    if path.is_dir() and not path.is_symlink():
+        aside(paths, path)
 
 
 def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tell: Tell) -> Iterator[str]:
@@ -227,7 +247,8 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
         loss.doubtful = [one for one in found if one.execution not in loss.executions]
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
-        loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]
+        away = broken.keys() | going
+        loss.touched = [one for one in contents.sound if one.name in away or one.after in away]  # else these would wait forever
     finally:
         read.snapshot.__exit__()
         contents.broken = broken

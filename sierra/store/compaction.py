@@ -29,7 +29,7 @@ from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.layout import StorePaths
 from sierra.store.objects import GROUP, ROWS
-from sierra.store.parquet_row_counts import Written, rows_by_file
+from sierra.store.parquet_row_counts import Written, rows_by_file, rows_in
 from sierra.store.read_lock import alone
 from sierra.store.schema import RECORDED, arrow_schema, is_table
 from sierra.store.segments import (
@@ -39,6 +39,7 @@ from sierra.store.segments import (
     Segment,
     Writer,
     disk_errors,
+    is_first_part,
     on_disk,
     out_of_date,
     own_table,
@@ -163,19 +164,39 @@ class Compaction:
 
 def write_kept(group: Group, drop: Drop, writer: Writer) -> None:
     """Write the kept rows of a group into one new segment. Raises Missing if the disk is full, Damaged for unreadable files."""
+    tables = _tables_of_staying(group, drop.get("output", {}))
     for name in sorted({name for segment in group for name in segment.files}):
         paths = [segment.files[name] for segment in group if name in segment.files]
         verify(paths)
         with disk_errors(writer.folder):
-            _write(writer.path(name), name, paths, drop.get(_table(name), {}))
+            _write(writer.path(name), name, paths, drop.get(_table(name), {}), tables)
 
 
-def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> None:
-    """Write the kept rows of several files into one file; write none if no row is kept."""
-    if len(paths) == 1 and not _any_dropped(paths[0], drop):
+def _tables_of_staying(group: Group, drop: Mapping[str, AbstractSet[str]]) -> AbstractSet[str] | None:
+    """Return the tables, in lower case, to which executions that stay have written, perhaps no rows; None if all stay."""
+    if not drop:
+        return None
+    paths = [segment.files["artifacts"] for segment in group if "artifacts" in segment.files]
+    verify(paths)
+    named = (output for part in _staying(paths, drop) for output in part.column("output").to_pylist())
+    return {output.lower() for output in named if output is not None}
+
+
+def _write(
+    target: Path, name: str, paths: Sequence[str], drop: Mapping[str, AbstractSet[str]], tables: AbstractSet[str] | None
+) -> None:
+    """Write the kept rows of several files into one file; write none if no row is kept.
+
+    The file of an output without rows is kept for the executions that wrote it, see `_tables_of_staying`.
+    """
+    if name.startswith(OUTPUT):
+        stays = tables is None or (table_of(name).lower() in tables and (is_first_part(name) or not any(map(rows_in, paths))))
+        if len(paths) == 1 and (stays or rows_in(paths[0])) and not _any_dropped(paths[0], drop):
+            write_whole_file(target, name, paths[0])
+        else:
+            _write_output(target, table_of(name), paths, drop.get("execution", frozenset()), even_empty=stays)
+    elif len(paths) == 1 and not _any_dropped(paths[0], drop):
         write_whole_file(target, name, paths[0])
-    elif name.startswith(OUTPUT):
-        _write_output(target, table_of(name), paths, drop.get("execution", frozenset()))
     elif name == "objects":
         _write_tables(target, _staying_objects(paths, drop.get("sha256", frozenset())), arrow_schema(name))
     else:
@@ -271,8 +292,13 @@ def _write_tables(target: Path, tables: Iterable[pa.Table], schema: pa.Schema) -
             writer.close()
 
 
-def _write_output(target: Path, table: str, paths: Sequence[str], executions: AbstractSet[str]) -> None:
-    """Write the kept rows of an output. DuckDB wrote them and rewrites them, because only DuckDB has all their types."""
+def _write_output(
+    target: Path, table: str, paths: Sequence[str], executions: AbstractSet[str], *, even_empty: bool = True
+) -> None:
+    """Write the kept rows of an output; if none is kept, write a file without rows if `even_empty`.
+
+    DuckDB wrote them and rewrites them, because only DuckDB has all their types.
+    """
     connection = connect()
     try:
         connection.register("gone", pa.table({"execution": pa.array(sorted(executions), pa.string())}))
@@ -280,7 +306,7 @@ def _write_output(target: Path, table: str, paths: Sequence[str], executions: Ab
         stays = f"SELECT o.* FROM {read_parquet(paths)} o ANTI JOIN gone g ON o.execution = g.execution"
         before = connection.execute(SUM.format(rows=stays)).fetchall()[0]
         kept = {written: rows for written, rows in _counted(paths).items() if written[0] not in executions}
-        if before[0] or kept:
+        if before[0] or kept or even_empty:
             connection.execute(copy(stays, target, table))
             written = connection.execute(SUM.format(rows=f"SELECT * FROM {read_parquet([str(target)])}")).fetchall()[0]
             if written != before or _counted([str(target)]) != kept or not _schema(str(target)).equals(_schema(paths[0])):

@@ -48,10 +48,11 @@ from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
 from sierra.store.verified_files import MANIFEST as MANIFEST
-from sierra.store.verified_files import are_sound, changed, hash_written, verify
-from sierra.util.fs import UNFINISHED_END, inside
+from sierra.store.verified_files import are_sound, changed, hash_written, lost, verify
+from sierra.util.fs import UNFINISHED_END, inside, is_gone
 from sierra.util.hashing import sha256
 from sierra.util.regular_files import open_regular
+from sierra.util.shortage import lacking
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
@@ -67,12 +68,16 @@ OUTPUT = "output."
 SUFFIX = ".parquet"
 NOTICED = frozenset(("objects.parquet", "images.parquet"))
 """Files with contents that records name by a hash: whatever needs a lost one says that it is missing."""
+NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
+"""The pattern of a segment's name."""
 NUMBERED = re.compile(r"output\.([1-9][0-9]{0,8})((?:~[0-9]+)?)")
 OUTPUTS = "OUTPUTS"
 REPLACES = "REPLACES"
 AFTER = "AFTER"
+MARKS = (MANIFEST, OUTPUTS, REPLACES, AFTER)
+"""The files of a segment that are no tables."""
 MARK_BYTES = 16 << 20
-"""The limit on the bytes that are read from OUTPUTS and REPLACES."""
+"""The limit on the bytes that are read from one of them."""
 SETTLED_NS = 2_000_000_000
 """The age of the last change of a folder after which a further change certainly gives it another time."""
 
@@ -127,8 +132,8 @@ def is_whole(segment: Segment, folder: Path) -> bool:
     """
     for name in segment.missing:
         if name not in NOTICED:
-            path = folder / segment.name / name
-            raise DamagedFile(changed(str(path)) if path.exists() else f"{path} is missing: run sierra fsck --repair")
+            path = str(folder / segment.name / name)
+            raise DamagedFile(changed(path) if Path(path).exists() else lost(path))
     return True
 
 
@@ -143,6 +148,8 @@ def listed(folder: Path) -> list[Segment]:
     The Parquet files are verified when they are read, see `sierra.store.duckdb_file_io`.
     """
     found = list(on_disk(folder))
+    if not found and not folder.is_dir():
+        raise DamagedFile(lost(str(folder)))
     verify(mark for segment in found for mark in segment.marks if not mark.endswith(f"/{OUTPUTS}"))
     hidden = out_of_date(found)
     current = [segment for segment in found if segment.name not in hidden]
@@ -194,14 +201,35 @@ def out_of_date(segments: Sequence[Segment]) -> set[str]:
 
 
 def on_disk(folder: Path) -> Iterator[Segment]:
-    """Yield all existing segments, ignored or not, in the order of their names."""
+    """Yield all existing segments, ignored or not, in the order of their names. Raises OSError for a lack of something.
+
+    One whose folder cannot be read, such as a link to a folder that does not exist, has lost its MANIFEST.
+    """
     try:
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir())
-    except FileNotFoundError:
+        names = sorted(entry.name for entry in os.scandir(folder) if _may_be_segment(entry))
+    except OSError as error:
+        if lacking(error) is not None:
+            raise
         return
     for name in names:
-        with contextlib.suppress(FileNotFoundError):  # another process removed it meanwhile
-            yield _segment(f"{folder}/{name}", name)
+        path = f"{folder}/{name}"
+        try:
+            yield _segment(path, name)
+        except OSError as error:
+            if is_gone(path):  # another process removed it meanwhile
+                continue
+            if lacking(error) is not None:
+                raise
+            yield Segment(name.partition("-")[0], {}, name, missing=(MANIFEST,))
+
+
+def _may_be_segment(entry: os.DirEntry[str]) -> bool:
+    try:
+        return NAME.fullmatch(entry.name) is not None or entry.is_dir()
+    except OSError as error:
+        if lacking(error) is not None:
+            raise
+        return False
 
 
 def _segment(folder: str, name: str) -> Segment:
@@ -211,7 +239,8 @@ def _segment(folder: str, name: str) -> Segment:
     if known is not None and known[0] == changed:
         return known[1]
     segment = _read(folder, name)
-    if segment.after is None and not segment.replaces and time.time_ns() - changed > SETTLED_NS:
+    lasting = segment.after is None and not segment.replaces and not segment.missing
+    if lasting and time.time_ns() - changed > SETTLED_NS:
         _known[folder] = changed, segment
     return segment
 
@@ -219,14 +248,18 @@ def _segment(folder: str, name: str) -> Segment:
 def _read(folder: str, name: str) -> Segment:
     with os.scandir(folder) as entries:
         paths = {entry.name: entry.path for entry in entries}
+    texts = {mark: _beginning(paths[mark]) for mark in MARKS if mark in paths}
+    lines = {mark: _split(text) for mark, text in texts.items() if text is not None}
+    for mark in texts.keys() - lines.keys():
+        del paths[mark]
     files = {file.removesuffix(SUFFIX): path for file, path in paths.items() if file.endswith(SUFFIX)}
-    replaces = frozenset(_lines(paths[REPLACES])) if REPLACES in paths else frozenset()
-    after = next(iter(_lines(paths[AFTER])), "") if AFTER in paths else None
+    replaces = frozenset(lines.get(REPLACES, ()))
+    after = next(iter(lines[AFTER]), "") if AFTER in lines else None
     marks = tuple(paths[mark] for mark in (OUTPUTS, REPLACES, AFTER) if mark in paths)
-    missing = _missing(paths, name)
+    missing = _missing(paths, name, texts.get(MANIFEST))
     if OUTPUTS in paths:
         numbered = files
-        files = named(numbered, _tables(_lines(paths[OUTPUTS])))
+        files = named(numbered, _tables(lines[OUTPUTS]))
         missing += (OUTPUTS,) if len(files) < len(numbered) else ()
     return Segment(name.partition("-")[0], files, name, replaces, after, missing, marks)
 
@@ -255,22 +288,26 @@ def _tables(lines: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _missing(paths: Mapping[str, str], segment: str) -> tuple[str, ...]:
-    """Return the names in MANIFEST that are not among these paths; that of MANIFEST if it is not the segment's."""
-    text = _beginning(paths[MANIFEST]) if MANIFEST in paths else b""
-    if sha256(text)[:16] != segment.rpartition("-")[2]:
+def _missing(paths: Mapping[str, str], segment: str, text: bytes | None) -> tuple[str, ...]:
+    """Return the names in MANIFEST that are not among these paths; that of MANIFEST if this text is not the segment's."""
+    if text is None or sha256(text)[:16] != segment.rpartition("-")[2]:
         return (MANIFEST,)
     names = (line.partition("  ")[2] for line in _split(text))
     return tuple(name for name in names if name not in paths)
 
 
-def _lines(path: str) -> list[str]:
-    return _split(_beginning(path))
+def _beginning(path: str) -> bytes | None:
+    """Return the content of a mark; None if it cannot be read, such as a link to a file that does not exist, or a pipe.
 
-
-def _beginning(path: str) -> bytes:
-    with open_regular(path) as file:
-        return file.read(MARK_BYTES)
+    Raises OSError for a lack of something, and if another process has removed the segment.
+    """
+    try:
+        with open_regular(path) as file:
+            return file.read(MARK_BYTES)
+    except OSError as error:
+        if lacking(error) is not None or is_gone(path.rpartition("/")[0]):
+            raise
+        return None
 
 
 def _split(text: bytes) -> list[str]:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from sierra.errors import DamagedFile, Missing
 from sierra.store.layout import user_verified
 from sierra.util.cache import Cache
-from sierra.util.fs import RACY_NS, state
+from sierra.util.fs import RACY_NS, is_gone, state
 from sierra.util.hashing import sha256, sha256_file
 from sierra.util.regular_files import read_regular
 from sierra.util.shortage import shortage
@@ -66,6 +66,15 @@ class _File(NamedTuple):
 def changed(path: str) -> str:
     """Return the message about a file of a segment that is not the recorded one."""
     return f"{path} has other bytes than SIERRA wrote ({_batch(path)}): run sierra fsck"
+
+
+def lost(path: str) -> str:
+    """Return the message about a file of a segment that does not exist, perhaps because a symbolic link leads nowhere."""
+    for link in (Path(path), Path(path).parent):
+        if link.is_symlink() and not link.exists():
+            gone = f"{link} is a symbolic link to {link.readlink()}, which does not exist"
+            return f"{gone}: restore that, or run sierra fsck --repair"
+    return f"{path} is missing: run sierra fsck --repair"
 
 
 def _batch(path: str) -> str:
@@ -140,7 +149,7 @@ def _is_known(file: _File) -> bool:
         cache = _caches[file.store] = Cache(user_verified(file.store), MAX_ENTRIES)
     with contextlib.suppress(OSError):
         return cache.get(file.key) == state(file.path)
-    return not Path(file.path).exists()
+    return is_gone(file.path)
 
 
 def _hashed(file: _File) -> list[int] | None:
@@ -152,13 +161,16 @@ def _hashed(file: _File) -> list[int] | None:
         after = state(file.path)
         recorded = _recorded(file)
     except FileNotFoundError:
-        if not Path(file.path).exists():  # another process removed the segment meanwhile
+        if is_gone(file.path):  # another process removed the segment meanwhile
             return None
-        raise DamagedFile(f"{Path(file.path).with_name(MANIFEST)} is missing: run sierra fsck --repair") from None
+        absent = file.path if not Path(file.path).exists() else str(Path(file.path).with_name(MANIFEST))
+        raise DamagedFile(lost(absent)) from None
     except OSError as error:
         if (lack := shortage(error)) is not None:
             raise Missing(f"{error.filename or file.path} cannot be read: {lack}") from error
-        raise DamagedFile(f"{file.path} cannot be read: {error.strerror} ({_batch(file.path)}): run sierra fsck") from error
+        raise DamagedFile(
+            f"{error.filename or file.path} cannot be read: {error.strerror} ({_batch(file.path)}): run sierra fsck"
+        ) from error
     if digest != recorded:
         raise DamagedFile(changed(file.path))
     return after if after == before and after[-1] < began - RACY_NS else None

@@ -99,6 +99,15 @@ def write_whole(path: Path, data: bytes) -> Path:
     return path
 
 
+def is_gone(path: str) -> bool:
+    """Check that there is nothing of this name, not even a symbolic link to something that does not exist."""
+    try:
+        os.lstat(path)
+    except OSError as error:
+        return isinstance(error, FileNotFoundError)
+    return False
+
+
 def write_once(path: Path, data: bytes) -> None:
     """Write a file completely or not at all, unless one exists: of all that write it at once, the first wins."""
     unfinished = unfinished_beside(path)

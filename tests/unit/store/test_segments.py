@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,10 +15,11 @@ import pytest
 import sierra
 import sierra.store.connections
 from sierra.errors import Damaged
-from sierra.maintenance.findings import Kind
-from sierra.store.compaction import Compaction
+from sierra.maintenance import check_files
+from sierra.maintenance.findings import Finding, Kind
+from sierra.store.compaction import Compaction, groups, tidy
 from sierra.store.duckdb_file_io import copy
-from sierra.store.segments import MANIFEST, OUTPUTS, Writer, on_disk
+from sierra.store.segments import AFTER, MANIFEST, OUTPUTS, REPLACES, Writer, on_disk
 from sierra.store.store import Store
 from sierra.util.hashing import sha256
 from tests import projects, stores
@@ -180,6 +182,113 @@ def test_a_list_of_tables_is_compared_with_the_files_and_made_again_from_them(tm
     assert projects.quick(root, "fsck").returncode == 1
     assert projects.quick(root, "fsck", "--repair").returncode == 0
     assert sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist() == before
+
+
+def _link(path: Path) -> None:
+    path.symlink_to("/no/such/folder/content")
+
+
+def _loop(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+def _device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+@pytest.mark.parametrize("put", [_link, _loop, _device, os.mkfifo, Path.mkdir])
+def test_no_segment_is_hidden_because_a_file_in_it_cannot_be_read(tmp_path: Path, put: Callable[[Path], None]) -> None:
+    """As git-annex and DataLad leave links without their content, and a lost mount leaves links to folders."""
+    store = Store.create(tmp_path / ".sierra")
+    made(store, "x")
+    compaction = Compaction(store.paths, tmp_path / "new", "new")
+    compaction.write((store.segments()[0],), {})
+    compaction.new("cd" * 32).rows("batches", [{"batch": "cd" * 32}])
+    compaction.publish()
+    tidy(store.paths, tmp_path / "old")
+    found = [path for mark in (MANIFEST, OUTPUTS, REPLACES, AFTER) for path in store.paths.segments.glob(f"*/{mark}")]
+    assert {path.name for path in found} == {MANIFEST, OUTPUTS, REPLACES, AFTER}
+    for path in (*found, found[0].parent, store.paths.segments):
+        kept = path.rename(tmp_path / "kept")
+        put(path)
+        if path.name == OUTPUTS:
+            assert [name for one in store.segments() for name, _ in one.outputs()] == ["x"]
+        elif put is not Path.mkdir or path != store.paths.segments:
+            with pytest.raises(Damaged, match="run sierra fsck"):
+                store.sql("FROM batches")
+        shown = str(path.relative_to(store.paths.root))
+        assert path == store.paths.segments or shown in {one.path.removesuffix("/MANIFEST") for one in fsck(store)} | {
+            one.path for one in fsck(store)
+        }
+        path.rmdir() if path.is_dir() else path.unlink()
+        kept.rename(path)
+    assert store.outputs() == ["x"]
+
+
+def fsck(store: Store) -> list[Finding]:
+    return [finding for finding in check_files.read(store.paths).findings if not finding.kind.fine]
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("mark", "put"), [(MANIFEST, None), (MANIFEST, Path.mkdir), (REPLACES, None), (REPLACES, os.mkfifo), (OUTPUTS, _link)]
+)
+def test_no_record_is_lost_with_a_file_that_lists_others(tmp_path: Path, mark: str, put: Callable[[Path], None] | None) -> None:
+    root = projects.make(tmp_path / "p", simulator=stores.SIMULATOR)
+    stores.ask(root, "population_size=1,2")
+    sierra.open(root).run("population_size=3", figures=False)
+    before = sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist()
+    store = sierra.open(root).store
+    compaction = Compaction(store.paths, tmp_path / "new", "new")
+    for group in groups(store.segments()):
+        compaction.write(group, {})
+    compaction.publish()
+    tidy(store.paths, tmp_path / "old")
+    path = next(iter(sorted((root / ".sierra" / "segments").glob(f"*/{mark}"))))
+    path.unlink()
+    if put is not None:
+        put(path)
+    ended = projects.quick(root, "fsck")
+    assert (ended.returncode, ended.stderr) == (1, "")
+    assert f"{path.parent.name}/{mark}: " in ended.stdout
+    repaired = projects.quick(root, "fsck", "--repair")
+    assert repaired.returncode == 0, repaired.stderr
+    assert projects.quick(root, "fsck").returncode == 0
+    assert sierra.open(root).sql("FROM swarm ORDER BY ALL").to_pylist() == before
+
+
+def test_a_table_without_rows_stays_when_segments_are_merged_or_written_again(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    for run in ("a", "b"):
+        writer = store.writer(store.paths.work / "made", "ab" * 32)
+        artifact = {"execution": run, "run": run, "path": "x.csv", "kind": "table", "output": "x", "rows": 0}
+        writer.rows("artifacts", [{**artifact, "size": 1, "sha256": "00"}])
+        with sierra.store.connections.connect() as connection:
+            connection.execute(copy("SELECT '' AS run, '' AS execution, 1 AS v WHERE false", writer.path("output.x"), "x"))
+        store.publish(writer)
+    for gone, tables in (("", ["x"]), ("a", ["x"]), ("b", [])):
+        compaction = Compaction(store.paths, tmp_path / f"new{gone}", f"new{gone}")
+        drop = {"output": {"execution": {gone}}, "artifacts": {"execution": {gone}}} if gone else {}
+        compaction.write(tuple(store.segments()), drop)
+        compaction.publish()
+        assert store.outputs() == tables
+        for segment in store.segments():
+            for _, path in segment.outputs():
+                assert (pq.read_table(path).num_rows, pq.read_schema(path).names) == (0, ["run", "execution", "v"])
+                assert pq.read_metadata(path).metadata[b"sierra_table"] == b"x"
+
+
+def test_a_table_without_rows_stays_when_its_file_of_a_former_format_is_copied(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    writer = store.writer(store.paths.work / "old", "ab" * 32)
+    pq.write_table(pa.table({"run": ["r"], "execution": ["e"], "v": [1]}).slice(0, 0), writer.path("output.x"))
+    store.publish(writer)
+    compaction = Compaction(store.paths, tmp_path / "new", "new")
+    compaction.write((store.segments()[0],), {})
+    compaction.publish()
+    [(name, path)] = store.segments()[0].outputs()
+    assert (name, pq.read_table(path).num_rows, pq.read_metadata(path).metadata[b"sierra_table"]) == ("x", 0, b"x")
 
 
 def test_a_file_that_does_not_name_its_table_is_written_again_so_that_it_does(tmp_path: Path) -> None:
