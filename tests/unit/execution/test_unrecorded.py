@@ -182,7 +182,7 @@ def test_gc_reports_sessions_that_cannot_be_recorded(root: Path, fail: Callable[
     done = projects.quick(root, "gc", "--yes", *words)
     assert done.returncode == 1
     assert done.stderr.startswith(
-        f"sierra: session {session} cannot be recorded (not a record); its files are in .sierra/damaged/"
+        f"note: session {session} cannot be recorded (not a record); its files are in .sierra/damaged/"
     )
     if words:
         found = json.loads(done.stdout)

@@ -191,14 +191,17 @@ def test_tables_of_several_batches_have_a_limit(recorded: Path) -> None:
 
 def test_a_process_that_was_killed_between_statements_is_replaced(confined: Remote) -> None:
     confined.execute("CREATE TEMP VIEW v AS SELECT 5 AS a")
-    for ask in (lambda: confined.execute("FROM v").fetchall(), lambda: confined.cursor().execute("SELECT 5").fetchall()):
+    cursor = confined.cursor()
+    for connection in (confined, cursor):
         before = process(confined)
         running = confined._process._running
         assert running is not None
         os.kill(before, signal.SIGKILL)
         os.waitid(os.P_PID, before, os.WEXITED | os.WNOWAIT)
-        assert ask() == [(5,)]
+        assert connection.execute("SELECT a FROM (SELECT 5 AS a)").fetchall() == [(5,)]
         assert process(confined) != before
+    assert confined.execute("FROM v").fetchall() == [(5,)]
+    cursor.close()
 
 
 FORKED = """
