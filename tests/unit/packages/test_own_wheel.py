@@ -118,10 +118,13 @@ def test_packed_wheels_are_installed_without_an_index(tmp_path: Path, packed: Pa
     assert project.package(project.batches[0].batch, report=False, path=tmp_path / "y.zip", wheels=True)
     with zipfile.ZipFile(tmp_path / "y.zip") as file:
         text, names = file.read("README.md").decode(), set(file.namelist())
+        needs = file.read("REPRODUCING.md").decode()
         own = [file.read(name) for name in names if name.endswith(".whl")]
     installs = "pip install --no-index --find-links environment/wheels --require-hashes -r environment/requirements.lock\n"
     assert installs in text
-    assert "- network: none; only to install SIERRA for another Python or processor than those of `environment/wheels/`" in text
+    assert (
+        "- network: none; only to install SIERRA for another Python or processor than those of `environment/wheels/`" in needs
+    )
     assert len(own) == 2
     assert own[0] == own[1]
 
