@@ -983,18 +983,21 @@ class Project:
 
         return remove.plan(self.store, prefixes)
 
-    def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
+    def remove(
+        self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True, observer: Observer | None = None
+    ) -> Removal | None:
         """Remove the records of these ids, if `agree` returns true for the preview; return None if it returns false.
 
-        Runs that other batches have keep their executions. Raises NotFound for an unknown id, Missing if the disk is full, and
-        SierraError while one of the batches is executing. If it raises, nothing changes.
+        Runs that other batches have keep their executions. `observer` receives a notice about each session that died and cannot
+        be recorded. Raises NotFound for an unknown id, Missing if the disk is full, and SierraError while one of the batches is
+        executing. If it raises, nothing changes.
 
         >>> print(project.remove(summary.batch, agree=lambda removal: False))
         None
         """
         from sierra.maintenance import remove
 
-        return remove.remove(self.store, prefixes, agree)
+        return remove.remove(self.store, prefixes, agree, observer)
 
     def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
         """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`.
@@ -1012,18 +1015,20 @@ class Project:
         damaged: bool = False,
         raw: bool = False,
         agree: Callable[[Collection], bool] = lambda collection: True,
+        observer: Observer | None = None,
     ) -> Collection | None:
         """Remove unneeded files and merge small segments, if `agree` returns true for the preview; otherwise return None.
 
         `damaged`: also remove segments that a repair put aside; `raw`: also remove the bytes of files that became tables.
-        Raises Missing if the disk is full; then nothing is lost.
+        `observer` receives a notice about each session that cannot be recorded. Raises Missing if the disk is full; then
+        nothing is lost.
 
         >>> project.collect(agree=lambda collection: False) is None or project.collection().nothing
         True
         """
         from sierra.maintenance import gc
 
-        return gc.collect(self.store, self.root, damaged=damaged, raw=raw, agree=agree)
+        return gc.collect(self.store, self.root, damaged=damaged, raw=raw, agree=agree, observer=observer)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """Return a list of the recorded files of an id; with `to`, write them to that folder and return the outcomes.
@@ -1669,11 +1674,11 @@ class Project:
         anonymity = Anonymity(self._loaded, allow) if anonymous else None
         return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=options, anonymity=anonymity)
 
-    def import_package(self, path: str | os.PathLike[str]) -> Imported:
+    def import_package(self, path: str | os.PathLike[str], *, observer: Observer | None = None) -> Imported:
         """Add the records of a package to the store, and keep where they came from: see `sierra.packages.reading.imports`.
 
-        In batches that were executed here, imported executions do not count. Raises Missing, Damaged, UsageError; then nothing
-        changes.
+        In batches that were executed here, imported executions do not count. `observer` receives a notice about each session
+        that died here and cannot be recorded. Raises Missing, Damaged, UsageError; then nothing changes.
 
         >>> project.import_package("results.zip")
         Traceback (most recent call last):
@@ -1682,7 +1687,7 @@ class Project:
         """
         from sierra.packages.reading import imports
 
-        return imports.import_package(Store.create(ProjectPaths(self.root).store), Path(path))
+        return imports.import_package(Store.create(ProjectPaths(self.root).store), Path(path), observer)
 
     def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:
         """Return how a batch's outputs were read: its tables, and the files that became no table, with the reasons.

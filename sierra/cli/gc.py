@@ -40,6 +40,7 @@ def gc(
     """
     from sierra.cli import open_project
     from sierra.cli.confirm import agreed
+    from sierra.cli.progress import Display
     from sierra.maintenance.gc import text
 
     project = open_project.project()
@@ -47,15 +48,26 @@ def gc(
         found: Collection | None = project.collection(damaged=damaged, raw=raw)
     else:
         found = project.collect(
-            damaged=damaged, raw=raw, agree=lambda found: agreed(text(found), yes, as_json, "to be removed or merged")
+            damaged=damaged,
+            raw=raw,
+            agree=lambda found: agreed(text(found), yes, as_json, "to be removed or merged"),
+            observer=Display(),
         )
     if found is None:
         print("nothing was done")
         raise typer.Exit(1)
     if as_json:
         print_json({"done": not dry_run, **asdict(found)})
-        return
-    print("\n".join(text(found)) or "nothing to remove: everything is needed")
+    else:
+        _print(found)
+    if found.unrecorded:
+        raise typer.Exit(1)
+
+
+def _print(found: Collection) -> None:
+    from sierra.maintenance.gc import text
+
+    print("\n".join(text(found)) or ("nothing was removed" if found.unrecorded else "nothing to remove: everything is needed"))
     if found.recovered:
         print(f"recorded {counted(found.recovered, 'finished execution')} of sessions that died")
     if found.left:

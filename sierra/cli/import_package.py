@@ -37,8 +37,9 @@ def import_(
       sierra import results.zip
     """
     from sierra.cli.open_project import project
+    from sierra.cli.progress import Display
 
-    done = project().import_package(package)
+    done = project().import_package(package, observer=Display())
     if as_json:
         print_json(done)
     else:

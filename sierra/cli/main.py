@@ -15,8 +15,6 @@ from sierra.util import open_files, signals
 from sierra.util.shortage import shortage
 
 INTERRUPTED = 130
-IN_QUERY = "Query interrupted"
-"""The error that DuckDB makes of a KeyboardInterrupt."""
 YOUNG = 200_000
 """The number of new objects after which Python looks for unreachable ones.
 
@@ -96,7 +94,7 @@ def _other(error: Exception) -> int:
     """Report an error that typer raised by itself, or an unexpected one; return the exit code."""
     if isinstance(error, WrongArguments):
         return _usage(error)
-    if type(error).__name__ == "Abort" or (isinstance(error, RuntimeError) and str(error) == IN_QUERY):
+    if type(error).__name__ == "Abort":
         return _say("interrupted", INTERRUPTED)
     lack = shortage(error)
     if isinstance(error, OSError) or lack is not None:

@@ -44,6 +44,7 @@ def rm(
     """
     from sierra.cli import open_project
     from sierra.cli.confirm import agreed
+    from sierra.cli.progress import Display
 
     def agree(found: Removal) -> bool:
         return found.nothing or agreed(_lines(found), yes, as_json, "to be deleted permanently")
@@ -52,7 +53,7 @@ def rm(
     if dry_run:
         removal: Removal | None = project.removal(*prefixes)
     else:
-        removal = project.remove(*prefixes, agree=agree)
+        removal = project.remove(*prefixes, agree=agree, observer=Display())
     if removal is None:
         print("nothing was deleted")
         raise typer.Exit(1)

@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from sierra.errors import Damaged, DamagedFile, Missing, SierraError
 from sierra.execution import sessions, unrecorded
@@ -31,12 +32,21 @@ OF_FILES = frozenset(
 """The system's errors about the files of a session. Any other may come from a file system that fails for a moment."""
 
 
-def finish_dead(store: Store, observer: Observer | None = None) -> int:
-    """End the runs that dead sessions left, and record finished ones; return the number of recovered executions.
+class Recovered(NamedTuple):
+    """The result of recovering dead sessions."""
+
+    executions: int
+    """Executions that were recorded."""
+    left_out: tuple[str, ...]
+    """A message about each session that cannot be recorded."""
+
+
+def finish_dead(store: Store, observer: Observer) -> Recovered:
+    """End the runs that dead sessions left, and record finished ones.
 
     A session that cannot be recorded is moved away. `observer` receives a notice about each.
     """
-    recovered = 0
+    recovered, left_out = 0, []
     with sessions.dead(store.paths) as found:
         for paths in list(found):
             from sierra.runners import local  # what recovers sessions is loaded only if one has died
@@ -50,12 +60,12 @@ def finish_dead(store: Store, observer: Observer | None = None) -> int:
                 message = _left_out(store, paths, error)
                 log.warning("%s", message)
                 log.debug("".join(traceback.format_exception(error)))
-                if observer is not None:
-                    observer.notice(message)
+                observer.notice(message)
+                left_out.append(message)
                 continue
             recovered += count
             log.warning("session %s has died; recorded %d of its finished executions", paths.root.name, count)
-    return recovered
+    return Recovered(recovered, tuple(left_out))
 
 
 def _left_out(store: Store, paths: SessionPaths, error: Exception) -> str:

@@ -29,6 +29,8 @@ MAGIC, HEADER = b"SQLite format 3\0", 100
 """The first bytes of each database, and the size of its header: https://sqlite.org/fileformat.html"""
 LIMIT = 1 << 28
 """The limit on steps of SQLite's virtual machine, so that a statement ends."""
+REFUSED = (sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_AUTH)
+"""SQLite's errors for a statement that was refused or ended."""
 
 
 class SqliteTables(Columnar):
@@ -71,6 +73,24 @@ def _check_size(file: Path) -> None:
         raise UnreadableError("is truncated")
 
 
+class _Limits:
+    """The limits on a statement, which SQLite asks for; it takes any error of these methods, also Ctrl-C, for a refusal."""
+
+    def __init__(self) -> None:
+        self.refused = False
+        self._steps = iter(range(LIMIT // 100_000))
+
+    def is_over(self) -> bool:
+        self.refused = self.refused or next(self._steps, None) is None
+        return self.refused
+
+    def authorize(self, action: int, *_: str | None) -> int:
+        if action in ALLOWED:
+            return sqlite3.SQLITE_OK
+        self.refused = True
+        return sqlite3.SQLITE_DENY
+
+
 @contextmanager
 def opened(source: Source, *, whole: bool = True) -> Iterator[sqlite3.Connection]:
     """Open a database for reading. Raises UnreadableError for all errors of SQLite.
@@ -87,6 +107,7 @@ def opened(source: Source, *, whole: bool = True) -> Iterator[sqlite3.Connection
             file.writelines(source.pieces())
         if whole:
             _check_size(copy)
+        limits = _Limits()
         try:
             with closing(sqlite3.connect(f"file:{copy}?mode=ro&immutable=1", uri=True)) as database:
                 # with writable_schema, SQLite opens a database whose end is missing
@@ -94,9 +115,10 @@ def opened(source: Source, *, whole: bool = True) -> Iterator[sqlite3.Connection
                 [first, *_] = database.execute(check).fetchall() or [("ok",)]
                 if first != ("ok",):
                     raise UnreadableError(f"is truncated or damaged ({' '.join(str(first[0]).split())})")
-                steps = iter(range(LIMIT // 100_000))
-                database.set_progress_handler(lambda: next(steps, None) is None, 100_000)
-                database.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)
+                database.set_progress_handler(limits.is_over, 100_000)
+                database.set_authorizer(limits.authorize)
                 yield database
         except (sqlite3.Error, sqlite3.Warning, OverflowError) as error:
+            if getattr(error, "sqlite_errorcode", None) in REFUSED and not limits.refused:
+                raise KeyboardInterrupt from error
             raise UnreadableError(f"SQLite cannot read it: {' '.join(str(error).split())}") from error

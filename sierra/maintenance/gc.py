@@ -21,6 +21,7 @@ from pathlib import Path
 
 from sierra.containers.images.image_contents import unfinished
 from sierra.execution import recover, sessions, unrecorded
+from sierra.execution.observer import Observer
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.store import session_log_file, unfinished_files
@@ -66,6 +67,8 @@ class Collection:
     """Executions that finished in sessions that died, and that are recorded now."""
     logs: int = 0
     """Log files of sessions that are not recorded and have ended."""
+    unrecorded: tuple[str, ...] = ()
+    """A message about each session that died and cannot be recorded; its files are kept."""
     left: int = 0
     """Segments that another process was still reading; the next gc removes them."""
 
@@ -118,18 +121,20 @@ def collect(
     damaged: bool = False,
     raw: bool = False,
     agree: Callable[[Collection], bool] = lambda collection: True,
+    observer: Observer | None = None,
 ) -> Collection | None:
     """Remove data that nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
-    `project` is the folder whose figures, videos and reports are looked at for unfinished files; None for none.
-    Raises Missing if the disk is full, Busy if another session has just begun; nothing is lost in either case.
+    `observer` receives a notice about each session that cannot be recorded. `project` is the folder whose figures, videos and
+    reports are looked at for unfinished files; None for none. Raises Missing if the disk is full, Busy if another session has
+    just begun; nothing is lost in either case.
     """
     first = plan(store, project, damaged=damaged, raw=raw)
     if not first.nothing and not agree(first):
         return None
     paths = store.paths
     aside = _aside(paths) if damaged else []
-    recovered = recover.finish_dead(store)
+    recovered = recover.finish_dead(store, observer or Observer())
     for path in list(_unfinished(paths, project)):
         worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
     elsewhere = [one.elsewhere for one in unrecorded.found(paths) if one.folder in aside and one.elsewhere is not None]
@@ -154,7 +159,9 @@ def collect(
             with sessions.exclusively(paths):
                 tidy(paths, session.paths.root / "old")
                 left = len(out_of_use(paths))
-    return replace(first, recovered=recovered, left=left)
+    kept = len(recovered.left_out)
+    removed = replace(first, sessions=max(first.sessions - kept, 0), left=left)
+    return replace(removed, recovered=recovered.executions, unrecorded=recovered.left_out)
 
 
 SESSIONS = (

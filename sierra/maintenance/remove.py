@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 
 from sierra.errors import Busy, NotFound
 from sierra.execution import recover
+from sierra.execution.observer import Observer
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
 from sierra.store import study_records
@@ -90,13 +91,19 @@ def plan(store: Store, prefixes: Sequence[str]) -> Removal:
     return _plan(store, _resolve(store, prefixes)).removal
 
 
-def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
+def remove(
+    store: Store,
+    prefixes: Sequence[str],
+    agree: Callable[[Removal], bool] = lambda removal: True,
+    observer: Observer | None = None,
+) -> Removal | None:
     """Remove the records that these ids name, if `agree` returns true for the preview; return None if it returns false.
 
-    Raises NotFound for an unknown id, Missing if the disk is full, Busy while one of the batches is executing or if the
-    preview is out of date. If it raises, nothing changes.
+    `observer` receives a notice about each session that died and cannot be recorded. Raises NotFound for an unknown id, Missing
+    if the disk is full, Busy while one of the batches is executing or if the preview is out of date. If it raises, nothing
+    changes.
     """
-    recover.finish_dead(store)
+    recover.finish_dead(store, observer or Observer())
     named = _resolve(store, prefixes)
     first = _plan(store, named)
     if not agree(first.removal):

@@ -72,7 +72,7 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield from (f"- {_text(note)}" for note in described.notes)
     yield from _claims(described)
     yield "\n## Needs\n"
-    yield from _needs(described, sum(one.size for one in members.values()))
+    yield from _needs(described, members)
     yield "\n## First look\n"
     yield from _first_look(described.batches)
     yield "\n## Full evaluation\n"
@@ -131,8 +131,9 @@ def _claims(described: PackageManifest) -> Iterator[str]:
         yield "In a copy of `project/`, `sierra claims` decides claims about the source there by the recorded data, in seconds."
 
 
-def _needs(described: PackageManifest, content: int) -> Iterator[str]:
+def _needs(described: PackageManifest, members: Mapping[str, Member]) -> Iterator[str]:
     """Yield the needs as they were measured."""
+    content = sum(one.size for one in members.values())
     measured = [batch.needs for batch in described.batches if batch.needs]
     yield f"- disk: {size(content)} for the extracted package, and about as much again for new results"
     if memory := max((one.memory or 0 for one in measured), default=0):
@@ -141,8 +142,15 @@ def _needs(described: PackageManifest, content: int) -> Iterator[str]:
         total = sum(one.seconds for one in measured)
         longest = max(one.longest for one in measured)
         yield f"- time: {_time(total)} for all runs one after the other; the longest took {_time(longest)} (measured)"
-    yield "- network: none"
+    yield f"- network: {_network(members)}"
     yield from (f"- measured on: {_machine(one)}" for one in described.machines)
+
+
+def _network(members: Mapping[str, Member]) -> str:
+    """Return the steps that need a network: only the installation, unless the package has all wheels."""
+    if any(name.startswith(WHEELS) for name in members):
+        return f"none; only to install SIERRA for another Python or processor than those of `{WHEELS}`, pip fetches packages"
+    return "only to install SIERRA, for which pip fetches packages; none to check the package and to execute its runs"
 
 
 def _machine(one: Machine) -> str:

@@ -75,7 +75,7 @@ def capture(
     """
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}, where frames are recorded")
-    recover.finish_dead(store, observer)
+    recover.finish_dead(store, observer or Observer())
     found = store.resolve(prefix)
     batch = found.batch or found.id
     project = targets.of_batch(project, store, batch)

@@ -58,7 +58,7 @@ def replay(
     """
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}; use --no-record to replay without writing there")
-    recover.finish_dead(store, observer)
+    recover.finish_dead(store, observer or Observer())
     prepared = _Prepared(project, store, prefix, options)
     session = Session(store.paths, prepared.project.config.store.place())
     try:

@@ -11,9 +11,10 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from sierra.store.duckdb_file_io import steady
 from sierra.util import open_files
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 AT_A_TIME = 4096
 """The number of rows that are read at a time."""
+INTERRUPTED = "Query interrupted"
+"""The text of the RuntimeError that DuckDB raises in place of a KeyboardInterrupt."""
 Database: TypeAlias = "DuckDBPyConnection"
 """A connection to DuckDB, for packages that do not know DuckDB."""
 
@@ -143,6 +146,46 @@ def connect(memory: int | None = None) -> DuckDBPyConnection:
         from sierra.store import statement_process
 
         return statement_process.connect(memory, config)
+    return local(config)
+
+
+def local(config: dict[str, str | bool | int | float | list[str]]) -> DuckDBPyConnection:
+    """Return an in-memory DuckDB connection in this process, whose statements end with KeyboardInterrupt."""
     import duckdb
 
-    return duckdb.connect(":memory:", config=config)
+    return cast("DuckDBPyConnection", Interruptible(duckdb.connect(":memory:", config=config)))
+
+
+class Interruptible:
+    """A connection to DuckDB or one of its relations, with all of its methods, which raise KeyboardInterrupt if interrupted.
+
+    DuckDB itself raises RuntimeError for the KeyboardInterrupt of a signal's handler: it would be taken for a fault of the
+    statement, or of the data that it reads.
+    """
+
+    __slots__ = ("_wrapped",)
+
+    def __init__(self, wrapped: Any) -> None:
+        self._wrapped = wrapped
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._wrapped, name)
+        return partial(_call, found) if callable(found) else found
+
+    def __enter__(self) -> Interruptible:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._wrapped.close()
+
+
+def _call(method: Callable[..., object], *arguments: object, **named: object) -> object:
+    import duckdb
+
+    try:
+        result = method(*arguments, **named)
+    except RuntimeError as error:
+        if str(error) == INTERRUPTED:
+            raise KeyboardInterrupt from error
+        raise
+    return Interruptible(result) if isinstance(result, duckdb.DuckDBPyConnection | duckdb.DuckDBPyRelation) else result

@@ -66,9 +66,10 @@ def write(target: Path, columns: Mapping[str, str], rows: Iterable[Sequence[obje
 def _connection() -> DuckDBPyConnection:
     connection = _connections.get(os.getpid())
     if connection is None:
-        connection = _connections[os.getpid()] = connect()
+        connection = connect()
         connection.execute("SET threads = 1")
         connection.execute("PRAGMA disable_optimizer")  # there is nothing to optimize, and it takes half of the time
+        _connections[os.getpid()] = connection
     return connection
 
 

@@ -24,7 +24,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
-from sierra.store import statement_worker
+from sierra.store import connections, statement_worker
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -83,7 +83,7 @@ class Process:
     def ask(self, on: int, request: dict[str, Any], table: pa.Table | None = None, *, keep: bool = False) -> Frames:
         """Return the answer of a request for a connection. With `keep`, another process would execute it again, too."""
         self._settle()
-        if self._running is None:
+        if not self._is_alive():
             self._start()
         answer = self._asked({"on": on, **request}, table)
         if keep:
@@ -95,8 +95,9 @@ class Process:
         """Close a connection, whose number is not used again."""
         had = any(one == on for one, *_ in self._kept)
         self._kept = [kept for kept in self._kept if kept[0] != on]
-        if had and self._running is not None:
+        if had:
             self._settle()
+        if had and self._is_alive():
             self._asked({"do": "close", "on": on}).finish()
 
     def interrupt(self, on: int) -> None:
@@ -140,8 +141,14 @@ class Process:
                 self._timer.cancel()
                 self._timer = None
 
+    def _is_alive(self) -> bool:
+        """Return whether the process runs; the next statement is not at fault if it has ended meanwhile."""
+        if self._running is not None and self._running.poll() is not None:
+            self.close()
+        return self._running is not None
+
     def _start(self) -> None:
-        argv = (sys.executable, "-P", "-B", statement_worker.__file__, str(self._memory))
+        argv = (sys.executable, "-P", "-B", statement_worker.__file__, str(self._memory), str(os.getpid()))
         self._running = subprocess.Popen(
             argv,
             stdin=subprocess.PIPE,
@@ -458,7 +465,7 @@ def rows_of(batches: Sequence[pa.RecordBatch]) -> list[RawRow]:
         return []
     with _converting:
         if not _converter:
-            _converter.append(_local())
+            _converter.append(connections.local({"enable_external_access": "false", "threads": "1"}))
         _converter[0].register("rows", pa.Table.from_batches(full))
         try:
             return _converter[0].sql("FROM rows").fetchall()
@@ -468,12 +475,6 @@ def rows_of(batches: Sequence[pa.RecordBatch]) -> list[RawRow]:
 
 _converter: list[DuckDBPyConnection] = []
 _converting = threading.Lock()
-
-
-def _local() -> DuckDBPyConnection:
-    import duckdb
-
-    return duckdb.connect(":memory:", config={"enable_external_access": "false", "threads": "1"})
 
 
 def _error(kind: str, text: str) -> Exception:

@@ -14,6 +14,7 @@ import os
 import resource
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable
 from queue import SimpleQueue
@@ -27,6 +28,8 @@ ROWS = 100_000
 """The largest number of rows in a frame."""
 THREADS = 8
 """The largest number of DuckDB's threads: the system counts the whole stack of each."""
+PARENT_S = 0.5
+"""The time between two looks whether the parent still exists, in s."""
 WRAPPED = {
     "INTERRUPT Error:": "InterruptException",
     "Out of Memory Error:": "OutOfMemoryException",
@@ -176,9 +179,17 @@ def _first_line(path: str) -> str:
         return file.readline()
 
 
+def _end_with(parent: int) -> None:
+    """End this process when its parent has ended: another process may hold the other end of standard input."""
+    while os.getppid() == parent:
+        time.sleep(PARENT_S)
+    os._exit(0)
+
+
 def _main() -> None:
     """Answer the requests on standard input one after the other, but interrupt a statement at once; end when it ends."""
-    memory = int(sys.argv[1])
+    memory, parent = map(int, sys.argv[1:])
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     sys.modules["pandas"] = None  # type: ignore[assignment]  # pyarrow would load it
     import duckdb  # noqa: F401 - before the limit

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 from sierra.errors import Damaged, Missing, UsageError
 from sierra.execution import recover
+from sierra.execution.observer import Observer
 from sierra.maintenance import fsck, transaction
 from sierra.maintenance.findings import Kind
 from sierra.packages import manifest
@@ -109,13 +110,14 @@ class _Change:
     seen: set[str]
 
 
-def import_package(store: Store, path: Path) -> Imported:
+def import_package(store: Store, path: Path, observer: Observer | None = None) -> Imported:
     """Add the records of a package to a store.
 
-    Raises Missing if it cannot be read or the disk is full, Damaged if it is no package, not a safe one, or if its records are
-    not consistent, UsageError if they contradict records of this store. If it raises, nothing changes.
+    `observer` receives a notice about each session that died here and cannot be recorded. Raises Missing if it cannot be read
+    or the disk is full, Damaged if it is no package, not a safe one, or if its records are not consistent, UsageError if they
+    contradict records of this store. If it raises, nothing changes.
     """
-    recover.finish_dead(store)
+    recover.finish_dead(store, observer or Observer())
     with transaction.changing(store.paths) as session:
         received = _received(path, session.paths.root / "package")
         session.take_number()

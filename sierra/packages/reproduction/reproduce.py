@@ -72,7 +72,7 @@ def reproduce(
         for note in notes:
             observer.notice(one_line(note))
         store = Store(project.root / STORE, project.rules).confined()
-        earlier = workspace.replays_here(found, store)
+        earlier = workspace.replays_here(found, store, observer)
         parts = _Work(project, store, options, observer, earlier).reproduce(agree)
         done = Reproduction(found.id, described.title, folder, notes, *parts)
         report.write(done)

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from sierra.errors import Damaged, Missing, UsageError
 from sierra.execution import recover
+from sierra.execution.observer import Observer
 from sierra.packages.archive import Archive, Opened
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
@@ -84,12 +85,12 @@ def opened(package: Path) -> Iterator[Opened]:
         yield found
 
 
-def replays_here(found: Opened, store: Store) -> frozenset[str]:
+def replays_here(found: Opened, store: Store, observer: Observer) -> frozenset[str]:
     """Return the sessions of the replays that earlier calls made in this folder: those of records that are not in the package.
 
-    Finished runs of killed processes are recorded first.
+    Finished runs of killed processes are recorded first; `observer` receives a notice if they cannot be.
     """
-    recover.finish_dead(store)
+    recover.finish_dead(store, observer)
     packed = {name.removeprefix(SEGMENTS).split("/")[0] for name in found.names(SEGMENTS)}
     own = [segment for segment in store.segments() if segment.name not in packed]
     with Snapshot(store.paths.root, own) as snapshot:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import errno
 import json
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import pytest
 
 import sierra
@@ -48,6 +50,22 @@ def fail(root: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
         return session
 
     return fail
+
+
+def interrupt_writing(patch: pytest.MonkeyPatch, number: signal.Signals) -> None:
+    """Send a signal to this process within the next statement that writes a file, which ends then as DuckDB ends it."""
+    execute = duckdb.DuckDBPyConnection.execute
+
+    def interrupted(connection: duckdb.DuckDBPyConnection, text: str, *more: Any) -> Any:
+        if not text.startswith("COPY"):
+            return execute(connection, text, *more)
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt:
+            raise RuntimeError("Query interrupted") from None
+        raise AssertionError("nothing handles the signal")
+
+    patch.setattr(duckdb.DuckDBPyConnection, "execute", interrupted)
 
 
 def system(number: int) -> OSError:
@@ -101,6 +119,24 @@ def test_a_session_that_lacks_something_is_recorded_later(
 
 
 @pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("words", [("gc", "--yes"), ("run", "population_size=2", "--no-figures")])
+def test_a_session_whose_recording_is_interrupted_is_recorded_later(
+    root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], number: signal.Signals
+) -> None:
+    session = fail(lambda: ValueError("a fault"))
+    monkeypatch.undo()
+    interrupt_writing(monkeypatch, number)
+    ended = projects.quick(root, *words)
+    assert ended.returncode == 130
+    assert (root / ".sierra" / "work" / session).is_dir()
+    assert not (root / ".sierra" / "damaged").exists()
+    monkeypatch.undo()
+    assert projects.run(root, "population_size=1")[0]["executed"] == 0
+
+
+@pytest.mark.integration
 def test_a_session_of_somebody_else_stays_until_they_return(
     root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +172,34 @@ def test_files_of_runs_in_a_work_folder_are_named_and_removed_too(tmp_path: Path
     assert projects.quick(root, "gc", "--damaged", "--yes").returncode == 0
     assert not runs.exists()
     assert projects.quick(root, "fsck").returncode == 0
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_gc_reports_sessions_that_cannot_be_recorded(root: Path, fail: Callable[..., str], words: tuple[str, ...]) -> None:
+    session = fail(lambda: Damaged("not a record"))
+    done = projects.quick(root, "gc", "--yes", *words)
+    assert done.returncode == 1
+    assert done.stderr.startswith(
+        f"note: session {session} cannot be recorded (not a record); its files are in .sierra/damaged/"
+    )
+    if words:
+        found = json.loads(done.stdout)
+        assert (found["sessions"], len(found["unrecorded"])) == (0, 1)
+    else:
+        assert done.stdout.endswith("nothing was removed\n")
+    assert projects.quick(root, "gc", "--yes").returncode == 0
+
+
+@pytest.mark.integration
+def test_rm_and_import_report_sessions_that_cannot_be_recorded(root: Path, fail: Callable[..., str], tmp_path: Path) -> None:
+    session = fail(lambda: Damaged("not a record"))
+    message = f"session {session} cannot be recorded (not a record)"
+    work = root / ".sierra" / "work" / session
+    assert message in projects.quick(root, "rm", "abcdef").stderr
+    (root / ".sierra" / "damaged" / f"work-{session}").rename(work)
+    assert message in projects.quick(root, "import", str(tmp_path / "none.zip")).stderr
 
 
 def session_of(root: Path) -> str:

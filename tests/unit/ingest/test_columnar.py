@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 from sierra.config.output_tables import Output
+from sierra.ingest import sqlite_tables
 from tests.readings import read_file
 
 COLUMNS = {"t": [1, 2, 3], "v": [0.5, None, 1.5], "name": ["a", "b", None], "on": [True, False, None]}
@@ -151,6 +152,20 @@ def test_statement_that_is_not_a_query_is_an_error(tmp_path: Path, rows: str, fa
         "INSERT INTO big VALUES (0.5), (9007199254740993)",
     )
     assert fault_of(tmp_path, content, "sqlite", rows=rows).startswith(fault)
+
+
+@pytest.mark.parametrize("limit", ["is_over", "authorize"])
+def test_ctrl_c_within_a_statement_of_sqlite_is_no_fault_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sqlite_tables._Limits, limit, interrupted)
+    many = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 100000) SELECT max(i) AS i FROM n"
+    content = sqlite(tmp_path, "CREATE TABLE s (t)")
+    with pytest.raises(KeyboardInterrupt):
+        rows_of(tmp_path, content, "sqlite", rows=many)
 
 
 def test_damaged_or_unfinished_database_is_an_error(tmp_path: Path) -> None:

@@ -102,6 +102,10 @@ def test_a_package_begins_with_what_needs_only_python_and_installs_sierra(packed
     assert text.startswith("# T\n\n```sh\npython3 reproduce.py\n```\n")
     assert f"\nSIERRA {__version__} wrote this package." in text
     assert "bin/pip install --require-hashes -r environment/sierra/requirements.txt\n" in text
+    needs = (
+        "- network: only to install SIERRA, for which pip fetches packages; none to check the package and to execute its runs\n"
+    )
+    assert (needs in text) == (name == "REPRODUCING.md")
     assert "--no-index" not in text
     assert listed.startswith(f"./{own} \\\n    --hash=sha256:{digest}\n")
 
@@ -114,9 +118,13 @@ def test_packed_wheels_are_installed_without_an_index(tmp_path: Path, packed: Pa
     assert project.package(project.batches[0].batch, report=False, path=tmp_path / "y.zip", wheels=True)
     with zipfile.ZipFile(tmp_path / "y.zip") as file:
         text, names = file.read("README.md").decode(), set(file.namelist())
+        needs = file.read("REPRODUCING.md").decode()
         own = [file.read(name) for name in names if name.endswith(".whl")]
     installs = "pip install --no-index --find-links environment/wheels --require-hashes -r environment/requirements.lock\n"
     assert installs in text
+    assert (
+        "- network: none; only to install SIERRA for another Python or processor than those of `environment/wheels/`" in needs
+    )
     assert len(own) == 2
     assert own[0] == own[1]
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sierra.errors import SqlError
+from sierra.store.connections import Database, connect
 from sierra.store.store import Snapshot, Store
 
 SEEN = (
@@ -17,10 +20,43 @@ SEEN = (
     "UNION ALL SELECT name || value FROM duckdb_settings() WHERE name NOT IN ('temp_directory', 'allowed_directories')"
 )
 
+LONG = "SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b"
+"""A statement that takes hours, and that DuckDB can interrupt."""
+
 
 @pytest.fixture
 def store(recorded: Path) -> Store:
     return Store(recorded / ".sierra")
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("ask", [lambda one: one.execute(LONG), lambda one: one.sql(LONG).limit(1).fetchall()])
+def test_ctrl_c_ends_a_statement_with_keyboard_interrupt(ask: Callable[[Database], object]) -> None:
+    ended = threading.Event()
+
+    def interrupt() -> None:
+        while not ended.wait(0.05):
+            signal.raise_signal(signal.SIGINT)
+
+    def end(*_: object) -> None:
+        if not ended.is_set():
+            ended.set()
+            raise KeyboardInterrupt
+
+    def start() -> None:
+        thread.start()
+        ask(connection)
+
+    before = signal.signal(signal.SIGINT, end)
+    thread = threading.Thread(target=interrupt)
+    try:
+        with connect() as connection, pytest.raises(KeyboardInterrupt):
+            start()
+    finally:
+        ended.set()
+        thread.join()
+        signal.signal(signal.SIGINT, before)
 
 
 def seen(snapshot: Snapshot) -> set[str]:

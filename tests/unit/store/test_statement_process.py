@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -186,6 +187,52 @@ def test_tables_of_several_batches_have_a_limit(recorded: Path) -> None:
     store = Store(recorded / ".sierra", lambda: Rules({"large": large}, limits)).confined()
     found = joined(store, {"a": str(batch), "b": str(batch)}, "SELECT batch, count(*) > 0 AS some FROM large GROUP BY 1", "own")
     assert found.table.to_pylist() == [{"batch": "a", "some": True}, {"batch": "b", "some": True}]
+
+
+def test_a_process_that_was_killed_between_statements_is_replaced(confined: Remote) -> None:
+    confined.execute("CREATE TEMP VIEW v AS SELECT 5 AS a")
+    cursor = confined.cursor()
+    for connection in (confined, cursor):
+        before = process(confined)
+        running = confined._process._running
+        assert running is not None
+        os.kill(before, signal.SIGKILL)
+        os.waitid(os.P_PID, before, os.WEXITED | os.WNOWAIT)
+        assert connection.execute("SELECT a FROM (SELECT 5 AS a)").fetchall() == [(5,)]
+        assert process(confined) != before
+    assert confined.execute("FROM v").fetchall() == [(5,)]
+    cursor.close()
+
+
+FORKED = """
+import os, signal, sys
+from sierra.store.connections import connect
+made = connect(300_000_000)
+print(made._process._running.pid, flush=True)
+if os.fork() == 0:
+    signal.pause()
+print(os.getpid(), flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_the_process_ends_with_the_one_that_started_it_whatever_others_inherited() -> None:
+    with subprocess.Popen([sys.executable, "-c", FORKED], stdout=subprocess.PIPE, start_new_session=True, text=True) as command:
+        assert command.stdout is not None
+        started = int(command.stdout.readline())
+        command.stdout.readline()
+        command.wait()
+        try:
+            until(lambda: not is_running(started))
+        finally:
+            os.killpg(command.pid, signal.SIGKILL)
+
+
+def is_running(number: int) -> bool:
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
 
 
 @contextmanager
