@@ -24,7 +24,7 @@ from sierra.store.duckdb_messages import check_shortage, explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
-from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, is_whole, listed
+from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, is_whole, listed, on_disk
 from sierra.store.sql_names import identifier, stored_names, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes, checked, kinds
@@ -32,7 +32,7 @@ from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
 from sierra.store.views import Views, outputs, tables_of
-from sierra.util.fs import write_whole
+from sierra.util.fs import is_gone, write_whole
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
 
@@ -104,7 +104,10 @@ class Store:
         except OSError as error:
             if (lack := shortage(error)) is not None:
                 raise Missing(f"{self.paths.format} cannot be read: {lack}") from error
-            raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
+            if is_gone(str(self.paths.format)) and not any(on_disk(self.paths.segments)):
+                raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
+            reason = error.strerror or error
+            raise Damaged(f"{self.paths.format}: cannot be read: {reason}; sierra fsck --repair writes it again") from error
         if found not in FORMATS:
             problem = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
             other = f"read it with the SIERRA that made it, or move {root} away and run the command again"

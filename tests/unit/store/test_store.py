@@ -24,6 +24,7 @@ from sierra.store.schema import DERIVED, RECORDED, check_name
 from sierra.store.segments import MANIFEST, Writer
 from sierra.store.store import Store
 from tests import stores
+from tests.projects import quick
 
 TOML = """
 template = "t.xml"
@@ -116,6 +117,23 @@ def test_a_store_has_markers_and_refuses_another_format(project: Project) -> Non
         Store(root)
     with pytest.raises(Missing, match="nothing has been run"):
         Store(root / "elsewhere")
+
+
+@pytest.mark.parametrize("kind", ["lost", "link", "folder", "pipe"])
+def test_a_store_whose_format_cannot_be_read_is_never_taken_for_none(project: Project, kind: str) -> None:
+    stores.ask(project.root, "n=1")
+    mark = project.paths.store / "format"
+    mark.unlink()
+    if kind == "link":
+        mark.symlink_to("/nonexistent")
+    elif kind == "folder":
+        mark.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(mark)
+    with pytest.raises(Damaged, match=r"format: cannot be read: .*fsck --repair"):
+        Store(project.paths.store)
+    assert quick(project.root, "fsck", "--repair").returncode == 0
+    assert quick(project.root, "ls").returncode == 0
 
 
 @pytest.mark.nightly
