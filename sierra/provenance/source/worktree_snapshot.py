@@ -214,8 +214,13 @@ def _state(
 def write(git: Git, files: dict[bytes, bytes]) -> str:
     """Write the tree of these files, whose contents the repository has, and return its hash."""
     with _scratch(git) as path:
-        git("update-index", "-z", "--index-info", index=path, given=written(files), at_top=True)
+        _add_listed(git, path, written(files))
         return git("write-tree", "--missing-ok", index=path).decode().strip()
+
+
+def _add_listed(git: Git, index: Path, listing: bytes) -> None:
+    """Add files to an index, which is made if there is none; `listing` is as git writes it, with paths from the top."""
+    git("update-index", "-z", "--index-info", index=index, given=listing, at_top=True)
 
 
 def of_tree(git: Git, tree: str) -> dict[bytes, bytes]:
@@ -278,7 +283,7 @@ class _Index:
         marked = self._git("ls-files", "-t", "-z", "--", ":(glob)**/.gitattributes", at_top=True).split(b"\0")
         gone = {line[2:] for line in marked if line[:1] == b"H" and _lstat(self._git.top, line[2:]) is None}
         kept = [line + b"\0" for line in lines if line.partition(b"\t")[2] not in gone]  # git would apply those of the index
-        self._git("update-index", "-z", "--index-info", index=self.path, given=b"".join(kept), at_top=True)
+        _add_listed(self._git, self.path, b"".join(kept))
         self._git("update-index", "-q", "--refresh", index=self.path, optional=True)
 
     def was_read_by(self, rules: converted.Rules, files: Files, status: Status) -> bool:
@@ -365,7 +370,7 @@ class _Index:
                 raise Missing(f"{inside.root} is a repository without a commit inside another; commit there, or ignore it here")
             lines.append(b"160000 %s\t%s%s\0" % (commit.encode(), self._git.prefix, path))
         if lines:
-            self._git("update-index", "-z", "--index-info", index=self.path, given=b"".join(lines), at_top=True)
+            _add_listed(self._git, self.path, b"".join(lines))
 
     def remove(self, paths: Sequence[bytes]) -> None:
         self._update_index("--force-remove", paths)
@@ -377,12 +382,12 @@ class _Index:
         options = [f"--prefix={prefix}"] if prefix else []
         return self._git("write-tree", "--missing-ok", *options, index=self.path).decode().strip()
 
-    def _update_index(self, what: str, paths: Sequence[bytes], *more: str, at_top: bool = False) -> None:
+    def _update_index(self, what: str, paths: Sequence[bytes], *more: str) -> None:
         if paths:
             given = b"".join([path + b"\0" for path in paths])
             self._git(
                 "-c", "core.sparseCheckout=false", "update-index", what, *more, "-z", "--stdin",
-                index=self.path, given=given, at_top=at_top,
+                index=self.path, given=given,
             )  # fmt: skip
 
 
