@@ -60,6 +60,7 @@ def text(file: Path) -> str:
     return " ".join(re.sub(r"<[^>]+>", " ", file.read_text()).split())
 
 
+@pytest.mark.nightly
 def test_all_kinds_that_draw_models_show_them(root: Path) -> None:
     done = projects.sierra(root, "figures")
     assert done.returncode == 0, done.stderr

@@ -68,6 +68,7 @@ def test_a_second_batch_that_is_refused_leaves_the_first(tmp_path: Path, cluster
     assert summary["reused"] == 2
 
 
+@pytest.mark.nightly
 def test_a_refused_batch_stays_if_another_session_has_recorded_since(tmp_path: Path, cluster: Callable[[str], None]) -> None:
     """The other batch has runs of the refused one, whose inputs it has not recorded again."""
     folder = tmp_path / "project"

@@ -90,7 +90,6 @@ def test_a_session_that_is_suspended_and_resumed_as_a_whole_goes_on(make: Callab
     assert (process.returncode, "stopped" in said) == (0, False), said
 
 
-@pytest.mark.each_case
 @pytest.mark.parametrize("observe", ["none", "first"])
 def test_the_program_that_executes_what_is_around_a_run_is_continued(
     make: Callable[..., Path], observe: str, require: Callable[..., str]

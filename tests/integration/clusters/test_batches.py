@@ -69,6 +69,7 @@ def completed(slurm: Slurm, project: Project) -> None:
     assert {state for job in jobs for state in slurm.states(job).values()} == {"COMPLETED"}
 
 
+@pytest.mark.nightly
 def test_finished_array_tasks_are_never_cancelled(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     """The last run of an array task is recorded before the task has ended."""
     made = simulate()

@@ -33,6 +33,7 @@ def root(tmp_path: Path, require: Callable[..., str]) -> Path:
     return root
 
 
+@pytest.mark.nightly
 def test_a_batch_is_recorded_compared_packed_and_removed(root: Path, tmp_path: Path) -> None:
     run = ("run", "population_size=1", "--runs", "1", "--no-figures")
     (root / f"busybox-{OTHER}.tar").rename(tmp_path / "elsewhere.tar")

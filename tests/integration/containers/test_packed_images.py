@@ -18,6 +18,7 @@ PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense 
 pytestmark = pytest.mark.real
 
 
+@pytest.mark.nightly
 def test_the_recorded_image_is_packed_and_no_other(
     tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

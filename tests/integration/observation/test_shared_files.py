@@ -54,7 +54,6 @@ WRITE = '{{ echo tick,value; echo "0,$1"; }} > {0}; sleep 0.05'
 MANY = "d=$(mktemp -d $D/XXXXXX); for i in $(seq 1001); do echo x > $D/$i.$$; done; cat $D/*.$$ > $d/x; rm $D/*.$$"
 
 
-@pytest.mark.each_case
 @pytest.mark.parametrize(
     "script",
     [
@@ -111,7 +110,6 @@ def test_two_runs_at_once_are_compared_although_only_one_was_observed(execute: C
     assert (counted, "is executed again and observed" in said) == (1, True), said
 
 
-@pytest.mark.each_case
 @pytest.mark.parametrize(
     "script",
     [
@@ -167,7 +165,6 @@ def test_a_run_that_has_failed_is_no_witness(execute: Callable[..., tuple[int, s
     assert REASON in said
 
 
-@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("fails", "runs", "jobs"),
     [("exit 3", 6, 2), ("exit 3", 4, 4), ("exit 0", 6, 2)],
@@ -188,6 +185,7 @@ def test_names_of_their_own_count_although_the_first_observed_run_fails(execute:
     assert counted == 3, said
 
 
+@pytest.mark.nightly
 def test_a_run_of_a_session_before_is_no_witness(execute: Callable[..., tuple[int, str]], tmp_path: Path) -> None:
     (tmp_path / "outside" / "do.sh").write_text(PLAIN)
     config = tmp_path / "project" / "sierra.toml"
@@ -201,6 +199,7 @@ def test_a_run_of_a_session_before_is_no_witness(execute: Callable[..., tuple[in
     assert REASON in said
 
 
+@pytest.mark.nightly
 def test_a_session_that_dies_while_it_compares_leaves_no_wrong_rows(
     execute: Callable[..., tuple[int, str]], tmp_path: Path
 ) -> None:

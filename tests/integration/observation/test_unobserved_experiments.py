@@ -75,6 +75,7 @@ def test_a_changed_file_executes_only_the_experiment_again_that_used_it(root: Pa
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_the_file_of_a_seed_executes_its_run_in_each_experiment_again(
     root: Path, maps: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -309,6 +309,7 @@ def test_a_power_cut_while_outputs_are_pulled_fails_the_run(project: Path, fleet
     assert projects.quick(project, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_what_a_lost_robot_has_measured_is_collected_when_it_is_used_again(fleet: Fleet, tmp_path: Path) -> None:
     project = robot_project.make(fleet, tmp_path / "project", ticks=600)
     process = drive(project, (*RUN, "--runs", "1"))

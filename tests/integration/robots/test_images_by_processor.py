@@ -61,6 +61,7 @@ def image(root: Path, processor: str, text: str = "") -> None:
     containers.busybox(root, processor, MADE_FOR=text or processor)
 
 
+@pytest.mark.nightly
 def test_each_robot_executes_the_image_for_its_processor(root: Path, fleet: Fleet) -> None:
     run = ("run", "population_size=2", "--on", "robots", "--no-figures", "--engine", "apptainer")
     fleet.set_machine("rb2", "i686")

@@ -42,6 +42,7 @@ def demo(swarm: Fleet, tmp_path: Path) -> Path:
     return tmp_path / "demo"
 
 
+@pytest.mark.nightly
 def test_a_swarm_under_one_master_is_compared_with_the_same_swarm_in_mujoco(demo: Path, swarm: Fleet) -> None:
     done = projects.quick(demo, "run", "population_size=3", "--runs", "2", "--target", "sim,robots", "--no-figures")
     assert done.returncode == 0, done.stdout + done.stderr

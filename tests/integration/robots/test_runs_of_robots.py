@@ -140,6 +140,7 @@ def test_a_replay_needs_a_fleet_that_fits_the_recorded_runs(copied: tuple[Path, 
         assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
 
 
+@pytest.mark.nightly
 def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, str], tmp_path: Path) -> None:
     root, fleet = copied
     project = sierra.open(root)

@@ -41,6 +41,7 @@ def judge(terminal: Terminal, prompt: str, reason: str | None = None) -> None:
     terminal.answer(NOTE)
 
 
+@pytest.mark.nightly
 def test_a_session_with_lost_robots_and_a_killed_driver_is_recorded_once(fleet: Fleet, tmp_path: Path) -> None:
     root, (first, second, _) = make(fleet, tmp_path / "p"), fleet.names
     quick = partial(projects.quick, root)

@@ -32,6 +32,7 @@ def answer(root: Path, *words: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.nightly
 def test_two_groups_are_paired_by_seed_and_shifted_to_the_difference(pilots: tuple[Path, list[str]]) -> None:
     root, (quiet, noisy) = pilots
     found = answer(root, quiet[:8], noisy[:8], "--difference", "50", "--runs", "4")

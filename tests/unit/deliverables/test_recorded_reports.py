@@ -42,6 +42,7 @@ def checked(root: Path) -> dict[str, str | None]:
     return {one["kind"]: one["problem"] for one in json.loads(projects.quick(root, "figures", "--check", "--json").stdout)}
 
 
+@pytest.mark.nightly
 def test_a_log_has_lines_on_parts_of_a_report_and_frames_of_videos(
     project: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -211,7 +211,7 @@ def test_a_report_of_ten_thousand_batches_is_their_list(tmp_path: Path) -> None:
     assert (tmp_path / "all.html").stat().st_size < 1_000_000
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_batch_that_still_runs_is_reported_as_such(tmp_path: Path) -> None:
     waiting = WAITING.format(folder=tmp_path)
     root = projects.make(tmp_path / "project", simulator=projects.SIMULATOR + waiting)

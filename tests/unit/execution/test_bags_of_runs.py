@@ -123,7 +123,7 @@ def test_replay_compares_the_messages_and_not_when_they_were_received(tmp_path: 
     assert "run.mcap (goal): row 0" in other.stdout or "'data' was 0.5 and is 0.75" in other.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_recorded_bags_are_replayed_exported_and_read_again(tmp_path: Path) -> None:
     here = project(tmp_path / "p", "bag")
     assert quick(here, "run", "population_size=1", "--no-figures").returncode == 0

@@ -326,7 +326,7 @@ def test_robots_that_have_changed_are_noted_and_stamps_of_set_clocks_are_missing
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_batch_names_its_robots_and_says_if_their_firmware_differs_between_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -152,7 +152,7 @@ open("log.bin", "wb").write(b"x")
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_write_declares_tables_in_subfolders_and_one_table_of_many_files(tmp_path: Path) -> None:
     project(tmp_path, SUBFOLDERS)
     assert quick(tmp_path, *QUERY).returncode == 0

@@ -79,7 +79,6 @@ def too_long() -> Exception:
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("error", [lambda: ValueError("a\nfault"), lambda: Damaged("not a record"), too_long])
 def test_a_session_that_cannot_be_recorded_is_moved_away_by_the_next_command_that_writes(
     root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch, error: Callable[[], Exception]
@@ -104,7 +103,6 @@ def test_a_session_that_cannot_be_recorded_is_moved_away_by_the_next_command_tha
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.ESTALE, errno.EIO])
 def test_a_session_that_lacks_something_is_recorded_later(
     root: Path, fail: Callable[..., str], monkeypatch: pytest.MonkeyPatch, number: int
@@ -119,7 +117,6 @@ def test_a_session_that_lacks_something_is_recorded_later(
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("words", [("gc", "--yes"), ("run", "population_size=2", "--no-figures")])
 def test_a_session_whose_recording_is_interrupted_is_recorded_later(
@@ -175,7 +172,6 @@ def test_files_of_runs_in_a_work_folder_are_named_and_removed_too(tmp_path: Path
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("words", [(), ("--json",)])
 def test_gc_reports_sessions_that_cannot_be_recorded(root: Path, fail: Callable[..., str], words: tuple[str, ...]) -> None:
     session = fail(lambda: Damaged("not a record"))

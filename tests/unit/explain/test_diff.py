@@ -137,7 +137,7 @@ def test_added_removed_renamed_and_binary_files_are_listed(make_either: Make) ->
     assert "4 files differ: data.bin (binary), kept.txt → moved.txt, new.txt (added, +1 −0), old.txt (removed, +0 −2)" in line
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_commits_in_between_and_uncommitted_changes_are_reported(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)

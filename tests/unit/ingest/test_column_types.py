@@ -156,7 +156,7 @@ def test_durations_of_all_units_are_nanoseconds(tmp_path: Path) -> None:
     assert (set(kinds), shown, set(texts)) == ({"duration"}, "BIGINT", {"2000000000"})
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_types_of_two_runs_give_equal_values_or_differ_in_kind(tmp_path: Path) -> None:
     families = [{kind: (name, one) for name, one in family.items() for kind in one[1:2]} for family in (TIMES, NUMBERS, OTHERS)]
     alike = [pair for family in (DURATIONS, TIMES, CLOCKS) for pair in itertools.pairwise(family.items())]

@@ -130,7 +130,7 @@ def test_a_store_that_another_process_has_just_begun_to_use_is_busy_and_not_dama
     assert ended.stderr.startswith("sierra: the store is busy")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_killed_gc_neither_loses_nor_duplicates_rows(made: Path, tmp_path: Path) -> None:
     numbers = random.Random(4)
     before = everything(made)

@@ -154,7 +154,7 @@ def test_unknown_invalid_and_missing_ids_are_refused(root: Path) -> None:
     assert stores.state(root) == before
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_killed_rm_has_removed_everything_or_nothing_and_can_be_repeated(recorded: Path, tmp_path: Path) -> None:
     numbers = random.Random(3)
     named = batches(recorded)

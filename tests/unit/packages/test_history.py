@@ -20,6 +20,7 @@ def git(folder: Path, *words: str) -> str:
     return subprocess.run(["git", *words], cwd=folder, check=True, capture_output=True, text=True).stdout
 
 
+@pytest.mark.nightly
 def test_the_history_of_the_recorded_commits_is_a_bundle(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     for number in range(5):

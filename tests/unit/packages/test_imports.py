@@ -118,6 +118,7 @@ def test_imported_executions_are_not_reused_and_do_not_count_beside_own_ones(lab
     assert (again.executed, again.reused) == (0, 4)
 
 
+@pytest.mark.nightly
 def test_an_import_changes_no_result_of_a_batch_that_was_executed_here(lab: Path, other: Path) -> None:
     project = sierra.open(other)
     batch = project.run(*FIRST, figures=False).batch
@@ -250,6 +251,7 @@ def test_executions_whose_origin_is_lost_never_count_as_own_ones(lab: Path, othe
     assert value(other, f"{EFFECTIVE} WHERE packages IS NULL") == 0
 
 
+@pytest.mark.nightly
 def test_gc_and_rm_keep_the_origin_of_imported_batches(lab: Path, other: Path) -> None:
     project = sierra.open(other)
     first = project.run(*FIRST, figures=False).batch

@@ -109,6 +109,7 @@ def test_sources_of_several_batches_are_folders_and_dirty_ones_are_complete(root
     assert sierra.open(folder / "project").replay(second, runs=1).verdict == "identical"
 
 
+@pytest.mark.nightly
 def test_the_same_records_give_the_same_package_in_any_time_zone(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,7 +209,7 @@ def test_files_that_runs_used_outside_the_source_are_packed_or_named(tmp_path: P
     assert "kept.dat" not in listed
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_incomplete_batches_and_studies_are_named(tmp_path: Path) -> None:
     failing = projects.SIMULATOR + "if seed % 2:\n    sys.exit(1)\n"
     root = projects.make(tmp_path / "project", projects.CONFIG + TOML, simulator=failing)

@@ -277,7 +277,6 @@ def sized(git: Git, root: Path, observe: str = "none") -> Path:
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("observe", ["none", "all"])
 def test_other_bytes_with_the_same_id_are_executed_again(observe: str, git: Git, tmp_path: Path) -> None:
     root = sized(git, tmp_path / "p", observe)
@@ -296,7 +295,6 @@ def test_other_bytes_with_the_same_id_are_executed_again(observe: str, git: Git,
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("observe", ["none", "all"])
 def test_bytes_that_earlier_rules_of_git_hid_are_executed_again(observe: str, git: Git, tmp_path: Path) -> None:
     root = sized(git, tmp_path / "p", observe)
@@ -367,7 +365,7 @@ def test_a_package_has_the_bytes_that_were_executed(git: Git, tmp_path: Path) ->
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_build_is_repeated_for_other_bytes_with_the_same_id(git: Git, tmp_path: Path) -> None:
     built = 'echo "echo tick,size > swarm.csv; echo 0,$(wc -c < data.txt) >> swarm.csv" > sim.sh\n'
     config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {input}").replace("runs = 2", "runs = 1")

@@ -84,7 +84,7 @@ def test_the_first_session_that_writes_replaces_the_number_and_no_record(root: P
     assert projects.quick(root, "fsck").returncode == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_segments_with_either_kind_of_names_are_merged_and_packed(root: Path, tmp_path: Path) -> None:
     project = sierra.open(root)
     project.replay(project.batches[0].batch, runs=1)
@@ -101,7 +101,6 @@ def test_segments_with_either_kind_of_names_are_merged_and_packed(root: Path, tm
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("step", "calls"),
     [("renew", 0), ("pwrite", 0), ("fsync", 0), ("rename", 0), ("rename", 1), ("renew", 1)],

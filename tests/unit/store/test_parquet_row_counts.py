@@ -86,7 +86,7 @@ def test_values_that_give_the_same_runs_are_reported(tmp_path: Path) -> None:
     assert not any("same runs" in note for note in project.plan("montecarlo.C2").notes)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_run_of_several_batches_is_counted_once_and_sql_can_be_limited_to_one_batch(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     first = project.run("population_size=1,2", figures=False).batch

@@ -148,7 +148,6 @@ def _append(path: Path) -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize("damage", [_flip, _append, Path.unlink])
 def test_no_row_is_lost_with_a_list_of_tables(tmp_path: Path, damage: Callable[[Path], None]) -> None:
     root = projects.make(tmp_path / "p", simulator=stores.SIMULATOR)
@@ -230,7 +229,6 @@ def fsck(store: Store) -> list[Finding]:
 
 
 @pytest.mark.integration
-@pytest.mark.each_case
 @pytest.mark.parametrize(
     ("mark", "put"), [(MANIFEST, None), (MANIFEST, Path.mkdir), (REPLACES, None), (REPLACES, os.mkfifo), (OUTPUTS, _link)]
 )

@@ -102,6 +102,7 @@ def test_a_rule_that_is_not_reached_ends_with_1_and_an_estimate(studied: tuple[P
     assert f"study {studied[1]['study']['study'][:10]} looked at the same runs" in done.stderr
 
 
+@pytest.mark.nightly
 def test_the_record_tells_its_study_and_is_replayed_checked_and_removed(
     studied: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

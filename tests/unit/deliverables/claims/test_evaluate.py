@@ -150,7 +150,7 @@ sql = "SELECT run, least > 9 AS good FROM gaps"
 """Derived tables of which one has NaN, and the other hides that."""
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_statements_that_decide_nothing_are_one_line_each(recorded: Path) -> None:
     good = claim("good", 'sql = "SELECT count(*) = 0 FROM gaps WHERE isfinite(least)"')
     claims = [claim(f"bad{place}", f'sql = "{statement}"') for place, statement in enumerate(STATEMENTS)]
@@ -281,7 +281,7 @@ def test_too_few_runs_for_any_verdict_are_told() -> None:
     assert verdict([[4, 5, 6, 7], [0, 1, 2, 3]], tests=2) is Verdict.cannot_tell
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_baselines_of_batches_and_of_packages_find_regressions(recorded: Path, tmp_path: Path) -> None:
     """The batches are packed, the code becomes worse, and the clone without the old store sees the regression."""
     value = VALUE.replace("EXPECTED", "36").replace('"10 %" }', '"10 %", better = "higher", regression = "5 %" }')

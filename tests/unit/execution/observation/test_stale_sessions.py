@@ -95,7 +95,7 @@ def test_executions_count_again_once_the_file_is_restored(root: Path) -> None:
     assert projects.sql(root, VALUES) == [{"value": 2}]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_new_runs_are_never_mixed_with_stale_ones(root: Path) -> None:
     projects.run(root, QUERY)
     (root.parent / "library" / "factor").write_text("2")
@@ -133,7 +133,7 @@ print("tick,value", *(f"{tick},1" for tick in range(3)), sep="\\n", file=open("s
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_different_replay_of_runs_that_used_a_gpu_names_what_differs_there(root: Path) -> None:
     library = root.parent / "library" / "libcuda.so.1"
     (root / "sim.py").write_text(LIKE_A_GPU_PROGRAM.replace("{tick},1", "{tick},{os.getpid()}"))
