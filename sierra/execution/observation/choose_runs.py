@@ -23,8 +23,8 @@ SAMPLED = 0.1
 
 ALWAYS = 10
 """The number of experiments of which one run is always observed."""
-PART = 0.1
-"""The part of the runs' time that observing one run of each experiment may take."""
+PART = 0.06
+"""The part of the runs' time that observing one run of each experiment may take: with its recording and the sample, 0.1."""
 
 
 def choose(
