@@ -22,12 +22,13 @@ from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.lazy_logger import Log
+from sierra.util.regular_files import NOT_REGULAR
 from sierra.util.shortage import lacking, system_errors
 
 log = Log(__name__)
 
 OF_FILES = frozenset(
-    (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+    (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ, errno.ENOENT, errno.ENOTDIR, errno.ELOOP, *NOT_REGULAR),
 )
 """The system's errors about the files of a session. Any other may come from a file system that fails for a moment."""
 

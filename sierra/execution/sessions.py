@@ -36,6 +36,7 @@ from sierra.store import ownership_marks, session_numbers
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
 from sierra.util.lazy_logger import Log
+from sierra.util.regular_files import read_regular
 from sierra.version import __version__
 from sierra.worker import worker
 
@@ -243,7 +244,7 @@ def submitted(store: StorePaths) -> list[SessionPaths]:
 def _number(paths: SessionPaths) -> int | None:
     """Return the Lamport number that a session has taken; None if it has none."""
     try:
-        return int(paths.number.read_text())
+        return int(read_regular(paths.number))
     except (OSError, ValueError):
         return None
 
@@ -251,7 +252,7 @@ def _number(paths: SessionPaths) -> int | None:
 def claims(paths: SessionPaths) -> set[str]:
     """Return the runs that a session has claimed."""
     try:
-        return set(json.loads(paths.claims.read_bytes()))
+        return set(json.loads(read_regular(paths.claims)))
     except (OSError, ValueError, TypeError, RecursionError):
         return set()
 
@@ -261,7 +262,7 @@ def holder(paths: SessionPaths) -> str:
     owners = sorted(paths.root.glob(paths.owner(0).with_suffix(".*").name), key=lambda file: int(file.suffix[1:]))
     for file in (paths.lock, *reversed(owners)):
         with contextlib.suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
-            found = json.loads(file.read_bytes())
+            found = json.loads(read_regular(file))
             return f"process {found['pid']} on {found['where'][0]}"
     return "another process"
 
@@ -353,7 +354,7 @@ def _take_over(paths: SessionPaths) -> int | None:
         generation += 1
     file = paths.owner(generation)
     try:
-        owner = json.loads(file.read_bytes())
+        owner = json.loads(read_regular(file))
     except ValueError:  # it is being written, or its writer has died
         owner = None
     except OSError:

@@ -12,6 +12,7 @@ from sierra.errors import SierraError
 from sierra.store import ownership_marks
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
+from sierra.util.regular_files import open_regular
 from sierra.util.text import one_line
 
 NAME = re.compile(r"work-([0-9a-f]{16})(\.\d+)?")
@@ -62,7 +63,7 @@ def found(store: StorePaths) -> Iterator[Unrecorded]:
 
 def _reason(paths: SessionPaths) -> str:
     try:
-        with paths.fault.open(encoding="utf-8", errors="replace") as file:
-            return one_line(file.read(MOST)) or "for an unknown reason"
+        with open_regular(paths.fault) as file:
+            return one_line(file.read(MOST).decode("utf-8", "replace")) or "for an unknown reason"
     except OSError:
         return "for an unknown reason"

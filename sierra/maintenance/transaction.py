@@ -18,6 +18,7 @@ from sierra.store.compaction import Compaction, out_of_use, tidy
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors, on_disk, out_of_date
 from sierra.util.hashing import short
+from sierra.util.regular_files import read_regular
 
 PATIENCE_S = 5.0
 ATTEMPTS = 5
@@ -106,6 +107,6 @@ def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) 
 
 def _batch(paths: SessionPaths) -> str | None:
     try:
-        return str(json.loads(paths.context.read_bytes())["batch"])
+        return str(json.loads(read_regular(paths.context))["batch"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 from sierra.model import LateFiles, OutputFile, Result
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView, RecordValue
+from sierra.util.regular_files import open_regular
 
 if TYPE_CHECKING:
     from sierra.worker import worker
@@ -84,7 +85,7 @@ class Journal:
     def _lines(self) -> list[bytes]:
         """Return the next complete lines: a MiB of them, or one line that is longer."""
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 file.seek(self._offset)
                 data = file.read(AT_ONCE)
                 while b"\n" not in data and (more := file.read(AT_ONCE)):

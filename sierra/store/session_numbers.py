@@ -19,6 +19,7 @@ from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
+from sierra.util.regular_files import read_regular
 
 
 def following(paths: StorePaths, living: Iterable[int]) -> int:
@@ -56,7 +57,7 @@ def highest_of(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
 def _load(path: Path) -> tuple[int, set[str]]:
     """Return the highest number of the segments that were read, and their names."""
     try:
-        kept = unsealed(path.read_bytes())
+        kept = unsealed(read_regular(path))
     except OSError:
         kept = None
     if kept is None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
 from sierra.util.json_types import JsonView
+from sierra.util.regular_files import read_regular
 
 
 class Cache:
@@ -45,7 +46,7 @@ class Cache:
 
 def _read(path: Path) -> dict[str, JsonView]:
     with contextlib.suppress(OSError, ValueError, RecursionError):
-        known = json.loads(unsealed(path.read_bytes()) or b"{}")
+        known = json.loads(unsealed(read_regular(path)) or b"{}")
         if isinstance(known, dict):
             return known
     return {}

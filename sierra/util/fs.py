@@ -11,6 +11,7 @@ from typing import Any
 
 from sierra.errors import Damaged
 from sierra.util.hashing import sha256
+from sierra.util.regular_files import read_regular
 
 
 def inside(root: Path, name: str, *, link: bool = False) -> Path:
@@ -62,9 +63,9 @@ def state(path: str | bytes) -> list[int]:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file of a session. Raises FileNotFoundError, and Damaged if the file is not a JSON object."""
+    """Return the JSON object in a file of a session. Raises OSError, and Damaged if the file is not a JSON object."""
     try:
-        found = json.loads(path.read_bytes())
+        found = json.loads(read_regular(path))
         if isinstance(found, dict):
             return found
     except (ValueError, RecursionError):  # not UTF-8, not JSON, or nested too deeply

@@ -13,6 +13,9 @@ from typing import BinaryIO
 
 KINDS = ((stat.S_ISFIFO, "a named pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"))
 
+NOT_REGULAR = (errno.EISDIR, errno.EOPNOTSUPP)
+"""The system's errors for a folder, and for what is refused here."""
+
 
 def open_regular(path: Path | str | bytes, buffering: int = -1) -> BinaryIO:
     """Open a regular file, or a link to one, for reading. Raises OSError at once for everything else."""

@@ -30,6 +30,7 @@ from sierra.store.row_types import ImageRow
 from sierra.util.fs import UNFINISHED_END, write_whole
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView, as_object
+from sierra.util.regular_files import read_regular, read_regular_text
 
 FORMAT = 1
 UNFINISHED = re.compile(rf"\.(saved\.\w+\.\d+|(image\.json|files\.jsonl){UNFINISHED_END}|rootfs\.(sqfs|\d+)\.\d+)")
@@ -155,7 +156,7 @@ def contents(store: StorePaths, image: Image) -> Contents | None:
 
 def _stored(paths: ImagePaths) -> Contents | None:
     with contextlib.suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
-        fields, files = json.loads(paths.description.read_text("utf-8")), paths.files.read_bytes()
+        fields, files = json.loads(read_regular_text(paths.description)), read_regular(paths.files)
         if fields["format"] == FORMAT and sha256(files) == fields["files"]:
             image = of_fields(fields["image"]["name"], fields["image"])
             packages = {manager: tuple(lines) for manager, lines in fields["packages"].items()}

@@ -11,13 +11,13 @@ import os
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 from sierra.execution.observation.current_files import Current, located
 from sierra.execution.observation.file_sets import FileSets, UsedFile, located_paths
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
 from sierra.store.layout import CONFIG, FIGURES, LOCK, STORE
+from sierra.util.regular_files import read_regular
 
 OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, *LEFT_OUT))
 """Names in the project's folder that no run needs."""
@@ -131,7 +131,7 @@ def _are_prose(one: UsedFile, names: Iterable[str], files: Iterable[UsedFile]) -
 def _mentions(file: str, modules: Iterable[str]) -> bool:
     """Check whether a file contains one of these names as a word. In Python's own library, only imports count."""
     try:
-        content = Path(file).read_bytes()
+        content = read_regular(file)
     except OSError:
         return True
     either = b"|".join(re.escape(os.fsencode(module)) for module in modules)

@@ -26,6 +26,7 @@ from sierra.provenance.source.lfs import POINTER
 from sierra.provenance.source.manifest import Files, git_hash, parts, read, written
 from sierra.util.fs import RACY_NS, state, write_whole
 from sierra.util.hashing import sealed, sha256, sha256_file, unsealed
+from sierra.util.regular_files import read_regular
 
 ATTRIBUTES = ("text", "eol", "crlf", "filter", "ident", "working-tree-encoding")
 CONVERTED = f":(exclude,attr:{' '.join(f'!{name}' for name in ATTRIBUTES)})"
@@ -202,7 +203,7 @@ class _Memory:
         self._began = time.time_ns()
         self._known: dict[bytes, bytes] = {}
         with contextlib.suppress(OSError):
-            known = unsealed(self._file.read_bytes()) or b""
+            known = unsealed(read_regular(self._file)) or b""
             if known.startswith(self._settings):
                 self._known = read(known.removeprefix(self._settings))
 

@@ -101,7 +101,7 @@ def _read(entry: os.DirEntry[bytes], status: os.stat_result) -> tuple[str, str]:
 
 def _remembered(memory: Path | None) -> Memory:
     try:
-        return read(unsealed(memory.read_bytes()) or b"") if memory is not None else {}
+        return read(unsealed(read_regular(memory)) or b"") if memory is not None else {}
     except OSError:
         return {}
 

@@ -43,6 +43,7 @@ from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
+from sierra.util.regular_files import read_regular
 
 MANY = 500
 """Minimum number of new files that are written as a pack."""
@@ -267,7 +268,7 @@ class _Index:
         shutil.copy2(self._kept, self.path)  # with its time: git uses it to decide which files to read again
         self._read_by = b""
         with contextlib.suppress(OSError):
-            known = unsealed(self._kept.with_suffix(RULES).read_bytes()) or b""
+            known = unsealed(read_regular(self._kept.with_suffix(RULES))) or b""
             if known.startswith(_checksum(self.path)):
                 self._read_by = known[CHECKSUM:]
 

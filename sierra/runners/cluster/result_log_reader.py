@@ -18,6 +18,7 @@ from sierra.model import Result
 from sierra.runners.journal_reader import Stalled, made, result_of
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.store.segments import disk_errors
+from sierra.util.regular_files import open_regular
 from sierra.worker import array_task
 from sierra.worker.worker import OBSERVED
 
@@ -60,7 +61,7 @@ class Pack:
         Reading stops at a damaged record: on a network file system, its bytes may not have arrived yet, and the next reading
         tries again. Raises OSError if the file cannot be read, and Damaged if it was written in another format.
         """
-        with self.path.open("rb") as file:
+        with open_regular(self.path) as file:
             for record, at, after in array_task.records(file, self._offset):
                 try:
                     event = self._event(record, at)
@@ -103,7 +104,7 @@ class Pack:
         return replace(ended.result, directory=str(folder))
 
     def _extract(self, ended: Ended, folder: Path) -> None:
-        with self.path.open("rb") as pack:
+        with open_regular(self.path) as pack:
             pack.seek(ended.at)
             for path, size, sha256 in ended.files:
                 if _copied(pack, self._place(folder, path), size) != sha256:

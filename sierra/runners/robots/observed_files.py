@@ -18,6 +18,7 @@ from sierra.links import remote_folder
 from sierra.model import IN_PROJECT
 from sierra.runners.robots.agent_messages import Text
 from sierra.runners.robots.trial import Part
+from sierra.util.regular_files import read_regular
 from sierra.worker.worker import OBSERVED
 
 MOST_BYTES = 64 << 20
@@ -64,7 +65,7 @@ def _read(part: Part) -> _Observed | None:
     path = part.files / OBSERVED
     with contextlib.suppress(OSError, ValueError, RecursionError):
         if not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
-            return _Observed.model_validate(json.loads(path.read_bytes()))  # pydantic's own JSON has no bytes that are no text
+            return _Observed.model_validate(json.loads(read_regular(path)))  # pydantic's own JSON has no bytes that are no text
     return None
 
 

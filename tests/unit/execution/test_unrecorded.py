@@ -17,6 +17,7 @@ import sierra
 from sierra.errors import Damaged, Missing
 from sierra.ingest.recorder import Recorder
 from tests import projects
+from tests.support.irregular_files import irregular
 
 
 class Faulty:
@@ -131,6 +132,16 @@ def test_a_session_whose_recording_is_interrupted_is_recorded_later(
     assert not (root / ".sierra" / "damaged").exists()
     monkeypatch.undo()
     assert projects.run(root, "population_size=1")[0]["executed"] == 0
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("name", ["context.json", "journal.jsonl", "owner.1", "number", "claims.json"])
+def test_no_command_waits_for_a_pipe_among_the_files_of_a_session(root: Path, fail: Callable[..., str], name: str) -> None:
+    session = fail(lambda: ValueError("a fault"))
+    irregular(root / ".sierra" / "work" / session / name, "pipe")
+    for words in (("ls",), ("status",), ("fsck",), ("run", "population_size=2", "--no-figures"), ("gc", "--yes")):
+        done = projects.quick(root, *words)
+        assert (done.returncode in (0, 1, 3), "Traceback" in done.stderr) == (True, False), done
 
 
 @pytest.mark.integration
