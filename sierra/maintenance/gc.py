@@ -32,6 +32,7 @@ from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util import scratch
 from sierra.util.chunking import by_weight
+from sierra.util.text import counted
 from sierra.worker import worker
 
 MANY = 4
@@ -247,21 +248,21 @@ def _size(segment: Segment) -> int:
 
 
 RAW_LOST = (
-    "files that became tables: their bytes, not their rows. Changes to [outputs] or [success] may then execute their runs "
-    "again, sierra files rebuilds them from their rows, and checks cannot read them again"
+    " that became tables: their bytes, not their rows. Changes to [outputs] or [success] may then execute their runs again, "
+    "sierra files rebuilds them from their rows, and checks cannot read them again"
 )
 
 
 def text(collection: Collection) -> list[str]:
     """Return lines that list the data to remove."""
     counts = (
-        (collection.sessions, "sessions that died (their finished executions are recorded first)"),
-        (collection.unfinished, "unfinished files"),
-        (collection.replaced, "replaced segments"),
-        (collection.objects - collection.raw, "recorded files that nothing refers to"),
-        (collection.raw, RAW_LOST),
-        (collection.merged, f"small segments, merged into {collection.into}"),
-        (collection.logs, "log files of sessions that are not recorded"),
-        (collection.damaged, "damaged segments that a repair put aside, and sessions that cannot be recorded"),
+        (collection.sessions, "session", " that died (finished executions are recorded first)"),
+        (collection.unfinished, "unfinished file", ""),
+        (collection.replaced, "replaced segment", ""),
+        (collection.objects - collection.raw, "recorded file", " that nothing refers to"),
+        (collection.raw, "file", RAW_LOST),
+        (collection.merged, "small segment", f", merged into {collection.into}"),
+        (collection.logs, "log file", " of sessions that are not recorded"),
+        (collection.damaged, "folder", " of damaged segments that a repair put aside, and of sessions that cannot be recorded"),
     )
-    return [f"{count} {what}" for count, what in counts if count]
+    return [f"{counted(count, noun)}{rest}" for count, noun, rest in counts if count]
