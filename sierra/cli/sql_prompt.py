@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 from sierra.errors import SierraError
 from sierra.store.layout import user_state
+from sierra.util.signals import raise_in_handler
 
 WELCOME = "End each SQL statement with a semicolon. .help shows help; .quit, exit or Ctrl-D quits."
 HELP = """\
@@ -95,7 +96,7 @@ def is_complete(text: str) -> bool:
 @contextlib.contextmanager
 def _history() -> Iterator[None]:
     """Provide earlier lines, if readline is available. Inside this context, SIGTERM ends the prompt, which Ctrl-C does not."""
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))
+    before = signal.signal(signal.SIGTERM, lambda *_: raise_in_handler(SystemExit(130)))
     try:
         import readline
     except ImportError:

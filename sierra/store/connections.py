@@ -8,16 +8,19 @@ that failed, or whose query was so large that it wrote to the disk, is not kept.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from sierra.store.duckdb_file_io import steady
-from sierra.util import open_files
+from sierra.util import open_files, signals
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -163,14 +166,16 @@ class Interruptible:
     statement, or of the data that it reads.
     """
 
-    __slots__ = ("_wrapped",)
+    __slots__ = ("_connection", "_wrapped")
 
-    def __init__(self, wrapped: Any) -> None:
+    def __init__(self, wrapped: Any, connection: Any = None) -> None:
+        """`connection`: the one that executes the statements of a relation."""
         self._wrapped = wrapped
+        self._connection = connection or wrapped
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._wrapped, name)
-        return partial(_call, found) if callable(found) else found
+        return partial(self._call, found) if callable(found) else found
 
     def __enter__(self) -> Interruptible:
         return self
@@ -178,14 +183,51 @@ class Interruptible:
     def __exit__(self, *_: object) -> None:
         self._wrapped.close()
 
+    def _call(self, method: Callable[..., object], *arguments: object, **named: object) -> object:
+        import duckdb
 
-def _call(method: Callable[..., object], *arguments: object, **named: object) -> object:
+        try:
+            with _interrupted_by_signals(self._connection):
+                result = method(*arguments, **named)
+        except RuntimeError as error:
+            if str(error) == INTERRUPTED:
+                raise KeyboardInterrupt from error
+            raise
+        if isinstance(result, duckdb.DuckDBPyRelation):
+            return Interruptible(result, self._connection)
+        return Interruptible(result) if isinstance(result, duckdb.DuckDBPyConnection) else result
+
+
+_executing: list[DuckDBPyConnection] = []
+"""The connections whose statements the main thread executes."""
+
+
+@contextlib.contextmanager
+def _interrupted_by_signals(connection: DuckDBPyConnection) -> Iterator[None]:
+    """Interrupt a connection if the handler of a signal raises an exception within the `with` block.
+
+    The exception alone ends only DuckDB's thread that meets it, which then waits for the others: perhaps for hours. Programs
+    that use `sierra` have Python's own handler of Ctrl-C, which interrupts nothing; it is replaced within the block.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    replaced = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    _executing.append(connection)
+    try:
+        if replaced:
+            signal.signal(signal.SIGINT, signals.interrupt)
+        yield
+    finally:
+        _executing.pop()
+        if replaced:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@signals.before_raising
+def _interrupt_statements() -> None:
     import duckdb
 
-    try:
-        result = method(*arguments, **named)
-    except RuntimeError as error:
-        if str(error) == INTERRUPTED:
-            raise KeyboardInterrupt from error
-        raise
-    return Interruptible(result) if isinstance(result, duckdb.DuckDBPyConnection | duckdb.DuckDBPyRelation) else result
+    for connection in _executing:
+        with contextlib.suppress(duckdb.Error):  # it is closed
+            connection.interrupt()

@@ -92,13 +92,17 @@ class Process:
         return answer
 
     def forget(self, on: int) -> None:
-        """Close a connection, whose number is not used again."""
-        had = any(one == on for one, *_ in self._kept)
-        self._kept = [kept for kept in self._kept if kept[0] != on]
-        if had:
+        """Close a connection and its cursors, whose numbers are not used again."""
+        gone = [on] if any(one == on for one, *_ in self._kept) else []
+        for one, request, _ in self._kept:
+            if request["do"] == "cursor" and request["on"] in gone:
+                gone.append(one)
+        self._kept = [kept for kept in self._kept if kept[0] not in gone]
+        if gone:
             self._settle()
-        if had and self._is_alive():
-            self._asked({"do": "close", "on": on}).finish()
+        for one in reversed(gone):
+            if self._is_alive():
+                self._asked({"do": "close", "on": one}).finish()
 
     def interrupt(self, on: int) -> None:
         """Interrupt the statement that another thread waits for; if it does not end, end the process."""

@@ -8,14 +8,16 @@ import signal
 import stat
 import threading
 from collections.abc import Callable, Iterator
+from typing import NoReturn
 
 from sierra.util import terminal
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-
 _at_quit: list[Callable[[], None]] = []
 """The functions that end the processes that this one has started, when SIGQUIT ends it."""
+_before_raising: list[Callable[[], None]] = []
+"""The functions that are called before the handler of a signal raises an exception."""
 
 
 def at_quit(end: Callable[[], None]) -> Callable[[], None]:
@@ -39,11 +41,23 @@ def _quit(number: int, frame: object) -> None:
     os.kill(os.getpid(), number)
 
 
+def before_raising(end: Callable[[], None]) -> None:
+    """Call `end` in the main thread, wherever it is, before the handler of a signal raises an exception there."""
+    _before_raising.append(end)
+
+
+def raise_in_handler(error: BaseException) -> NoReturn:
+    """Raise an exception in the handler of a signal."""
+    for end in _before_raising:
+        end()
+    raise error
+
+
 def handle() -> None:
     """Make each of these signals end this process as Ctrl-C does, except signals that are already ignored (nohup)."""
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
+            signal.signal(number, interrupt)
 
 
 def ignore() -> None:
@@ -81,10 +95,11 @@ def noted(already: bool = False) -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _interrupt(number: int, frame: object) -> None:
+def interrupt(number: int, frame: object) -> NoReturn:
+    """Handle a signal: end this process as Ctrl-C does."""
     terminal.interrupt()
     _hang_up(number)
-    raise KeyboardInterrupt
+    raise_in_handler(KeyboardInterrupt())
 
 
 def _hang_up(number: int) -> None:

@@ -14,6 +14,7 @@ import pytest
 from sierra.errors import SqlError
 from sierra.store.connections import Database, connect
 from sierra.store.store import Snapshot, Store
+from sierra.util import signals
 
 SEEN = (
     "SELECT view_name FROM duckdb_views() WHERE NOT internal UNION ALL SELECT table_name FROM duckdb_tables() "
@@ -29,34 +30,45 @@ def store(recorded: Path) -> Store:
     return Store(recorded / ".sierra")
 
 
+def of_commands(number: signal.Signals) -> None:
+    signals.handle()
+
+
+def of_the_prompt(number: signal.Signals) -> None:
+    signal.signal(number, lambda *_: signals.raise_in_handler(KeyboardInterrupt()))
+
+
+def of_python(number: signal.Signals) -> None:
+    signal.signal(number, signal.default_int_handler)
+
+
 @pytest.mark.integration
 @pytest.mark.each_case
 @pytest.mark.parametrize("ask", [lambda one: one.execute(LONG), lambda one: one.sql(LONG).limit(1).fetchall()])
-def test_ctrl_c_ends_a_statement_with_keyboard_interrupt(ask: Callable[[Database], object]) -> None:
-    ended = threading.Event()
-
-    def interrupt() -> None:
-        while not ended.wait(0.05):
-            signal.raise_signal(signal.SIGINT)
-
-    def end(*_: object) -> None:
-        if not ended.is_set():
-            ended.set()
-            raise KeyboardInterrupt
-
-    def start() -> None:
-        thread.start()
-        ask(connection)
-
-    before = signal.signal(signal.SIGINT, end)
-    thread = threading.Thread(target=interrupt)
-    try:
-        with connect() as connection, pytest.raises(KeyboardInterrupt):
-            start()
-    finally:
-        ended.set()
-        thread.join()
-        signal.signal(signal.SIGINT, before)
+@pytest.mark.parametrize(
+    ("handle", "number"), [(of_commands, signal.SIGINT), (of_the_prompt, signal.SIGTERM), (of_python, signal.SIGINT)]
+)
+def test_a_signal_ends_a_statement_in_all_threads_of_duckdb(
+    ask: Callable[[Database], object], handle: Callable[[signal.Signals], None], number: signal.Signals
+) -> None:
+    before = {number: signal.getsignal(number) for number in signals.ENDING}
+    for _ in range(10):
+        with connect() as connection:
+            watch = threading.Timer(100, connection.interrupt)  # or the test hangs
+            press = threading.Timer(0.1, signal.raise_signal, (number,))
+            try:
+                handle(number)
+                watch.start()
+                press.start()
+                with pytest.raises(KeyboardInterrupt):
+                    ask(connection)
+                assert watch.is_alive()
+            finally:
+                watch.cancel()
+                press.join()
+                for other, handler in before.items():
+                    signal.signal(other, handler)
+            assert connection.execute("SELECT 1").fetchall() == [(1,)]
 
 
 def seen(snapshot: Snapshot) -> set[str]:

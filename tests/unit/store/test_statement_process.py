@@ -57,6 +57,20 @@ def process(connection: Remote) -> int:
     return running.pid
 
 
+@contextmanager
+def signalled(connection: Remote, number: signal.Signals) -> Iterator[None]:
+    """Send a signal to the process while it executes a statement."""
+
+    def end() -> None:
+        until(lambda: connection._process._answering is not None, lambda: "nothing is executed", 30)
+        os.kill(process(connection), number)
+
+    thread = threading.Thread(target=end)
+    thread.start()
+    yield
+    thread.join()
+
+
 def test_values_are_those_of_a_connection_in_this_process(confined: Remote) -> None:
     here = connect()
     parameters = {"text": "ä"}
@@ -86,9 +100,8 @@ def test_another_process_has_the_views_and_tables_of_the_one_that_was_ended(conf
     cursor.execute("CREATE TEMP TABLE kept AS SELECT range AS n FROM range(3)")
     cursor.execute("CREATE VIEW shown AS SELECT 7 AS seven")
     before = process(confined)
-    os.kill(before, 9)
-    with pytest.raises(duckdb.OutOfMemoryException):
-        cursor.execute("SELECT 1")
+    with signalled(confined, signal.SIGKILL), pytest.raises(duckdb.OutOfMemoryException):
+        cursor.execute(ENDLESS)
     assert cursor.execute("SELECT * FROM kept, shown").fetchall() == [(0, 7), (1, 7), (2, 7)]
     assert process(confined) != before
     cursor.close()
@@ -140,10 +153,19 @@ def test_an_error_within_an_answer_has_its_class(kind: str) -> None:
 
 
 def test_another_signal_is_named(confined: Remote) -> None:
-    confined.execute("SELECT 1")
-    os.kill(process(confined), 15)
-    with pytest.raises(duckdb.InternalException, match="was ended by signal 15"):
-        confined.execute("SELECT 1")
+    with signalled(confined, signal.SIGTERM), pytest.raises(duckdb.InternalException, match="was ended by signal 15"):
+        confined.execute(ENDLESS)
+
+
+def test_a_connection_that_is_closed_before_its_cursors_disturbs_no_other(confined: Remote) -> None:
+    other = connect(MEMORY)
+    other.cursor().cursor().execute("CREATE TEMP TABLE kept AS SELECT 1 AS n")
+    other.close()
+    number = process(confined)
+    os.kill(number, signal.SIGKILL)
+    os.waitid(os.P_PID, number, os.WEXITED | os.WNOWAIT)
+    assert confined.execute("SELECT 1").fetchall() == [(1,)]
+    other.close()
 
 
 @pytest.mark.parametrize(
