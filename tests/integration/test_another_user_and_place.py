@@ -83,6 +83,7 @@ def test_an_old_commit_replays_in_a_second_checkout_with_newer_commits(recorded:
     assert as_another(second, "run", "population_size=1,2", "--no-figures")[1]["batch"] != batch
 
 
+@pytest.mark.nightly
 def test_code_that_was_never_committed_is_reported_as_missing_elsewhere(recorded: tuple[Path, str], tmp_path: Path) -> None:
     root, _ = recorded
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))

@@ -111,6 +111,7 @@ def test_a_tampered_program_is_linked_again(root: Path, how: str) -> None:
     assert "0 executed, 4 reused" in told
 
 
+@pytest.mark.nightly
 def test_a_simulator_in_c_is_replayed_from_source_in_a_fresh_clone(root: Path, tmp_path: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")

@@ -102,6 +102,7 @@ def test_the_crate_is_valid(tmp_path: Path, query: str, grown: int, skipped: str
     assert done.returncode == bool(skipped), done.stdout
 
 
+@pytest.mark.nightly
 def test_the_citation_is_valid(tmp_path: Path, require: Callable[..., str]) -> None:
     validator = require(str(VALIDATORS / "cffconvert"))
     package = unpacked(tmp_path, "population_size=1", 1)

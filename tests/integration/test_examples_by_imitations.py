@@ -118,6 +118,7 @@ def batch(root: Path, *query: str) -> str:
     return str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
 
 
+@pytest.mark.nightly
 def test_the_example_of_netlogo_is_a_valid_experiment_and_gives_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

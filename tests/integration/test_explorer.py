@@ -162,6 +162,7 @@ def test_everything_that_can_be_opened_is_readable(browser: Browser, tmp_path: P
         assert unnamed(browser, "frame") == []
 
 
+@pytest.mark.nightly
 def test_another_batch_is_chosen_by_keys_and_drawn_with_the_form(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
         browser.open(url)
@@ -249,6 +250,7 @@ def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None
         assert browser.run("document.getElementById('words').hidden")
 
 
+@pytest.mark.nightly
 def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_path: Path) -> None:
     figure = '\n[figures.declared]\ncolumn = "coverage"\ncenter = "median"\ntitle = "Its own title"\n'
     root = projects.make(tmp_path / "project", projects.CONFIG + figure)
@@ -300,6 +302,7 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
     assert (tmp_path / "one.zip").read_bytes() == before
 
 
+@pytest.mark.nightly
 def test_batches_are_drawn_together_and_reported(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
         browser.open(url)

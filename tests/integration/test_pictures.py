@@ -13,6 +13,7 @@ from tests import pictures
 pytestmark = pytest.mark.integration
 
 
+@pytest.mark.nightly
 def test_pictures_show_all_kinds_with_the_data_that_their_lines_give(tmp_path: Path) -> None:
     files = {path.stem: path.read_bytes() for path in pictures.FOLDER.iterdir()}
     assert sorted(files) == sorted(FIGURES.shipped), "the page has one figure for each kind; make pictures draws them"

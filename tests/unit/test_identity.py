@@ -87,7 +87,7 @@ def test_names_of_input_files_are_part_of_the_specification(tmp_path: Path) -> N
     assert sdf.batch.spec_id != xml.batch.spec_id
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_template_of_another_name_keeps_records_sound(tmp_path: Path) -> None:
     for name in ("t.xml", "t.sdf"):
         folder = project(tmp_path / "p", TOML.replace("t.xml", name))
@@ -196,7 +196,7 @@ def test_setting_a_number_to_itself_in_another_spelling_gives_the_same_batch(tmp
     assert same.batch.id == opened.plan("montecarlo.C2").batch.id
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_new_runs_caused_only_by_another_spelling_of_a_number_are_reported(tmp_path: Path) -> None:
     """Both spellings are kept, because a simulator may distinguish an int from a double."""
     folder = projects.make(tmp_path / "p")

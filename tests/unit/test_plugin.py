@@ -176,7 +176,7 @@ class Made:
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_path: Path) -> None:
     with (plain / "sim.py").open("a") as file:
         file.write("open('notes.text', 'w').write('four')\n")

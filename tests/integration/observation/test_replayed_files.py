@@ -44,6 +44,7 @@ def replay(root: Path, batch: str) -> tuple[int, dict[str, Any]]:
     return done.returncode, json.loads(done.stdout)
 
 
+@pytest.mark.nightly
 @pytest.mark.each_case
 @pytest.mark.parametrize(("observe", "same"), [("all", True), ("first", None), *at_night([("none", None)])])
 def test_the_same_files_are_only_said_where_they_were_observed(make: Make, observe: str, *, same: bool | None) -> None:

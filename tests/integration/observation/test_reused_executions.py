@@ -80,6 +80,7 @@ def test_an_edit_of_anything_that_runs_used_executes_them_again(root: Path, chan
     assert values(root, summary["batch"]) != [102]
 
 
+@pytest.mark.nightly
 def test_statistics_tables_and_files_of_reused_executions_are_those_of_the_new_run(root: Path) -> None:
     first, _ = projects.run(root, QUERY)
     (root / "unused.py").write_text("2")

@@ -207,6 +207,7 @@ def give(root: Path, **keys: object) -> None:
     config.write_text(config.read_text().replace("[targets.robots.container]\n", f"[targets.robots.container]\n{lines}"))
 
 
+@pytest.mark.nightly
 def test_a_device_that_the_user_cannot_use_is_named_before_anything_is_copied(root: Path, fleet: Fleet, devices: Path) -> None:
     fleet.enter("rb2", "rm", str(devices / "null"))
     before = (root / "sierra.toml").read_text()

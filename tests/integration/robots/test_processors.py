@@ -48,6 +48,7 @@ def configure(root: Path, fleet: Fleet, processors: list[str]) -> None:
     (root / "sierra.toml").write_text(config)
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(HERE != "x86_64", reason="its kernel imitates no other processor")
 def test_each_robot_executes_the_product_for_its_processor(fleet: Fleet, tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", "")

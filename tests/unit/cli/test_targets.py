@@ -211,7 +211,7 @@ def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
     assert (checked.returncode, "swarm_coverage_summary_sim_robots" in checked.stdout + checked.stderr) == (1, True)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_query_for_several_targets_draws_them_together_at_its_end(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace(', units = { coverage = "m2" }', ""))
     done = projects.quick(folder, "run", "population_size=1", *BOTH, "--figures", "--json")
@@ -364,7 +364,7 @@ def test_outputs_are_those_of_the_target(project: Path) -> None:
     assert (refused.returncode, refused.stderr) == (2, "sierra: unknown target 'x'; known are sim, robots\n")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_outputs_are_declared_for_the_target_that_wrote_them(tmp_path: Path) -> None:
     config = CONFIG.replace('outputs.swarm = { file = "swarm.csv", time = "tick" }\n', "")
     folder = make(tmp_path / "p", config)

@@ -361,6 +361,7 @@ def test_all_types_of_exact_numbers_keep_their_digits(stamped: Path, column: str
     )
 
 
+@pytest.mark.nightly
 def test_batches_of_such_numbers_are_compared_over_time_too(stamped: Path) -> None:
     """The runs of both batches wrote the same, so each difference is 0, whatever was subtracted from each batch."""
     first, second = [row["batch"] for row in projects.sql(stamped, "SELECT batch FROM batches ORDER BY lamport")]
@@ -398,6 +399,7 @@ def test_an_interval_of_one_of_several_pairs_says_so_in_tables_for_papers(compar
     assert "Each interval is of one pair alone, not corrected for 2 pairs." in text
 
 
+@pytest.mark.nightly
 def test_a_comparison_by_another_version_is_not_computed_again(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     made, first, second = compared
     root = stores.copy(made, tmp_path / "project")

@@ -33,7 +33,7 @@ BODIES = """with open("way.csv", "w") as file:
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_columns_that_differ_between_experiments_have_figures_before_others(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=WIDE)
     assert quick(folder, "run", "population_size=1,2,4", "--runs", "4", "--no-figures").returncode == 0

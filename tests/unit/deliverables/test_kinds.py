@@ -205,7 +205,7 @@ def test_where_chooses_rows_by_columns_and_variables(batch: Path) -> None:
     assert said(png).endswith("; only rows where population_size > 1")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_large_whole_numbers_have_all_digits(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project")
     assert projects.quick(root, "run", "population_size=1000001,1000002,2000000", "--runs", "2", "--no-figures").returncode == 0
@@ -259,7 +259,7 @@ def test_palette_labels_limits_and_footnote_are_used(batch: Path) -> None:
 POSES = ('table = "poses"', 'column = ["x", "y"]')
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path) -> None:
     where = 'where = "population_size = 4 AND noise = 0.1"'
     png = draw(batch, *POSES, 'kind = "trajectories"', 'robot = "robot"', "run = 1", where)
@@ -289,7 +289,7 @@ def test_a_density_counts_the_rows_beyond_its_limits(batch: Path) -> None:
     assert " rows beyond the limits left out" in said(png)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_default_figures_of_two_variables_are_maps_and_summaries_without_pandas_and_seaborn(batch: Path) -> None:
     (batch / "sierra.toml").write_text(projects.CONFIG)
     code = (
@@ -303,7 +303,7 @@ def test_default_figures_of_two_variables_are_maps_and_summaries_without_pandas_
     assert done.stdout == "[5, 5, 5]\n[]\n"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_columns_whose_names_differ_in_signs_only_have_a_figure_each(tmp_path: Path) -> None:
     writes = "open('t.csv', 'w').write('v(m),v[m]\\n1,2\\n')\n"
     project = sierra.open(projects.make(tmp_path / "p", simulator=writes))

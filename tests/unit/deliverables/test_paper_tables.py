@@ -134,7 +134,7 @@ printf 't,v_x\n1,%s\n' $((seed % 7)) > swarm.csv
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_stats_command_writes_tables_for_papers(simulate: Callable[..., Any]) -> None:
     project = simulate(RUNS)
     config = project.folder / "sierra.toml"

@@ -159,7 +159,7 @@ def test_check_says_that_the_store_has_other_data_after_an_execution_was_removed
     assert all("other data" in one["problem"] for one in json.loads(said))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: Path) -> None:
     name = a_figure(drawn).stem
     done = projects.quick(drawn, "figures", "--format", "html, pgf", "--json")

@@ -97,6 +97,7 @@ def test_a_report_is_recorded_once_and_checked_like_figures(project: tuple[Path,
     assert checked(root)["report"] is None
 
 
+@pytest.mark.nightly
 def test_small_videos_are_played_in_the_report_if_they_are_the_recorded_ones(
     project: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +135,7 @@ def test_a_report_says_which_videos_are_older_than_the_results(project: tuple[Pa
     assert "files are older than the last results of this batch: heat. sierra figures --check tells" in to.read_text()
 
 
+@pytest.mark.nightly
 def test_a_package_has_a_report_and_the_videos(project: tuple[Path, str], tmp_path: Path) -> None:
     root, batch = project
     film = next(root.glob("figures/*/heat*.mp4"))
@@ -181,6 +183,7 @@ def test_the_report_and_the_videos_can_be_left_out_of_a_package(project: tuple[P
         assert f"- the videos of batch {batch[:10]} are left out: heat" in archive.read("REPRODUCING.md").decode()
 
 
+@pytest.mark.nightly
 def test_an_anonymous_package_has_a_report_without_names(project: tuple[Path, str], tmp_path: Path) -> None:
     root, batch = project
     packed = projects.quick(root, "package", batch, "-o", "../one.zip", "--anonymous", "--yes")

@@ -176,14 +176,14 @@ def test_texts_of_others_are_only_text_in_a_report(page: tuple[Page, str, bytes]
     assert found.text.count("# a second line") >= 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_same_store_gives_the_same_report(project: tuple[Path, str], page: tuple[Page, str, bytes], tmp_path: Path) -> None:
     root, batch = project
     reported_by(root, batch[:6], to=tmp_path / "again.html")
     assert (tmp_path / "again.html").read_bytes() == page[2]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_report_of_all_batches_begins_with_a_list(recorded: Path, tmp_path: Path) -> None:
     batches = [one.batch for one in sierra.open(recorded).batches]
     found, _ = reported_by(recorded, "--all", to=tmp_path / "all.html")

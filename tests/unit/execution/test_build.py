@@ -583,7 +583,7 @@ def for_processors(folder: Path, arch: str = "") -> Path:
     return make(folder, config + arch, compiler=compiler)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_each_processor_has_a_product_of_its_own(tmp_path: Path) -> None:
     other = "riscv64" if HERE == "aarch64" else "aarch64"
     root = for_processors(tmp_path / "p", f'arch = ["{HERE}", "{other}"]\n')

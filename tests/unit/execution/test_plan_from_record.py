@@ -94,7 +94,7 @@ def test_named_query_takes_precedence_over_a_batch_id(tmp_path: Path) -> None:
     assert project.run("cafe", figures=False).runs == 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_uncommitted_changes_are_neither_counted_nor_executed_if_ignored(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG + '[source]\ndirty = "ignore"\n'))
     committed = sierra.open(root).run("population_size=1", figures=False).batch

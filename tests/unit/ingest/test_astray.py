@@ -139,7 +139,7 @@ def test_declared_outputs_that_are_not_required_may_be_elsewhere(made: Made) -> 
     run(root, 0)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_an_evaluation_by_changed_rules_gives_the_same_reason(made: Made) -> None:
     root = made(BESIDE, 'observe = "none"')
     run(root, 1, "--runs", "1")

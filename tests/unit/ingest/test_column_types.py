@@ -132,7 +132,7 @@ def together(folder: Path, *arrays: pa.Array) -> tuple[list[str], str, list[Any]
     return [kinds["v"] for kinds in reading.columns.values()], rows[0][0], [row[1] for row in rows]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_each_type_is_recorded_exactly(tmp_path: Path) -> None:
     for place, (name, (array, kind, text)) in enumerate(ALL.items()):
         folder = tmp_path / str(place)
@@ -141,7 +141,7 @@ def test_each_type_is_recorded_exactly(tmp_path: Path) -> None:
         assert (name, shown, texts) == (name, kind, [text])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_arrow_files_have_the_same_values_as_parquet_files(tmp_path: Path) -> None:
     for name, (array, _, _) in ALL.items():
         (_, one), (_, other) = (
@@ -215,7 +215,7 @@ pq.write_table(pa.table({"t": [0, 1], "d": d, "stamp": pa.array(stamps, pa.times
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_the_unit_of_durations_is_shown_everywhere(tmp_path: Path) -> None:
     config = projects.CONFIG.replace("python3", sys.executable)
     project = sierra.open(projects.make(tmp_path / "p", config, simulator=WRITES))

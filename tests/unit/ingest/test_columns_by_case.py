@@ -132,7 +132,7 @@ with open("o.csv", "w") as file:
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_keys_of_outputs_take_the_names_in_the_file(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", simulator=KEYS)
     with (root / "sierra.toml").open("a") as file:

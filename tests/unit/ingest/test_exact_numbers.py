@@ -131,7 +131,7 @@ comment = "%"
 EACH = "SELECT population_size AS n, t, v, v_text FROM {} ORDER BY ALL"
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_every_text_format_keeps_them_also_when_rules_change(tmp_path: Path) -> None:
     config = projects.CONFIG + OUTPUTS
     project = sierra.open(projects.make(tmp_path / "p", config, simulator=FILES))

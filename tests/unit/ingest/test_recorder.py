@@ -468,7 +468,7 @@ def test_parquet_values_are_read_back_exactly(tmp_path: Path) -> None:
     assert rows == [(2**63 - 1, 2**64 - 1, 5e-324, "ü\n\"'", [1, 2])] * 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_batches_with_different_column_types_are_queried_together(make: Make) -> None:
     project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v\\n\\n\\n'}[n])")
     for n, kind in ((1, "BIGINT"), (2, "DOUBLE"), (4, "DOUBLE"), (3, "DOUBLE")):
@@ -628,7 +628,7 @@ def test_texts_that_look_like_numbers_stay_the_same_in_any_recording_order(
     assert column(project, "sha") == [text, text, *["3ab"] * 6]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_texts_first_read_as_numbers_are_restored_in_every_batch_after_reexecution(make: Make) -> None:
     project = make(TEXTS_LIKE_NUMBERS.format("'1e5'", seeds(2)))
     assert run(project, runs=2).failed == 0
@@ -762,7 +762,7 @@ def test_repeated_header_is_found_where_lines_end_in_cr(make: Make) -> None:
     assert reasons(project) == [f"out.csv: line 3: the header is repeated: 'tick,v' ({APPENDED})"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_empty_column_in_one_experiment_fits_any_type_in_others(make: Make) -> None:
     project = make("write('tick,v,x%d\\n0,%s,1\\n' % (n, '' if n == 3 else 0.5))")
     for n in (3, 1, 2):
@@ -775,7 +775,7 @@ def test_empty_column_in_one_experiment_fits_any_type_in_others(make: Make) -> N
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_ragged_columns_accumulate_over_several_sessions(make: Make) -> None:
     project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     for n in (3, 1, 2):

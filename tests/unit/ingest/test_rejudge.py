@@ -141,7 +141,7 @@ def test_returning_to_earlier_rules_evaluates_nothing_again(project: Counted) ->
     project.is_sound()
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_that_fail_by_new_rules_are_executed_only_when_the_query_is_repeated(project: Counted) -> None:
     project.declare(WIDE + "min_rows = 4\n")
     short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")

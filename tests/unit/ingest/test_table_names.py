@@ -63,7 +63,7 @@ def test_recorded_tables_keep_their_names() -> None:
     assert named(["a.csv"], [("a.csv", "declared")])[0] == [("a", "a.csv")]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_tables_of_two_experiments_with_clashing_names_stay_apart(tmp_path: Path) -> None:
     writes = """\
 import sys

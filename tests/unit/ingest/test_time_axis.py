@@ -58,7 +58,7 @@ def test_time_column_is_found_in_runs_of_different_lengths(tmp_path: Path) -> No
     assert TAKEN in told
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "written",
     [

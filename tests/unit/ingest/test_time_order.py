@@ -134,7 +134,7 @@ def test_each_robot_in_a_file_has_a_time_of_its_own(rows: list[tuple[float, int]
 RESUMES = SIMULATOR.replace("for tick in range(5)", "for tick in (0, 1, 2, 3, 0.5, 1.5)")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_that_go_back_fail_until_the_project_allows_it_and_captions_then_say_so(tmp_path: Path) -> None:
     root = make(tmp_path / "p", simulator=RESUMES)
     done = quick(root, "run", "population_size=1,2", "--no-figures")

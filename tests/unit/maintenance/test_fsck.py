@@ -246,7 +246,7 @@ def test_forged_records_are_found_even_if_all_file_hashes_match(root: Path, what
     assert {kind for kind, _ in wrong(root)} & {Kind.INCONSISTENT, Kind.LOST}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_rows_that_were_never_read_are_found_missing_and_their_execution_is_dropped(root: Path) -> None:
     """A parser that stops early leaves this: the table has as many rows as recorded, but the file had more."""
     folder = segment_with(root, "output.swarm")
@@ -268,7 +268,7 @@ def test_rows_that_were_never_read_are_found_missing_and_their_execution_is_drop
     assert fsck(root).sound
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_missing_table_is_found_even_if_the_manifest_does_not_list_it(root: Path) -> None:
     for table in ("artifacts", "objects", "output.swarm", "executions"):
         copy = stores.copy(root, root.with_name(table))
@@ -312,7 +312,7 @@ def test_decompression_bomb_is_reported_as_inconsistent(root: Path) -> None:
     assert any(kind is Kind.INCONSISTENT and path.endswith("objects.parquet") for kind, path in wrong(root))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_fsck_survives_arbitrary_bytes_in_files(recorded: Path, root: Path) -> None:
     """A file of each segment gets random bytes; its MANIFEST and name are updated to match."""
     numbers = random.Random(2)
@@ -367,7 +367,7 @@ def everything(root: Path) -> bytes:
     return b"".join(sorted(stores.state(root).values()))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "damages", [(truncate, empty, Path.unlink), (empty, Path.unlink, truncate), (Path.unlink, truncate, empty)]
 )
@@ -483,7 +483,7 @@ def test_verdicts_of_a_lost_replay_are_removed_by_repair(root: Path) -> None:
     assert counts == {"verdicts": 0, "n": 12}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_repair_reports_lost_raw_files_of_tables(root: Path) -> None:
     folder = segment_with(root, "output.swarm")
     extend(folder / "objects.parquet")

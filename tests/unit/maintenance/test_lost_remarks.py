@@ -29,7 +29,7 @@ def statuses(root: Path) -> dict[str, str]:
     return {row["execution"]: row["status"] for row in projects.sql(root, "SELECT execution, status FROM executions")}
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.each_case
 @pytest.mark.parametrize("damage", [flip, Path.unlink])
 def test_an_invalid_trial_whose_remark_is_lost_does_not_count(

@@ -95,7 +95,7 @@ def test_batch_is_removed_completely_but_shared_runs_stay(root: Path) -> None:
     assert not [path for path in (root / ".sierra" / "work").iterdir() if path.is_dir()]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_remaining_runs_are_reused_and_removed_runs_are_executed_again(root: Path) -> None:
     named = batches(root)
     projects.quick(root, "rm", named["population_size=1,2"], "--yes")
@@ -198,7 +198,7 @@ def test_full_disk_during_rm_loses_nothing(recorded: Path, tmp_path: Path) -> No
     assert sound(root)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_executing_batch_is_not_removed_but_other_batches_are(simulate: Callable[..., Any]) -> None:
     project = simulate(held(4))
     assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0

@@ -15,6 +15,7 @@ PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense 
 pytestmark = pytest.mark.integration
 
 
+@pytest.mark.nightly
 def test_figures_are_packed_as_drawn_and_stale_ones_are_named(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     batch = sierra.open(root).run("population_size=1,2", runs=1, figures=True).batch

@@ -69,6 +69,7 @@ def value(root: Path, statement: str) -> Any:
     return next(iter(row.values()))
 
 
+@pytest.mark.nightly
 def test_a_new_batch_is_read_like_one_of_this_store_and_keeps_its_origin(lab: Path, other: Path) -> None:
     said = projects.quick(other, "import", str(lab.parent / "both.zip"))
     assert said.returncode == 0, said.stderr
@@ -283,6 +284,7 @@ sierra.open(".").import_package(sys.argv[1])
 """
 
 
+@pytest.mark.nightly
 def test_a_killed_import_adds_nothing_and_the_next_one_completes(lab: Path, other: Path) -> None:
     project = sierra.open(other)
     for count in (1, 2):

@@ -185,6 +185,7 @@ def test_a_damaged_package_is_not_opened_and_leaves_nothing(
     assert projects.quick(tmp_path, "open", "nothing.zip").returncode == 3
 
 
+@pytest.mark.nightly
 def test_files_that_runs_used_outside_the_source_are_packed_or_named(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + TOML)
     (root / ".gitignore").write_text("*.dat\n")

@@ -721,7 +721,7 @@ platform = { arena = "10x10" }
 )
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_scenario_sets_options_of_the_platform_for_its_runs(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", LONG)
     plain = executed(folder, "population_size=20")

@@ -348,7 +348,7 @@ def test_a_replay_without_the_bytes_that_were_executed_names_the_file(git: Git, 
     assert "{project}/data.txt" in json.dumps(json.loads(done.stdout)["notes"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_package_has_the_bytes_that_were_executed(git: Git, tmp_path: Path) -> None:
     root = sized(git, tmp_path / "p")
     config = root / "sierra.toml"

@@ -581,7 +581,7 @@ def test_files_and_programs_of_one_name_are_told_apart(name: str, after: str, tm
     assert projects.run(folder, "n=1")[0]["executed"] == 0
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_store_that_does_not_tell_files_of_one_name_apart_is_sound_and_so_is_an_anonymous_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -26,7 +26,7 @@ def project(folder: Path, number: str, config: str = "") -> Path:
     return projects.make(folder, projects.CONFIG + config, simulator=projects.SIMULATOR + CLOCKS.replace("NUMBER", number))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_clocks_are_named_and_the_proposed_line_makes_the_replay_equal(tmp_path: Path) -> None:
     root = project(tmp_path, "count * tick")
     batch = stores.ask(root, "population_size=1,2")

@@ -189,7 +189,7 @@ def declare(root: Path, text: str) -> None:
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + text)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_sums_in_another_order_are_within_a_tolerance_of_the_command_line(make: Make) -> None:
     root = make(SHUFFLED, DECLARED)
     batch = ask(root)
@@ -243,7 +243,7 @@ def test_declared_columns_that_are_missing_are_reported(make: Make) -> None:
     ]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_volatile_column_that_differs_is_named(make: Make) -> None:
     root = make(NOISY, f'{DECLARED}volatile = ["coverage"]\n')
     code, said = replay(root, ask(root))
@@ -275,7 +275,7 @@ def test_the_time_of_the_first_difference_and_its_growth_are_reported(make: Make
     assert [far > 0 for _, far in first["growth"]] == [False, False, False, True, True]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_stochastic_runs_are_equivalent_if_a_declared_metric_is_equivalent(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = sierra.open(root).run("population_size=1,2", runs=8, figures=False).batch
@@ -290,7 +290,7 @@ def test_stochastic_runs_are_equivalent_if_a_declared_metric_is_equivalent(make:
     assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_stochastic_nanoseconds_since_1970_are_compared_with_all_their_digits(make: Make) -> None:
     """Floats near 1.76e18 are multiples of 256, far more than the runs differ by."""
     late = "1764 * 10**15 + int(__import__('random').SystemRandom().gauss(0, 10))"
@@ -314,7 +314,7 @@ def test_runs_differ_if_the_margin_is_too_narrow_and_the_power_is_reported(make:
     assert "power 0.00" in ended.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_equivalence_needs_whole_experiments_and_never_hides_failed_runs(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = ask(root)
@@ -472,7 +472,7 @@ def test_an_experiment_of_several_batches_is_replayed_with_its_values(make: Make
         assert (code, said["verdict"], said["experiments"][0]["values"]) == (0, "identical", {"population_size": 4})
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_without_comparable_outputs_are_not_reported_as_identical(make: Make) -> None:
     only_logs = "import sys, time\nprint(time.time_ns())\n"
     root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
@@ -483,7 +483,7 @@ def test_runs_without_comparable_outputs_are_not_reported_as_identical(make: Mak
     assert (code, said["notes"]) == (0, ["2 of 4 runs wrote only logs, and logs are not compared"])
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_changed_program_that_git_ignores_and_that_is_not_kept_is_used_and_reported(tmp_path: Path) -> None:
     config = projects.CONFIG.replace("python3 sim.py", "build/sim") + "[source]\nmax_ignored = 0\n"
     root = projects.make(tmp_path / "project", config)

@@ -772,7 +772,7 @@ printf 't,none,some\n1,0,%s\n' $((size > 1)) > swarm.csv
 """
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_counts_that_are_0_or_1_get_wilsons_interval_only_if_they_are_declared(simulate: Callable[..., Any]) -> None:
     project = simulate(COUNTS)
     config = project.folder / "sierra.toml"

@@ -123,7 +123,7 @@ NAMES = st.text(st.sampled_from("ab0*?[]{}!=\\'\" \n~-^,%#ü"), min_size=1, max_
 )
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(folder=NAMES, names=st.sets(NAMES, min_size=1, max_size=4))
 @example(folder="v=7", names={"robot[0]", "robot0", "robot[!1]", "robot*"})

@@ -85,7 +85,7 @@ def test_one_run_and_runs_without_seed_are_not_reported(tmp_path: Path) -> None:
     assert SAYS not in said(unseeded)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_try_says_that_another_seed_gave_the_same_tables(tmp_path: Path) -> None:
     root = make(tmp_path / "p", simulator=FIXED)
     same = "this run has the same tables as the one with seed 1, which was tried before"

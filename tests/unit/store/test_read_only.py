@@ -113,7 +113,7 @@ def test_a_folder_without_project_and_store_is_reported(tmp_path: Path) -> None:
     assert "no sierra.toml" in done.stderr
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_recorded_declarations_of_outputs_are_used_without_a_project(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\nunits = { coverage = "m" }\n'
     root = projects.make(tmp_path / "project", config)

@@ -17,7 +17,7 @@ CHANGING = (
 )
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_values_and_failures_of_replays_count_instead_of_the_recorded_ones(tmp_path: Path) -> None:
     simulator = f"from pathlib import Path\n{CHANGING}".replace("{file}", f"Path({str(tmp_path / 'size')!r})")
     root = projects.make(tmp_path / "project", simulator=simulator)

@@ -59,7 +59,7 @@ ADDS = SIMULATOR.replace(
 ).replace("tick,coverage", "time,coverage")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_runs_that_add_and_runs_that_multiply_share_their_times(tmp_path: Path) -> None:
     root = make(tmp_path / "p", simulator=ADDS)
     assert quick(root, "run", "population_size=1,2", "--runs", "6").returncode == 0

@@ -48,7 +48,7 @@ def made(store: Store, *tables: str) -> None:
     store.publish(writer)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_file_with_the_longest_name_stops_no_other_command(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "lab", simulator=projects.SIMULATOR + WRITES)
     for words in (
@@ -228,7 +228,7 @@ def fsck(store: Store) -> list[Finding]:
     return [finding for finding in check_files.read(store.paths).findings if not finding.kind.fine]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("mark", "put"), [(MANIFEST, None), (MANIFEST, Path.mkdir), (REPLACES, None), (REPLACES, os.mkfifo), (OUTPUTS, _link)]
 )

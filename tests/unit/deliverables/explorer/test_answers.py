@@ -93,7 +93,7 @@ def test_a_chart_of_a_statement_can_be_drawn_again(page: Page, recorded: Path) -
     assert first["section"] == again["section"]
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_several_batches_are_drawn_together_as_by_the_command(own: Path) -> None:
     first = ids(own)[0]
     second = sierra.open(own).run("population_size=1,2", sets=[("noise", "0.5")], figures=False).batch
@@ -344,7 +344,7 @@ def limited(monkeypatch: pytest.MonkeyPatch) -> Limited:
     return found
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_a_project_cannot_raise_the_limits_of_the_explorer(tmp_path: Path, limited: Limited) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{HOSTILE}")
     batches = [stores.ask(root, "population_size=1,2", runs=2), stores.ask(root, "population_size=2,3", runs=2)]

@@ -68,6 +68,7 @@ def prepared(root: Path, a: int, b: int, **keys: Any) -> Prepared:
         return prepare("film", Video.model_validate(CELLS | keys), galleries)
 
 
+@pytest.mark.nightly
 def test_two_batches_are_drawn_side_by_side_and_recorded_for_both(root: Path, tmp_path: Path) -> None:
     first, second, *_ = ids(root)
     done = projects.quick(root, "video", f"calm={first[:10]}", f"noisy={second[:10]}", "--json")

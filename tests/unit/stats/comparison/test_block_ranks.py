@@ -78,7 +78,7 @@ def test_a_pair_that_no_bar_can_join_is_listed() -> None:
     assert (found.bars, found.beside) == ((), ((0, 2),))
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 def test_no_two_groups_differ_if_the_omnibus_test_finds_no_difference() -> None:
     """Simulation with a known truth: of 300 batches of equal groups, at most about 5 % show any difference."""
     rng = np.random.default_rng(7)
