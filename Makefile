@@ -6,7 +6,7 @@ SHELL = /bin/sh
 unexport PYTHONDONTWRITEBYTECODE
 BIN = .venv/bin
 PYTEST = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
-WORKERS = 2
+WORKERS = 3
 MINUTES = 10
 UV = uv==0.13.8
 

@@ -39,6 +39,7 @@ def is_fork(process: subprocess.Popen[str]) -> bool:
     return getattr(process, "_forked", None) is not None
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_signals_end_the_forked_command_and_set_its_exit_code(tmp_path: Path, number: signal.Signals) -> None:
     process = projects.start(projects.make(tmp_path / "project"), "sql", stdin=subprocess.PIPE)

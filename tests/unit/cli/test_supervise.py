@@ -166,6 +166,7 @@ def test_lines_that_are_typed_while_files_are_collected_answer_the_prompts(tmp_p
         terminal.expect("Verdict(valid=False, reason='hardware failure', note='it fell')")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("keys", ["\n\n \n", "asdf\n\nv\n"])
 def test_keys_that_may_have_been_meant_to_stop_do_not_judge_a_trial(tmp_path: Path, keys: str) -> None:
     with collecting(tmp_path) as terminal:

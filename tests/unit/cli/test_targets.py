@@ -115,6 +115,7 @@ def test_the_runs_of_targets_are_pairs_with_the_same_values_and_seeds(executed: 
     assert len({row["seed"] for row in rows}) == 2
 
 
+@pytest.mark.integration
 def test_the_same_query_again_executes_nothing(project: Path) -> None:
     answers, _ = projects.run(project, "population_size=1,2", *BOTH)
     assert [(one["executed"], one["reused"]) for one in answers["targets"].values()] == [(0, 4), (0, 4)]

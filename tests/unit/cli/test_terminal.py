@@ -96,6 +96,7 @@ def test_batch_and_session_ids_are_completed_without_a_prefix(root: Path) -> Non
     assert completed(root, f"sierra show {log.stem[:5]}") == [log.stem]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", ["sierra show zz", "sierra show ", "sierra stats nope ", "sierra run pop", "sierra run zz"])
 def test_completion_of_names_and_batches_loads_no_database(root: Path, words: str) -> None:
     program = (

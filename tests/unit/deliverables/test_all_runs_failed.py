@@ -68,6 +68,7 @@ def test_a_claim_about_a_failed_batch_names_the_reason(failed: tuple[Path, str])
     assert WHY in done.stdout
 
 
+@pytest.mark.integration
 def test_a_batch_of_which_a_run_is_missing_says_how_many_failed(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", simulator="raise SystemExit(7)\n")
     assert projects.quick(root, "run", "population_size=1,2", "--only", "population_size=2", "--no-figures").returncode == 1

@@ -57,6 +57,7 @@ def test_a_note_proposes_the_mean_of_what_was_measured_and_not_of_the_number_of_
     assert "way_mean_x_timeseries" in quick(folder, "figures").stdout
 
 
+@pytest.mark.integration
 def test_a_variable_with_one_value_is_no_dimension_of_figures(tmp_path: Path) -> None:
     declared = '[figures.map]\nkind = "heatmap"\ncolumn = "coverage"\n[controllers.A]\n'
     folder = make(tmp_path / "project", CONFIG + declared)
@@ -72,6 +73,7 @@ def test_a_variable_with_one_value_is_no_dimension_of_figures(tmp_path: Path) ->
         assert [axis.name for axis in gallery.drawing("one", alone).axes] == ["population_size"]
 
 
+@pytest.mark.integration
 def test_default_figures_over_one_varied_variable_are_no_maps(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     batch = sierra.open(folder).run("population_size=1,2", "noise=0.5", runs=1, figures=False).batch

@@ -86,6 +86,7 @@ def test_unordered_rows_without_a_time_count_by_their_mean(root: Path) -> None:
     assert b"its SQL does not order the rows" in found.schema.metadata[b"sierra:note"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [

@@ -159,6 +159,7 @@ def test_doctor_and_schema_list_the_keys_of_an_added_kind(dots: Path) -> None:
     assert "#most = 5" in projects.quick(dots, "schema", "--toml").stdout
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("lines", "shown"),
     [

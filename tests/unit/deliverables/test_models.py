@@ -139,6 +139,7 @@ def test_a_program_gets_the_experiments_with_their_inputs_and_its_result_is_reco
 SIZES = "FROM (VALUES (1), (2)) p(population_size)"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("source", "code", "expected"),
     [

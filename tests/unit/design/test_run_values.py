@@ -198,6 +198,7 @@ def test_a_file_that_only_a_value_names_is_reported(tmp_path: Path) -> None:
     assert "data/one.txt is named only by the query: changes of this file are not detected" in done.stderr
 
 
+@pytest.mark.integration
 def test_doctor_accepts_a_project_without_a_template(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     done = quick(root, "doctor")

@@ -206,6 +206,7 @@ def test_contradictory_tables_of_robots_are_refused(tmp_path: Path, more: str, m
     assert message in str(raised.value)
 
 
+@pytest.mark.integration
 def test_a_runner_that_does_not_claim_containers_gets_no_runs_in_them(tmp_path: Path) -> None:
     more = '[targets.robots.container]\nimage = "sim.tar"\nengine = "apptainer"\n'
     root = robots.project(tmp_path / "p", more)

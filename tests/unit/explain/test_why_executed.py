@@ -55,6 +55,7 @@ def outside(tmp_path: Path) -> tuple[Path, Install]:
     return root, install
 
 
+@pytest.mark.integration
 def test_first_batch_is_new_and_its_executions_are_effective(root: Path) -> None:
     batch = ask(root)
     said = why(root, batch)

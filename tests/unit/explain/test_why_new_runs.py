@@ -21,6 +21,7 @@ def root(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("query", ["population_size=1", "population_size=2,3", "population_size=1,2"])
 def test_a_query_that_is_new_is_explained_by_the_programs_of_its_recorded_runs(root: Path, query: str) -> None:
     done = projects.quick(root, "run", query, "--runs", "1", "--dry-run", "--explain")

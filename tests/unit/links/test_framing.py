@@ -27,6 +27,7 @@ def test_output_is_exact_however_it_is_cut(before: bytes, payload: bytes, status
     assert (b"".join(map(unframed.feed, pieces)), unframed.status) == (payload, status)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("shell", ["sh", "bash"])
 def test_a_shell_executes_the_command_as_it_is_within_its_time_limit(shell: str) -> None:
     mark = new_mark()

@@ -45,6 +45,7 @@ def segment_with(root: Path, table: str) -> Path:
     return max(folders, key=lambda folder: (sum(file.stat().st_size for file in folder.iterdir()), folder.name))
 
 
+@pytest.mark.integration
 def test_undamaged_store_is_reported_as_sound(recorded: Path) -> None:
     ended = projects.quick(recorded, "fsck")
     assert (ended.returncode, ended.stderr) == (0, "")
@@ -123,6 +124,7 @@ def link(path: Path) -> None:
     path.symlink_to(target)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("damage", [truncate, extend, empty, link, Path.unlink])
 @pytest.mark.parametrize("file", ["MANIFEST", "executions.parquet", "objects.parquet"])
 def test_truncated_extended_emptied_linked_and_deleted_files_are_named(
@@ -144,6 +146,7 @@ def test_files_swapped_between_segments_are_named(root: Path) -> None:
     }
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["{prefix}-0123456789abcdef", "0123456789ab-{hash}", "copy of it", "{prefix}-{hash}.bak"])
 def test_duplicate_segments_are_named(root: Path, name: str) -> None:
     segment = segment_with(root, "executions")
@@ -240,6 +243,7 @@ FORGED: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
 }
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("what", FORGED)
 def test_forged_records_are_found_even_if_all_file_hashes_match(root: Path, what: str) -> None:
     forge(root, *FORGED[what])

@@ -117,6 +117,7 @@ def test_finished_runs_of_a_dead_session_are_recorded(simulate: Callable[..., An
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [("gc", "--yes"), ("rm", "{batch}", "--yes")])
 def test_a_store_that_another_process_has_just_begun_to_use_is_busy_and_not_damaged(
     root: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]

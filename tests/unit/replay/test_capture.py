@@ -132,6 +132,7 @@ def test_runs_with_frames_are_not_captured_again_unless_the_rendering_changes(ro
 NOTHING: dict[str, Any] = {"notes": [], "interrupted": False}
 
 
+@pytest.mark.integration
 def test_a_rendering_that_changes_results_is_reported(root: Path) -> None:
     configured(root, CAPTURE + 'environment = { DRIFT = "0.5" }\n')
     done = projects.quick(root, "capture")

@@ -231,6 +231,7 @@ def test_columns_may_have_any_name(simulate: Callable[..., Any]) -> None:
         assert (row["n"], row["mean"]) == (2, last)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "range"])
 def test_intervals_of_a_higher_confidence_are_those_of_scipy(name: str) -> None:
     x = np.random.default_rng(3).normal(size=300)

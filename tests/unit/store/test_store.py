@@ -107,6 +107,7 @@ def test_publishing_the_same_segment_twice_adds_it_once(tmp_path: Path) -> None:
     assert not store.publish(Writer(tmp_path / "s" / "work" / "none", "ab" * 32))
 
 
+@pytest.mark.integration
 def test_a_store_has_markers_and_refuses_another_format(project: Project) -> None:
     stores.ask(project.root, "n=1")
     root = project.paths.store
@@ -119,6 +120,7 @@ def test_a_store_has_markers_and_refuses_another_format(project: Project) -> Non
         Store(root / "elsewhere")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["lost", "link", "folder", "pipe"])
 def test_a_store_whose_format_cannot_be_read_is_never_taken_for_none(project: Project, kind: str) -> None:
     stores.ask(project.root, "n=1")

@@ -337,6 +337,7 @@ def test_a_node_without_strace_observes_the_files_that_are_mapped_and_says_why(f
     assert any(use == "executed" for _, use, *_ in found["files"])
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("plant", ["ln -s '{}' {}", "mkfifo {1}", "mkdir {1}"], ids=["link", "pipe", "folder"])
 def test_a_run_cannot_lead_its_observation_elsewhere(
     folder: Folder, tmp_path: Path, require: Callable[..., str], plant: str

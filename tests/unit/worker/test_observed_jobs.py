@@ -91,6 +91,7 @@ def test_the_first_run_of_an_experiment_is_observed_only_if_it_is_affordable(fol
 FAILING = {"failed": "exit 1", "endless": "exec sleep 9", "good": "true"}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("how", ["failed", "endless"])
 def test_another_run_of_the_experiment_is_observed_in_place_of_one_that_fails(
     folder: Path, require: Callable[..., str], how: str
@@ -164,6 +165,7 @@ def test_hashes_that_are_known_are_used_as_long_as_the_file_is_unchanged(folder:
         assert hashes == {"0" * 64 if known == state else hashlib.sha256(LARGE).hexdigest()}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("content", [b"", b"x\n{}", sealed(b"[]"), sealed(b"{"), sealed(b'{"/": 3}')])
 def test_damaged_hashes_are_ignored(folder: Path, content: bytes, require: Callable[..., str]) -> None:
     require("strace")

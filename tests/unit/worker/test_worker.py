@@ -493,6 +493,7 @@ def test_a_reused_folder_is_clean_for_the_next_run(start: Callable[..., Worker])
     assert said == ["short", "755", "0", "2", "home", "in.xml", "output", "stderr", "stdout", "tmp"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "touch",
     [

@@ -87,6 +87,7 @@ def test_a_chart_is_refused_like_the_figure(shown: Drawing) -> None:
         explored(shown)
 
 
+@pytest.mark.integration
 def test_a_chart_of_a_statement_can_be_drawn_again(page: Page, recorded: Path) -> None:
     keys = {"sql": "SELECT run, tick, avg(coverage) AS mean FROM swarm GROUP BY ALL", "kind": "timeseries", "column": "mean"}
     first, again = (page.ask("chart", batch=ids(recorded)[0], name="drawn", keys=keys) for _ in range(2))
@@ -118,6 +119,7 @@ def test_batches_are_compared_as_by_the_command(own: Path) -> None:
     assert compared.text in found["section"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("question", "why"),
     [
@@ -232,6 +234,7 @@ def rendered_again(film: Path) -> None:
     os.utime(film, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("change", [replaced_by_a_link, written_again, rendered_again, Path.unlink])
 def test_the_address_of_a_video_never_has_another_file(own: Path, change: Callable[[Path], object]) -> None:
     batch = ids(own)[0]
@@ -243,6 +246,7 @@ def test_the_address_of_a_video_never_has_another_file(own: Path, change: Callab
         assert page.send("GET", video["address"])[0] == 404
 
 
+@pytest.mark.integration
 def test_a_video_is_hashed_once(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch, digest, hashed = ids(own)[0], hashlib.file_digest, []
     film = recorded_film(own, batch)
@@ -292,6 +296,7 @@ def test_two_explorers_answer_at_once(page: Page, recorded: Path) -> None:
         assert other.send("POST", "/ask/state", b"{}", X_Sierra_Token=page.token)[0] == 403
 
 
+@pytest.mark.integration
 def test_a_damaged_store_is_reported_and_answers_again_when_it_is_repaired(own: Path) -> None:
     with served(sierra.open(own).explorer()) as page:
         batch = ids(own)[0]
@@ -373,6 +378,7 @@ def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited
         limited.clear()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("name", "written"), [("größe.t", "gr_e_t"), ("1st", "st"), ("mine\n", "mine"), ("é", "my_name")])
 def test_the_lines_of_a_chart_have_a_name_that_sierra_toml_takes(recorded: Path, name: str, written: str) -> None:
     with served(sierra.open(recorded).explorer()) as page:

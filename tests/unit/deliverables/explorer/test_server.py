@@ -84,6 +84,7 @@ def test_a_statement_has_the_answer_of_sierra_sql(page: Page, recorded: Path, ba
     assert found["more"] is False
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("chosen", [True, False])
 def test_all_rows_of_outputs_are_those_of_sierra_sql(page: Page, recorded: Path, batch: str, chosen: bool) -> None:
     within = {"batch": batch} if chosen else {}
@@ -275,6 +276,7 @@ SLOW_OPENINGS = [
 ]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("question", "slow", "content"), SLOW_OPENINGS)
 @pytest.mark.parametrize("by", ["stop", "time", "end"])
 def test_opening_the_store_ends_like_an_answer(
@@ -350,6 +352,7 @@ def own(request: pytest.FixtureRequest, recorded: Path, tmp_path: Path) -> Path:
     return root / str(request.param)
 
 
+@pytest.mark.integration
 def test_a_chart_is_written_to_the_project_and_drawn_from_there(own: Path, batch: str) -> None:
     before = own.read_text()
     with served(sierra.open(own.parent).explorer(write=True)) as page:
@@ -379,6 +382,7 @@ def edited_after_reading(file: Path) -> Callable[[], Source]:
     return source
 
 
+@pytest.mark.integration
 def test_an_edit_during_the_drawing_is_noticed(own: Path, batch: str) -> None:
     answers = Answers(edited_after_reading(own), sierra.open(own.parent).store, writes=True)
     with served(Server(answers, "project")) as page:
@@ -389,6 +393,7 @@ def test_an_edit_during_the_drawing_is_noticed(own: Path, batch: str) -> None:
     assert "# an edit while the chart is drawn" in own.read_text()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("writer", ["editor", "explorer"])
 def test_an_edit_while_lines_are_appended_is_not_lost(
     own: Path, batch: str, monkeypatch: pytest.MonkeyPatch, writer: str
@@ -414,6 +419,7 @@ def test_an_edit_while_lines_are_appended_is_not_lost(
     assert "mine" not in own.read_text()
 
 
+@pytest.mark.integration
 def test_a_link_and_the_mode_of_the_file_are_kept(own: Path, batch: str) -> None:
     target = own.rename(own.parent / "elsewhere.toml")
     target.chmod(0o600)

@@ -61,6 +61,7 @@ def edges(state: Any) -> list[tuple[float, ...]]:
     return [tuple(row) for row in state[1].tolist()]
 
 
+@pytest.mark.integration
 def test_edges_have_the_mean_weight_of_both_directions(root: Path) -> None:
     made, (first, second, third), _ = states(root)
     assert made.films[0].subject.layout == {"nodes": ["n1", "n2", "n10"]}

@@ -160,6 +160,7 @@ def test_a_second_session_does_not_wait_for_trials_of_another_person(root: Path,
     assert not sierra.open(root).fsck().findings
 
 
+@pytest.mark.integration
 def test_a_trial_is_recorded_with_the_operator_and_what_is_declared(root: Path) -> None:
     execute(root, Script(VALID, Verdict(valid=True, note="fine")))
     row = projects.sql(root, "SELECT * FROM trials ORDER BY position")[1]
@@ -239,6 +240,7 @@ def test_a_trial_that_the_person_stops_has_failed_unless_that_is_its_planned_end
         assert projects.sql(root, "SELECT size > 0 AS kept FROM artifacts WHERE path = 'swarm.csv'") == [{"kept": True}]
 
 
+@pytest.mark.integration
 def test_a_trial_that_is_stopped_before_it_begins_is_asked_for_again(root: Path) -> None:
     stops = iter([True])
     script = Script(VALID, Start.ABORT, stops=lambda: next(stops, False))

@@ -154,6 +154,7 @@ def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
     assert re.search(r"^libc6==", str(after["packages"]), re.MULTILINE)
 
 
+@pytest.mark.integration
 def test_a_look_tells_that_a_run_is_being_stopped_and_then_that_its_files_are_collected(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ):

@@ -324,6 +324,7 @@ def test_an_unknown_name_has_no_jobs(server: pbs.Server) -> None:
     assert Pbs(ClusterTable()).look(NAME) == ()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("history", [False, True])
 def test_ended_jobs_are_not_alive(server: pbs.Server, ask: Callable[..., Request], history: bool) -> None:
     server.set(history=history)
