@@ -88,22 +88,10 @@ def sql(
 
 
 def _ask(store: Store, text: str, within: str | None, format: Format) -> Printable:
-    """Return the result of a statement; Ctrl-C stops the statement.
-
-    DuckDB does not react to Ctrl-C while it executes, so another thread executes the statement.
-    """
-    from concurrent.futures import ThreadPoolExecutor, wait
-
+    """Return the result of a statement."""
     convert = Printable.of_table if format is Format.parquet else Printable.of_rows
-    with store.snapshot(within, theirs=True) as snapshot, ThreadPoolExecutor(1) as asking:
-        answer = asking.submit(snapshot.ask, text, {}, convert, theirs=True)
-        try:
-            return answer.result()
-        except KeyboardInterrupt:
-            while not answer.done():
-                snapshot.connection.interrupt()
-                wait((answer,), timeout=0.1)
-            raise
+    with store.snapshot(within, theirs=True) as snapshot:
+        return snapshot.ask(text, {}, convert, theirs=True)
 
 
 @dataclass(frozen=True, slots=True)

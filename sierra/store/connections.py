@@ -160,10 +160,10 @@ def local(config: dict[str, str | bool | int | float | list[str]]) -> DuckDBPyCo
 
 
 class Interruptible:
-    """A connection to DuckDB or one of its relations, with all of its methods, which raise KeyboardInterrupt if interrupted.
+    """A connection to DuckDB or one of its relations, with all of its methods, which raise what the handler of a signal raises.
 
-    DuckDB itself raises RuntimeError for the KeyboardInterrupt of a signal's handler: it would be taken for a fault of the
-    statement, or of the data that it reads.
+    DuckDB itself raises RuntimeError in place of KeyboardInterrupt: it would be taken for a fault of the statement, or of the
+    data that it reads.
     """
 
     __slots__ = ("_connection", "_wrapped")
@@ -191,7 +191,7 @@ class Interruptible:
                 result = method(*arguments, **named)
         except RuntimeError as error:
             if str(error) == INTERRUPTED:
-                raise KeyboardInterrupt from error
+                raise (_raised.pop() if _raised else KeyboardInterrupt()) from error
             raise
         if isinstance(result, duckdb.DuckDBPyRelation):
             return Interruptible(result, self._connection)
@@ -200,6 +200,8 @@ class Interruptible:
 
 _executing: list[DuckDBPyConnection] = []
 """The connections whose statements the main thread executes."""
+_raised: list[BaseException] = []
+"""The exception that the handler of a signal has raised within a statement, in whose place DuckDB raises another one."""
 
 
 @contextlib.contextmanager
@@ -225,9 +227,10 @@ def _interrupted_by_signals(connection: DuckDBPyConnection) -> Iterator[None]:
 
 
 @signals.before_raising
-def _interrupt_statements() -> None:
+def _interrupt_statements(error: BaseException) -> None:
     import duckdb
 
+    _raised[:] = [error] if _executing else []
     for connection in _executing:
         with contextlib.suppress(duckdb.Error):  # it is closed
             connection.interrupt()

@@ -16,7 +16,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _at_quit: list[Callable[[], None]] = []
 """The functions that end the processes that this one has started, when SIGQUIT ends it."""
-_before_raising: list[Callable[[], None]] = []
+_before_raising: list[Callable[[BaseException], None]] = []
 """The functions that are called before the handler of a signal raises an exception."""
 
 
@@ -41,7 +41,7 @@ def _quit(number: int, frame: object) -> None:
     os.kill(os.getpid(), number)
 
 
-def before_raising(end: Callable[[], None]) -> None:
+def before_raising(end: Callable[[BaseException], None]) -> None:
     """Call `end` in the main thread, wherever it is, before the handler of a signal raises an exception there."""
     _before_raising.append(end)
 
@@ -49,7 +49,7 @@ def before_raising(end: Callable[[], None]) -> None:
 def raise_in_handler(error: BaseException) -> NoReturn:
     """Raise an exception in the handler of a signal."""
     for end in _before_raising:
-        end()
+        end(error)
     raise error
 
 

@@ -19,6 +19,9 @@ from sierra.cli.sql_prompt import is_complete
 from tests.projects import SIERRA, make, quick, sierra
 from tests.waiting import PATIENCE_S
 
+LONG = "SELECT sum(a.range * b.range) FROM range(10000000) a, range(10000000) b;\n"
+"""A statement that takes hours."""
+
 
 @pytest.fixture(scope="module")
 def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -130,7 +133,7 @@ def test_ctrl_c_discards_the_line_or_stops_the_query_but_keeps_the_prompt(open_t
     terminal.type("SELECT this is nothing\n")
     terminal.until("...> ")
     terminal.until("sql> ", press="\x03")
-    terminal.type("SELECT sum(a.range * b.range) FROM range(10000000) a, range(10000000) b;\n")
+    terminal.type(LONG)
     time.sleep(1)
     terminal.until("sierra: ", press="\x03")
     terminal.until("sql> ")
@@ -138,9 +141,12 @@ def test_ctrl_c_discards_the_line_or_stops_the_query_but_keeps_the_prompt(open_t
     assert "42" in terminal.until("sql> ")
 
 
-@pytest.mark.nightly
-def test_sigterm_ends_the_prompt_with_exit_code_130(open_terminal: Callable[[], Terminal]) -> None:
+@pytest.mark.integration
+@pytest.mark.parametrize("typed", [LONG, ""])
+def test_sigterm_ends_the_prompt_with_exit_code_130(open_terminal: Callable[[], Terminal], typed: str) -> None:
     terminal = open_terminal()
+    terminal.type(typed)
+    time.sleep(1)
     give_up = time.monotonic() + PATIENCE_S
     while terminal.process.poll() is None and time.monotonic() < give_up:
         terminal.process.send_signal(signal.SIGTERM)
