@@ -81,7 +81,7 @@ def test_a_package_that_jsbsim_does_not_use_executes_nothing_again(flight: Path,
     finally:
         jsbsim.pip("uninstall", "--yes", "zipp")
     assert (summary["executed"], summary["reused"]) == (0, 4)
-    assert "4 runs reused, because the executions did not use what has changed: python: installed distributions" in said
+    assert "4 runs reused, because the executions did not use what has changed: python3: installed distributions" in said
 
 
 def test_an_edited_aircraft_of_jsbsim_is_named_and_executes_all_runs_again(

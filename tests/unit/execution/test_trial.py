@@ -211,7 +211,7 @@ def test_the_next_try_replaces_what_a_killed_one_has_left(tmp_path: Path) -> Non
         first.communicate()
     (project / "sim.py").write_text(SIMULATOR)
     assert tried(project)["status"] == "ok"
-    assert sorted(path.name for path in (project / ".sierra/try").iterdir()) == ["lock", "mark", "run"]
+    assert sorted(path.name for path in (project / ".sierra/try").iterdir()) == ["last.json", "lock", "mark", "run"]
 
 
 def test_a_folder_that_was_not_made_by_a_try_is_left_alone(project: Path, tmp_path: Path) -> None:

@@ -254,7 +254,7 @@ def test_a_volatile_column_that_differs_is_named(make: Make) -> None:
 
 @pytest.mark.nightly
 def test_rows_in_another_order_differ_until_the_output_is_declared_unordered(make: Make) -> None:
-    root = make(UNORDERED, DECLARED)
+    root = make(UNORDERED, f'{DECLARED}time_order = "any"\n')
     batch = ask(root)
     assert replay(root, batch)[1]["verdict"] == "different"
     declare(root, "ordered = false\n")
