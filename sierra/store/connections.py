@@ -215,6 +215,7 @@ def _interrupted_by_signals(connection: DuckDBPyConnection) -> Iterator[None]:
         yield
         return
     replaced = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    _raised.clear()
     _executing.append(connection)
     try:
         if replaced:
@@ -226,11 +227,13 @@ def _interrupted_by_signals(connection: DuckDBPyConnection) -> Iterator[None]:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@signals.before_raising
 def _interrupt_statements(error: BaseException) -> None:
     import duckdb
 
-    _raised[:] = [error] if _executing else []
+    _raised[:] = [error]
     for connection in _executing:
         with contextlib.suppress(duckdb.Error):  # it is closed
             connection.interrupt()
+
+
+signals.before_raising(_interrupt_statements)

@@ -93,16 +93,16 @@ class Process:
 
     def forget(self, on: int) -> None:
         """Close a connection and its cursors, whose numbers are not used again."""
-        gone = [on] if any(one == on for one, *_ in self._kept) else []
-        for one, request, _ in self._kept:
+        gone = [on] if any(number == on for number, *_ in self._kept) else []
+        for number, request, _ in self._kept:
             if request["do"] == "cursor" and request["on"] in gone:
-                gone.append(one)
+                gone.append(number)
         self._kept = [kept for kept in self._kept if kept[0] not in gone]
         if gone:
             self._settle()
-        for one in reversed(gone):
+        for number in reversed(gone):
             if self._is_alive():
-                self._asked({"do": "close", "on": one}).finish()
+                self._asked({"do": "close", "on": number}).finish()
 
     def interrupt(self, on: int) -> None:
         """Interrupt the statement that another thread waits for; if it does not end, end the process."""

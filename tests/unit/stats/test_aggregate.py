@@ -738,8 +738,11 @@ def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) 
 def test_statistics_in_python_accept_times_and_contain_the_note(simulated: Any) -> None:
     project = sierra.open(simulated.folder)
     table = project.statistics(None, "swarm", "v", measure=None, times="carry")
-    notes = table.schema.metadata[b"sierra:note"].split(b"; ")
-    assert notes[-1] == b"last values carried forward to 4 common times"
+    assert table.schema.metadata[b"sierra:note"].decode() == (
+        "all runs of each experiment have the same data in all tables, although their seeds differ: they are not independent "
+        "samples, so n and intervals mean nothing (does the program use its seed? if it needs none, set runs = 1); "
+        "last values carried forward to 4 common times"
+    )
     assert project.statistics(None, "swarm", "v", measure=None).num_rows == 12
     with pytest.raises(UsageError, match="times 'own' needs statistics at each time"):
         project.statistics(None, "swarm", "v", times="own")

@@ -57,6 +57,13 @@ def process(connection: Remote) -> int:
     return running.pid
 
 
+def kill(connection: Remote) -> None:
+    """End the process, which executes nothing, and wait until it has ended."""
+    number = process(connection)
+    os.kill(number, signal.SIGKILL)
+    os.waitid(os.P_PID, number, os.WEXITED | os.WNOWAIT)
+
+
 @contextmanager
 def signalled(connection: Remote, number: signal.Signals) -> Iterator[None]:
     """Send a signal to the process while it executes a statement."""
@@ -114,9 +121,7 @@ def test_a_process_that_cannot_be_made_again_is_not_left_half_made(confined: Rem
     kept = running._kept
     on, request, _ = kept[-1]
     running._kept = [(on, {**request, "text": "FROM lost"}, None) if one is kept[-2] else one for one in kept]
-    number = process(confined)
-    os.kill(number, signal.SIGKILL)
-    os.waitid(os.P_PID, number, os.WEXITED | os.WNOWAIT)
+    kill(confined)
     for _ in range(2):
         with pytest.raises(duckdb.InvalidInputException):
             cursor.execute("SELECT 1")
@@ -161,9 +166,7 @@ def test_a_connection_that_is_closed_before_its_cursors_disturbs_no_other(confin
     other = connect(MEMORY)
     other.cursor().cursor().execute("CREATE TEMP TABLE kept AS SELECT 1 AS n")
     other.close()
-    number = process(confined)
-    os.kill(number, signal.SIGKILL)
-    os.waitid(os.P_PID, number, os.WEXITED | os.WNOWAIT)
+    kill(confined)
     assert confined.execute("SELECT 1").fetchall() == [(1,)]
     other.close()
 
@@ -218,10 +221,7 @@ def test_a_process_that_was_killed_between_statements_is_replaced(confined: Remo
     cursor = confined.cursor()
     for connection in (confined, cursor):
         before = process(confined)
-        running = confined._process._running
-        assert running is not None
-        os.kill(before, signal.SIGKILL)
-        os.waitid(os.P_PID, before, os.WEXITED | os.WNOWAIT)
+        kill(confined)
         assert connection.execute("SELECT a FROM (SELECT 5 AS a)").fetchall() == [(5,)]
         assert process(confined) != before
     assert confined.execute("FROM v").fetchall() == [(5,)]
