@@ -182,6 +182,8 @@ class LocalLink:
         self.off = True
         for channel in self.channels:
             running = worker.descendants(channel.process.pid) if channel.process.poll() is None else []
+            for pid in running:  # none tells of another's end
+                worker.signal_process(pid, signal.SIGSTOP)
             for pid in reversed(running):  # the guard before its agent
                 worker.signal_process(pid, signal.SIGKILL)
             channel.process.wait()
