@@ -204,7 +204,7 @@ def test_gc_removes_logs_of_unrecorded_sessions_and_fsck_names_unknown_files(roo
     checked = projects.quick(root, "fsck")
     assert checked.returncode == 0
     assert "logs/mine.txt" in checked.stdout
-    assert "1 log files of sessions that are not recorded" in projects.quick(root, "gc", "--dry-run").stdout
+    assert "1 log file of sessions that are not recorded" in projects.quick(root, "gc", "--dry-run").stdout
     assert projects.quick(root, "gc", "--yes").returncode == 0
     assert logs(root) == [recorded, strange]
     assert json.loads(projects.quick(root, "gc", "--dry-run", "--json").stdout)["logs"] == 0

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import duckdb
@@ -259,14 +259,24 @@ def is_running(number: int) -> bool:
         return False
 
 
+def computed_s(number: int) -> float:
+    """Return the time for which the processor has worked for a process, in s."""
+    user, system = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
 @contextmanager
 def interrupting(confined: Remote) -> Iterator[None]:
-    """Interrupt a connection again and again, until the end of the context."""
+    """Interrupt a statement that computes, again and again, until the end of the context."""
     ended = threading.Event()
+    number = process(confined)
+    began = computed_s(number)
 
     def interrupt() -> None:
         while not ended.wait(0.05):
-            confined.interrupt()
+            with suppress(FileNotFoundError):  # it has been ended
+                if computed_s(number) - began > 0.3:  # before, it may not have reached its function yet
+                    confined.interrupt()
 
     thread = threading.Thread(target=interrupt)
     thread.start()
