@@ -17,9 +17,8 @@ from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of
 from sierra.store.layout import StorePaths
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
-from sierra.util.fs import write_whole
-from sierra.util.hashing import sealed, unsealed
-from sierra.util.regular_files import read_regular
+from sierra.util.fs import read_sealed, write_whole
+from sierra.util.hashing import sealed
 
 
 def following(paths: StorePaths, living: Iterable[int]) -> int:
@@ -56,11 +55,8 @@ def highest_of(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
 
 def _load(path: Path) -> tuple[int, set[str]]:
     """Return the highest number of the segments that were read, and their names."""
-    try:
-        kept = unsealed(read_regular(path))
-    except OSError:
-        kept = None
-    if kept is None:
+    kept = read_sealed(path)
+    if not kept:
         return 0, set()
     highest, names = json.loads(kept)
     return highest, set(names)

@@ -6,10 +6,9 @@ import contextlib
 import json
 from pathlib import Path
 
-from sierra.util.fs import write_whole
-from sierra.util.hashing import sealed, unsealed
+from sierra.util.fs import read_sealed, write_whole
+from sierra.util.hashing import sealed
 from sierra.util.json_types import JsonView
-from sierra.util.regular_files import read_regular
 
 
 class Cache:
@@ -45,8 +44,8 @@ class Cache:
 
 
 def _read(path: Path) -> dict[str, JsonView]:
-    with contextlib.suppress(OSError, ValueError, RecursionError):
-        known = json.loads(unsealed(read_regular(path)) or b"{}")
+    with contextlib.suppress(ValueError, RecursionError):
+        known = json.loads(read_sealed(path) or b"{}")
         if isinstance(known, dict):
             return known
     return {}

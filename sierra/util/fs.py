@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.util.hashing import sha256
+from sierra.util.hashing import sha256, unsealed
 from sierra.util.regular_files import read_regular
 
 
@@ -60,6 +60,14 @@ def state(path: str | bytes) -> list[int]:
     """
     status = os.stat(path)  # noqa: PTH116 - for speed
     return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]
+
+
+def read_sealed(path: Path) -> bytes:
+    """Return the data that was written to a file as `hashing.sealed`; nothing if it cannot be read, or has changed."""
+    try:
+        return unsealed(read_regular(path)) or b""
+    except OSError:
+        return b""
 
 
 def read_record(path: Path) -> dict[str, Any]:

@@ -24,9 +24,8 @@ from pathlib import Path
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.lfs import POINTER
 from sierra.provenance.source.manifest import Files, git_hash, parts, read, written
-from sierra.util.fs import RACY_NS, state, write_whole
-from sierra.util.hashing import sealed, sha256, sha256_file, unsealed
-from sierra.util.regular_files import read_regular
+from sierra.util.fs import RACY_NS, read_sealed, state, write_whole
+from sierra.util.hashing import sealed, sha256, sha256_file
 
 ATTRIBUTES = ("text", "eol", "crlf", "filter", "ident", "working-tree-encoding")
 CONVERTED = f":(exclude,attr:{' '.join(f'!{name}' for name in ATTRIBUTES)})"
@@ -202,10 +201,9 @@ class _Memory:
         self._settings = settings.encode()
         self._began = time.time_ns()
         self._known: dict[bytes, bytes] = {}
-        with contextlib.suppress(OSError):
-            known = unsealed(read_regular(self._file)) or b""
-            if known.startswith(self._settings):
-                self._known = read(known.removeprefix(self._settings))
+        known = read_sealed(self._file)
+        if known.startswith(self._settings):
+            self._known = read(known.removeprefix(self._settings))
 
     def get(self, path: bytes, seen: bytes) -> str | None:
         known, _, answer = self._known.get(path, b"").rpartition(b" ")

@@ -17,8 +17,8 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.provenance.source.manifest import LINK, Entry, git_hash, is_blob, parts, read
 from sierra.provenance.source.selection import PathSelection, check_size
-from sierra.util.fs import write_whole
-from sierra.util.hashing import sealed, unsealed
+from sierra.util.fs import read_sealed, write_whole
+from sierra.util.hashing import sealed
 from sierra.util.regular_files import open_regular, read_regular
 
 LEFT_OUT = frozenset(
@@ -100,10 +100,7 @@ def _read(entry: os.DirEntry[bytes], status: os.stat_result) -> tuple[str, str]:
 
 
 def _remembered(memory: Path | None) -> Memory:
-    try:
-        return read(unsealed(read_regular(memory)) or b"") if memory is not None else {}
-    except OSError:
-        return {}
+    return {} if memory is None else read(read_sealed(memory))
 
 
 def _now(memory: Path | None) -> int:

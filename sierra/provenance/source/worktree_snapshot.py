@@ -41,9 +41,8 @@ from sierra.provenance.source import converted, lfs, manifest
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
-from sierra.util.fs import write_whole
-from sierra.util.hashing import sealed, unsealed
-from sierra.util.regular_files import read_regular
+from sierra.util.fs import read_sealed, write_whole
+from sierra.util.hashing import sealed
 
 MANY = 500
 """Minimum number of new files that are written as a pack."""
@@ -267,8 +266,8 @@ class _Index:
     def _copy_kept(self) -> None:
         shutil.copy2(self._kept, self.path)  # with its time: git uses it to decide which files to read again
         self._read_by = b""
-        with contextlib.suppress(OSError):
-            known = unsealed(read_regular(self._kept.with_suffix(RULES))) or b""
+        known = read_sealed(self._kept.with_suffix(RULES))
+        with contextlib.suppress(OSError):  # of a damaged index, which git itself refuses
             if known.startswith(_checksum(self.path)):
                 self._read_by = known[CHECKSUM:]
 
