@@ -14,6 +14,8 @@ VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
 OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arch", "arguments")
 """Names in braces that have a meaning of their own in a command."""
+PORT_NAMES = ("port", *(f"port{number}" for number in range(2, 17)))
+"""Names in braces that stand for free ports of a run, unless a variable or a list of `per_run` has the name."""
 NO_CHANGE = 'it changes nothing; give it "set", "changes", "argument" or "environment"'
 NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
 """Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""

@@ -46,7 +46,7 @@ from sierra.model import (
 )
 from sierra.platforms.base import Following, Platform, Reader
 from sierra.query import ranges
-from sierra.templates.base import FOLDERS, Template
+from sierra.templates.base import FOLDERS, PORTS, Template
 
 GROUPED = ("controller", "scenario")
 AT_MOST = 1_000_000
@@ -417,7 +417,7 @@ def _together(values: Mapping[str, Value], placed: Sequence[Placed]) -> dict[str
 
 
 def _joined(values: Mapping[str, Value], parameters: Mapping[str, Value]) -> dict[str, Value]:
-    if both := sorted(values.keys() & parameters.keys()):
+    if both := sorted(name for name in values.keys() & parameters.keys() if values[name] != PORTS.get(name)):
         raise QueryError(
             f"{both[0]!r} has two values: it is also a parameter in the name of a controller or scenario; rename it"
         )

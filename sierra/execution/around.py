@@ -13,7 +13,7 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from sierra.config.change_tables import OWN_PLACEHOLDERS
+from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES
 from sierra.config.execution_tables import ServiceTable
 from sierra.config.project_file import Project
 from sierra.design.run_values import Declared
@@ -34,7 +34,7 @@ def declared(config: Project, root: Path, values: Declared, *, contained: bool =
     for a variable that the query does not vary.
     """
 
-    of_run = (*KNOWN, *values.names)
+    of_run = (*KNOWN, *PORT_NAMES, *values.names)
 
     def words(name: str, argv: Iterable[str], known: Sequence[str] = of_run) -> tuple[str, ...]:
         return commands.checked(argv, root, name, known, contained=contained, made=made, declared=values, project=config)

@@ -1,12 +1,13 @@
 """Commands of jobs: the argument list and environment of one execution, with placeholders filled in.
 
-Placeholders of a command: `{input}` is the first input file, `{output}` the folder to write to (also the working
-directory), `{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, `{python}` the Python
-that runs SIERRA, and `{arch}` the processor of the host that executes the run (see `sierra.util.processors`). The word
-`{arguments}` stands for the arguments that the template gives, or those that the variables of the query declare (`argument`);
-without it, these follow the command. `{input.NAME}` is one of several templates. The name of a variable of the query stands
-for its value: see `sierra.design.run_values`. `{{name}}` stands for the text `{name}`. A word that names a file relative to
-the project's root becomes `{project}/word`, because runs have folders of their own.
+Placeholders of a command: `{input}` is the first input file, `{output}` the folder to write to (also the working directory),
+`{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, `{python}` the Python that runs SIERRA, and
+`{arch}` the processor of the host that executes the run (see `sierra.util.processors`). The word `{arguments}` stands for the
+arguments that the template gives, or those that the variables of the query declare (`argument`); without it, these follow the
+command. `{input.NAME}` is one of several templates. The name of a variable of the query stands for its value: see
+`sierra.design.run_values`. `{port}`, `{port2}`, … are free ports, which the worker chooses where it executes the run; until
+then, marks stand for them, and the number is in no id. `{{name}}` stands for the text `{name}`. A word that names a file
+relative to the project's root becomes `{project}/word`, because runs have folders of their own.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from sierra.config.change_tables import OWN_PLACEHOLDERS
+from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES
 from sierra.config.project_file import Project
 from sierra.containers.engines.base import (
     HERE,
@@ -45,7 +46,7 @@ from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Clie
 from sierra.platforms.base import Platform
 from sierra.provenance import pythons
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
-from sierra.templates.base import ARGUMENTS, FOLDERS, Files
+from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files
 from sierra.util import processors
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
@@ -59,6 +60,7 @@ NAMED = re.compile(r"\{\{([A-Za-z_]\w*)\}\}|\{([A-Za-z_]\w*)\}", re.ASCII)
 ONE_INPUT = re.compile(r"(?<!\{)\{input\.(\w+)\}")
 PORT = re.compile(r"(?<!\{)\{services\.([A-Za-z_][A-Za-z0-9_]*)\.port\}")
 """The port of a service, which only the conductor knows (see `sierra.worker.conductor`)."""
+NUMBERED_PORT = re.compile(r"(?<!\{)\{(port[0-9]+)\}")
 ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
 CODE = re.compile(r"(ba|da|z|k|fi)?sh|python[0-9.]*|perl|ruby|node|lua[0-9.]*|Rscript")
 """Names of programs that execute the word after an option such as `-c`."""
@@ -108,7 +110,7 @@ def command(
     variable that the query does not vary.
     """
     own = KNOWN_ON_ROBOTS if project is not None and project.robots else OWN_PLACEHOLDERS
-    known = (*own, *declared.names)
+    known = (*own, *PORT_NAMES, *declared.names)
     given = project.robots.command if project is not None and project.robots else ()
     words = _with_arguments(given or platform.command(), declared.arguments)
     return checked(words, root, "command", known, contained=contained, made=made, declared=declared, project=project)
@@ -140,9 +142,9 @@ def checked(
             )
         if "arguments" in known and SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
             raise ConfigError(f"{place}: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
-        for _, name in PLACEHOLDER.findall(word):
+        for name in (*(name for _, name in PLACEHOLDER.findall(word)), *NUMBERED_PORT.findall(word)):
             if name and name not in known:
-                listed = ", ".join("{" + known + "}" for known in known)
+                listed = ", ".join("{" + name + "}" for name in known if name not in PORT_NAMES[1:])
                 hint = f"known are {listed}; write {{{{{name}}}}} for the text {{{name}}}"
                 raise ConfigError(f"{place}: unknown placeholder {{{name}}} in {word!r}; {hint}")
     return words
@@ -348,6 +350,7 @@ class CommandBuilder:
         self._here = RUN if box and not box.shared else HERE
         self._on_robots = spec.robots is not None
         self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
+        self._placed |= PORTS
         self._placed["arch"] = ARCH_ON_ROBOT if self._on_robots else arch or processors.here()
         python = ROBOT_PYTHON if self._on_robots else python
         self._placed["python"] = PYTHON if image else python
@@ -409,13 +412,14 @@ class CommandBuilder:
 
     def _folders(self, files: Files) -> Mapping[str, str] | None:
         """Return the paths for the marks of folders in input files; None if there are no marks. Raises ConfigError."""
-        mark = FOLDER.encode()
-        if not any(mark in content for _, content in files):
-            if any(b"\0" in content and mark in content.replace(b"\0", b"") for _, content in files):
-                raise ConfigError("{project} and {output} can only be filled in in UTF-8; save the template as UTF-8")
+        marks = (FOLDER.encode(), worker.PORT_MARK.encode())
+        if not any(mark in content for _, content in files for mark in marks):
+            wide = (content.replace(b"\0", b"") for _, content in files if b"\0" in content)
+            if any(mark in content for content in wide for mark in marks):
+                raise ConfigError("{project}, {output} and {port} can only be filled in in UTF-8; save the template as UTF-8")
             return None
-        project = self._placed["project"]
-        if not (self._on_robots or worker.SAFE.fullmatch(project)):
+        project, mark = self._placed["project"], FOLDERS["project"].encode()
+        if not (self._on_robots or worker.SAFE.fullmatch(project)) and any(mark in content for _, content in files):
             raise ConfigError(
                 f"{{project}} in an input would be {project!r}, which some formats would read in another way; "
                 "move the project to a folder with a plain name"

@@ -34,6 +34,7 @@ from sierra.query.query_request import KEY
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors
+from sierra.templates.base import PORTS
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.scratch import scratch
@@ -107,7 +108,7 @@ def _write_run(folder: Path, job: Job, plan: Plan) -> None:
             raise UsageError(f"an input file is called {name!r}, as a file that SIERRA writes beside it; use another name")
         path = inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        path.write_bytes(_with_names(content.decode("latin-1")).encode("latin-1"))
     for row in plan.shared_files:
         _copy(plan.project.root / row.name, inside(folder, row.name), row)
     if not job.members:
@@ -122,7 +123,7 @@ def _write_member(folder: Path, one: Member, plan: Plan) -> None:
     for name, content in one.files:
         path = inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        path.write_bytes(_with_names(content.decode("latin-1")).encode("latin-1"))
     placed = one.at(HERE, "{project}", "{arch}")
     _write_command(folder, placed.argv, placed.environment, plan)
 
@@ -165,7 +166,14 @@ def _environment(plan: Plan, variables: Mapping[str, str]) -> dict[str, str]:
 
 def _relative(text: str) -> str:
     """Return a text in which paths of the run's folder are relative to its folder for outputs."""
-    return _OF_RUN.sub(lambda found: "." if found[1] else "..", text)
+    return _with_names(_OF_RUN.sub(lambda found: "." if found[1] else "..", text))
+
+
+def _with_names(text: str) -> str:
+    """Return a text with `{port}` in the place of the marks of ports: whoever executes the run chooses them."""
+    for name, mark in PORTS.items():
+        text = text.replace(mark, f"{{{name}}}")
+    return text
 
 
 def _notes(plan: Plan, folder: Path) -> Iterator[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NotRequired, TypedDict, cast
 
 from sierra.model import Result
-from sierra.store.row_types import FileReadRow, FileWrittenRow, ListingRow, ObservationRow
+from sierra.store.row_types import ChannelRow, FileReadRow, FileWrittenRow, ListingRow, ObservationRow
 from sierra.util.fs import read_record
 from sierra.util.hashing import digest
 from sierra.worker.worker import OBSERVED
@@ -27,6 +27,8 @@ class _Observed(TypedDict):
     files: list[tuple[str, str, str | None, int | None]]
     listings: NotRequired[dict[str, list[str]]]
     """Sessions that an older version of SIERRA began have none."""
+    channels: NotRequired[list[tuple[str, str]]]
+    """None of a session that an older version of SIERRA began."""
     written: list[tuple[str, str]]
     digests: NotRequired[dict[str, list[int | str]]]
 
@@ -39,6 +41,7 @@ class Observed:
     read: tuple[FileReadRow, ...]
     listings: tuple[ListingRow, ...]
     written: tuple[FileWrittenRow, ...]
+    channels: tuple[ChannelRow, ...]
     digests: Mapping[str, list[int | str]]
     """Hashes of files by the worker, as `HashCache.learn` accepts them; empty if they are of another machine."""
 
@@ -62,6 +65,7 @@ def observed(result: Result) -> Observed | None:
         tuple(FileReadRow(identity, *file) for file in files),
         tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found.get("listings", {}).items()),
         tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),
+        tuple(ChannelRow(result.execution, _text(name), use) for name, use in found.get("channels", ())),
         found.get("digests", {}) if result.host == os.uname().nodename else {},
     )
 

@@ -346,6 +346,7 @@ class Recorder:
         new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}
         writer.records(new.values())
         writer.records(row for one in found for row in one.written)
+        writer.records(row for one in found for row in one.channels)
         own = (
             (one.result.execution, path)
             for one in self._pending

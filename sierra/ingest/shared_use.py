@@ -7,6 +7,13 @@ id, say. Therefore observed executions of two runs of an experiment are compared
 this name, all most likely did. Those that overlapped another one in time fail, except in experiments of which no observed run
 did. If only one run was observed, the caller has another one observed, or else decides (`settle`) as if both had written it.
 
+A port is doubtful if it was in use, or if the execution connected to it and no process of its own listened there; see the
+table `channels`. Which ports are the executions' own is seen by those that observed executions bound: a port that none has
+bound is that of a service that runs do not start, and that they may share. An execution that listened on a port of its own is
+doubtful for the comparison with others alone (`wider`), because the next one may fail to bind it. So it is if two runs
+listened on the same port, unless a run was seen to take another one when the first was in use: such a program looks for a free
+one.
+
 A `Kind` of things that executions may share is a query for what observed executions used, and words.
 """
 
@@ -38,6 +45,10 @@ class Kind(NamedTuple):
     """A query for all uses: `execution`, `name`, and whether the execution is `doubtful`; NULL: if another one is so, too."""
     reason: str
     cure: str
+    wider: str = ""
+    """Another query, for what a second run is to be observed; by default the same."""
+    on_host: bool = False
+    """True if executions on different hosts never share them."""
 
 
 FILES = Kind(
@@ -48,7 +59,24 @@ FILES = Kind(
     "writes and reads {names}, which other runs use at the same time",
     "execute with --jobs 1, in a container, or pass {output}",
 )
-KINDS = (FILES,)
+LISTENING = "use IN ('listened', 'reused', 'in_use', 'searched')"
+CHANNELS = f"""
+SELECT execution, name, CASE
+    WHEN use IN ('reused', 'in_use') OR (use = 'connected' AND name IN (SELECT name FROM channels WHERE {LISTENING})) THEN true
+    WHEN use = 'listened' AND name NOT IN (SELECT name FROM channels WHERE use = 'searched') THEN {{listened}}
+    ELSE false END AS doubtful
+FROM channels WHERE use <> 'searched' AND (use <> 'connected' OR name IN (SELECT name FROM channels WHERE {LISTENING}))
+"""
+PORTS = Kind(
+    "channels",
+    LISTENING,
+    CHANNELS.format(listened="NULL"),
+    "{names} {verb} used by several runs at the same time",
+    "execute with --jobs 1, in a container, or use {port}",
+    CHANNELS.format(listened="true"),
+    on_host=True,
+)
+KINDS = (FILES, PORTS)
 UNDECIDED = '; no second run was observed, so set observe = "all" if each run has a name of its own'
 ON_HOST = ("/tmp/", "/var/tmp/", "/dev/shm/", "/run/", "/var/run/")  # noqa: S108 - no file is made there
 """Folders that executions on different hosts do not share."""
@@ -185,7 +213,8 @@ def find(store: Store, session: SessionPaths, context: Context, lost: float = ma
             shared = _shared(snapshot, context.batch, kind)
             for decided in (True, False) if settle else (True,):
                 names = [one for one in shared if one.decided is decided]
-                reason = kind.reason.replace("{names}", few([one.name for one in names], NAMED)) + f"; {kind.cure}"
+                said = kind.reason.replace("{names}", few([one.name for one in names], NAMED))
+                reason = said.replace("{verb}", "are" if len(names) > 1 else "is") + f"; {kind.cure}"
                 reason += "" if decided else UNDECIDED
                 for one in _overlapping(snapshot, context, kind, names, lost):
                     if decided or one.session == context.session:
@@ -207,6 +236,7 @@ def undecided(store: Store, context: Context) -> set[str]:
     found: set[str] = set()
     with store.snapshot() as snapshot:
         for kind in KINDS:
+            kind = kind._replace(uses=kind.wider or kind.uses)
             names = [one for one in _shared(snapshot, context.batch, kind) if not one.decided]
             near = [one.run for one in _overlapping(snapshot, context, kind, names, math.inf) if one.batch == context.batch]
             if near:
@@ -245,6 +275,6 @@ def _overlapping(snapshot: Snapshot, context: Context, kind: Kind, names: Sequen
         batch=context.batch,
         session=context.session,
         names=shared,
-        on_host=all(name.startswith(ON_HOST) for name in shared),
+        on_host=kind.on_host or all(name.startswith(ON_HOST) for name in shared),
         lost=min(lost, 1e18),
     )

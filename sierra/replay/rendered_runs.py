@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import PurePosixPath
 
 from sierra.config.capture_table import Capture
-from sierra.config.change_tables import OWN_PLACEHOLDERS
+from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.project_file import LoadedProject, Project
 from sierra.config.validate import options
@@ -134,10 +134,11 @@ def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
     table, config = project.config.capture, project.config
     contained = recorded.image is not None
     made = config.build.produces if config.build else ()
+    known = (*OWN_PLACEHOLDERS, *PORT_NAMES)
 
     def checked(words: Sequence[str], place: str) -> tuple[str, ...]:
         return commands.checked(
-            words, project.root, place, OWN_PLACEHOLDERS, contained=contained, made=made, declared=Declared(), project=config
+            words, project.root, place, known, contained=contained, made=made, declared=Declared(), project=config
         )
 
     command = checked(table.command, "[capture] command") or recorded.command

@@ -557,6 +557,23 @@ class FileWrittenRow(NamedTuple):
     ]
 
 
+class ChannelRow(NamedTuple):
+    """Ports, sockets, multicast groups, shared memory and message queues that observed executions used on their host."""
+
+    execution: Annotated[str, "the execution"]
+    name: Annotated[
+        str,
+        "its name: 127.0.0.1:PORT for any address of the host, with /udp for UDP; GROUP:PORT/udp; @NAME for an abstract Unix "
+        "socket; the path of another one, as in files_read; or `shared memory KEY`, `semaphore KEY`, `message queue KEY`",
+    ]
+    use: Annotated[
+        str,
+        "listened; reused (listened with an option by which others may have the same name at the same time, or something that "
+        "belongs to all); in_use (another program had it); searched (the same, but then the process chose another one); "
+        "connected (to a server that is not the execution's own)",
+    ]
+
+
 class EnvironmentRow(NamedTuple):
     """Environments of executions (operating system, hardware, libraries, variables), each recorded once."""
 
@@ -828,6 +845,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "files_read": FileReadRow,
     "listings": ListingRow,
     "files_written": FileWrittenRow,
+    "channels": ChannelRow,
     "stale_sessions": StaleSessionRow,
     "reused_executions": ReusedExecutionRow,
     "unused_changes": UnusedChangeRow,

@@ -11,12 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from sierra.config.change_tables import PORT_NAMES
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.errors import Missing, TemplateError
 from sierra.model import FOLDER, Change, Value
 from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
+from sierra.worker.worker import PORT_MARK
 
 Files = tuple[tuple[str, bytes], ...]
 """Names and contents of files."""
@@ -28,10 +30,12 @@ which are the same for all runs of a template. If no name is empty, the first fi
 """
 ARGUMENTS = "arguments.json"
 """The name of a file with arguments: a list of texts, as JSON. In a command, they take the place of the word `{arguments}`."""
-FOLDERS: Mapping[str, str] = {"project": FOLDER + "Project", "output": FOLDER + "Output"}
-"""The names that stand for a folder in values of changes, and the mark of each in generated files.
+PORTS: Mapping[str, str] = {name: f"{PORT_MARK}{number:02}" for number, name in enumerate(PORT_NAMES, 1)}
+"""The names that stand for free ports of a run, and the mark of each: a number, so that it fits where a format has numbers."""
+FOLDERS: Mapping[str, str] = {"project": FOLDER + "Project", "output": FOLDER + "Output", **PORTS}
+"""The names that stand for a folder or a port in values of changes, and the mark of each in generated files.
 
-The marks are part of the identity of a run. When it is executed, the paths of the folders take their place.
+The marks are part of the identity of a run. When it is executed, the paths of the folders, and the ports, take their place.
 """
 Renderer = Callable[[Mapping[str, Value]], Rendered]
 """A function that makes one run's input from the values of that run; the result does not depend on earlier calls."""
@@ -113,8 +117,10 @@ def read(path: Path, tables: Tables | None = None, format: str | None = None) ->
 def of_bytes(path: Path, data: bytes, tables: Tables | None = None, format: str | None = None) -> Template:
     """Return the template with this content, as if it were in a file; the file need not exist. Raises like `read`."""
     name = one_line(str(path))
-    if FOLDER.encode() in data.replace(b"\0", b""):
-        raise TemplateError(f"{name}: contains {FOLDER}, which marks folders in inputs; use another text")
+    plain = data.replace(b"\0", b"")
+    for mark, marked in ((FOLDER, "folders"), (PORT_MARK, "ports")):
+        if mark.encode() in plain:
+            raise TemplateError(f"{name}: contains {mark}, which marks {marked} in inputs; use another text")
     template: Template = TEMPLATES.make(format or _format(path, data, name), tables or {}, data, name)
     return template
 

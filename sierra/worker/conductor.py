@@ -32,6 +32,8 @@ too, because its exit status alone does not show that everything was executed.
 from __future__ import annotations
 
 import contextlib
+import errno
+import itertools
 import json
 import os
 import re
@@ -43,7 +45,8 @@ import time
 
 TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
-    from typing import Container, Mapping, NoReturn, Sequence, TypedDict
+    import socket
+    from typing import Iterable, Mapping, NoReturn, Sequence, TypedDict
 
     class Service(TypedDict):
         """A service: see `sierra.model.Service`."""
@@ -83,7 +86,9 @@ if TYPE_CHECKING:
 REPORT = os.path.join("home", ".sierra-conductor")  # in the run's folder, removed with `home`
 SHARED_FILE = "shared"  # in the folder of shared services
 PORT = re.compile("\2(\\w+)\2")
-PORTS = range(20000, 32768)  # below those that Linux gives to outgoing connections
+PORTS = range(20000, 32760)  # below those that Linux gives to outgoing connections
+BLOCK = 10
+TRIES = 1000
 FIRST_LOOK_S, LOOK_S = 0.01, 0.25
 LONGEST_S = 3600.0  # of one wait
 LAST_WORDS_S = 1.0  # for the output of a service that has ended
@@ -156,6 +161,7 @@ class Conductor:
         self._shared = shared
         self._plan = plan
         self._ports = {service["name"]: 0 for service in plan["services"]}
+        self._taken = Ports()
         self._services: list[Started] = []
         self._current: subprocess.Popen[bytes] | None = None
         self._told = False
@@ -166,6 +172,11 @@ class Conductor:
         signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda number, frame: None)
         signal.signal(signal.SIGTERM, lambda number, frame: self.tell())
+
+    @property
+    def ports(self) -> Iterable[int]:
+        """Return the ports of the services."""
+        return self._ports.values()
 
     def tell(self) -> None:
         """Note that the run was told to end. For a signal handler, which also wakes the conductor."""
@@ -211,7 +222,7 @@ class Conductor:
     def _choose_ports(self) -> None:
         """Choose a free port for each service, and put the ports into the variables."""
         for name in self._ports:
-            self._ports[name] = free_port(self._ports.values())
+            self._ports[name] = self._taken.take()
         self._ports.update(self._shared["ports"] if self._shared else {})
         for variable, value in os.environ.items():
             if "\2" in value:
@@ -404,22 +415,56 @@ def accepts(port: int) -> bool:
     return False
 
 
-def free_port(taken: Container[int]) -> int:
-    """Return a port that no program uses. It is chosen at random, because other runs choose at the same time."""
-    for _ in range(1000):
-        port = PORTS[int.from_bytes(os.urandom(4), "big") % len(PORTS)]
-        if port not in taken and is_free(port):
-            return port
-    raise Failed("no port between %d and %d is free" % (PORTS[0], PORTS[-1]))
+class Ports:
+    """Ports that no other program uses, and that no other run on this host gets until they are given back.
+
+    A port is chosen at random, as the first of a block of BLOCK free ones, because some programs use those that follow, too.
+    The block is taken by an abstract Unix socket. Like a port, it belongs to a network namespace, and the kernel removes it
+    with the process, whatever ends that.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[socket.socket] = []
+
+    def take(self) -> int:
+        """Return a port. Raises Failed if none is free."""
+        import socket
+
+        blocks = len(PORTS) // BLOCK
+        for _ in range(TRIES):
+            port = PORTS[0] + BLOCK * (int.from_bytes(os.urandom(4), "big") % blocks)
+            mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            try:
+                if sys.platform == "linux":  # no other system has such names
+                    mark.bind("\0sierra-port-%d" % port)
+                if all(map(is_free, range(port, port + BLOCK))):
+                    self._held.append(mark)
+                    return port
+            except OSError:  # another run has it
+                pass
+            mark.close()
+        raise Failed("no port between %d and %d is free" % (PORTS[0], PORTS[-1]))
+
+    def give_back(self) -> None:
+        """Let other runs have the ports."""
+        while self._held:
+            self._held.pop().close()
 
 
 def is_free(port: int) -> bool:
+    """Return whether no program uses a port, for TCP or UDP."""
     import socket
 
-    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
-        server.bind(("", port))
-        return True
-    return False
+    for family, kind in itertools.product((socket.AF_INET, socket.AF_INET6), (socket.SOCK_STREAM, socket.SOCK_DGRAM)):
+        try:
+            with socket.socket(family, kind) as server:
+                if family == socket.AF_INET6:
+                    server.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                server.bind(("", port))
+        except OSError as error:
+            if error.errno in (errno.EADDRINUSE, errno.EACCES):  # else there is no IPv6 here
+                return False
+    return True
 
 
 def words_of(words: Sequence[str]) -> list[str]:
@@ -443,14 +488,14 @@ def write(data: bytes) -> None:
             data = data[os.write(2, data) :]
 
 
-def report(folder: str, reason: str | None) -> None:
-    """Write why the run has failed, or that everything was executed."""
+def report(folder: str, reason: str | None, ports: Iterable[int]) -> None:
+    """Write why the run has failed, or that everything was executed; and the ports of its services."""
     path = os.path.join(folder, REPORT)
     with contextlib.suppress(OSError):
         os.unlink(path)
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     with open(descriptor, "w", encoding="ascii") as file:
-        json.dump({"error": reason}, file)
+        json.dump({"error": reason, "ports": list(ports)}, file)
 
 
 def end_like(status: int) -> NoReturn:
@@ -468,12 +513,13 @@ def end_like(status: int) -> NoReturn:
 def main(arguments: Sequence[str]) -> NoReturn:
     folder, plan, *shared = arguments
     reason = None
+    conductor = Conductor(folder, json.loads(plan), json.loads(shared[0]) if shared else None)
     try:
-        status = Conductor(folder, json.loads(plan), json.loads(shared[0]) if shared else None).conduct()
+        status = conductor.conduct()
     except Failed as failed:
         reason, status = failed.reason, failed.status or 1
     try:
-        report(folder, reason)
+        report(folder, reason, conductor.ports)
     except OSError as error:
         write(os.fsencode("the report cannot be written: %s\n" % error))
     end_like(status)

@@ -69,11 +69,13 @@ the run. Names are str with surrogate escapes (os.fsdecode), because a name need
   only a lock (see `is_lock`). So does a link to its own files that the run made and followed. `reread_new` has those of which
   the run made the name itself (O_EXCL, as mkstemp does) or a folder above it, and had not removed it before: no other run can
   have the same name at the same time, unless it removes that name or finds that folder.
+- `channels`: names by which the run may exchange data with others on this host, each with a use (see `Channels`): ports of TCP
+  and UDP, Unix sockets, multicast groups, System V keys, and POSIX message queues.
 
 Not seen: changes of rights, owners, times and attributes; what was open before the program started; files that another process
 has opened and passed through a socket (`notes` say that the run connected to one; recvmsg is not traced, because it may be
-called too often); memory that is shared by System V keys (`notes` say so); message queues. Of a file in `found`, only its
-existence is seen, although a program may use its size and times.
+called too often); what memory that is shared by System V keys contains (`notes` say so); clients of UDP, because sends and
+receives are not traced. Of a file in `found`, only its existence is seen, although a program may use its size and times.
 
 A log is complete if each of its lines is understood, and each process that appears in it, or that a traced call has started,
 has ended in it. So a log that was cut anywhere, or whose tracer was killed, is never complete. When the tracer is killed, all
@@ -161,7 +163,8 @@ ESCAPES = {
     "pidfd_getfd": "it took an open file from another process",
     "uselib": "it loaded a library by uselib",
 }
-RARE = (*ESCAPES, "unshare", "seccomp", "ptrace", "connect", "listen", "shmget")
+TALKS = ("socket", "bind", "connect", "listen", "setsockopt", "shmget", "semget", "msgget", "mq_open")
+RARE = (*ESCAPES, "unshare", "seccomp", "ptrace", *TALKS)
 CALLS = (*FILES, *STATUS, *PROCESSES, *(name for name in RARE if name not in FILES))
 QUIET = ("chld", "urg", "winch", "cont", "prof", "vtalrm")
 """Signals that are frequent, or end no process. The log says that a signal has ended a process only if it notes this signal."""
@@ -195,6 +198,7 @@ class Trace(NamedTuple):
     reread: tuple[str, ...] = ()
     reread_new: tuple[str, ...] = ()
     links: Mapping[str, str] = {}
+    channels: tuple[tuple[str, str], ...] = ()
     reasons: tuple[str, ...] = ()
     disturbed: str | None = None
     notes: tuple[str, ...] = ()
@@ -646,6 +650,179 @@ def unescaped(match: re.Match[bytes]) -> bytes:
     return C_ESCAPES.get(code, code)
 
 
+LISTENED, REUSED, IN_USE, SEARCHED, TALKED = "listened", "reused", "in_use", "searched", "connected"
+SOCKET = re.compile(rb"-?\d+<socket:\[(\d+)\]>")
+BOUND = re.compile(rb'sa_family=AF_INET6?, sin6?_port=htons\((\d+)\), (?:sin6_flowinfo=[^,]*, )?[^"]*"([^"]*)"')
+GROUP = re.compile(rb'IPV?6?_(?:ADD_MEMBERSHIP|ADD_SOURCE_MEMBERSHIP|JOIN_GROUP)\b[^"]*"([0-9a-fA-F.:]+)"')
+KEY = re.compile(rb"(0x[0-9a-f]+), ")
+SHARED_KEYS = {b"shmget": "shared memory", b"semget": "semaphore", b"msgget": "message queue"}
+DISCOVERY = ("224.0.0.251:5353/udp", "ff02::fb:5353/udp", "239.255.255.250:1900/udp")
+"""Groups by which programs only look for devices and services of the network: mDNS and SSDP."""
+MOST_CHANNELS = 1000
+UNCONNECTED = ("/", "{")
+"""The beginnings of names of files: a connection to a socket with such a name says nothing, unless another run has made it."""
+
+
+class Socket:
+    """A socket of a run: `stream` is None if its type is unknown."""
+
+    __slots__ = ("groups", "name", "pid", "port", "reuses", "stream")
+
+    def __init__(self, *, stream: bool | None = None) -> None:
+        self.stream = stream
+        self.reuses = False
+        self.name: str | None = None
+        self.pid = b""
+        """The process that has bound it."""
+        self.port = 0
+        self.groups: set[str] = set()
+
+
+class Channels:
+    """The names by which a run may exchange data with others on this host, and how it has used them.
+
+    - `listened`: the run has bound a name that it, or its author, has chosen. Nobody else can have it at the same time, but
+      another run that fails to bind it may use this run's server.
+    - `reused`: the same with an option by which several programs may bind a name at the same time (SO_REUSEPORT, and for UDP
+      SO_REUSEADDR), a multicast group, or a System V key or a message queue, which belong to all.
+    - `in_use`: the name was bound by another program (EADDRINUSE), and not by an earlier program of the run.
+    - `searched`: so was this one, but then the same process bound another one, and no process of the run connected to the
+      first. The one that it found in this way has this use, too.
+    - `connected`: the run has connected to a name that no process of its own has bound. UDP sockets are left out: the C library
+      connects them to find its own address, and whether they were used is not seen.
+
+    All addresses of this host count as 127.0.0.1. A port that the kernel chooses (0), and a socket in a folder that the run has
+    made itself, are the run's own.
+    """
+
+    def __init__(self) -> None:
+        self._sockets: dict[bytes, Socket] = {}
+        self._bound: set[str] = set()
+        self._in_use: dict[str, set[bytes]] = {}
+        self._found: set[bytes] = set()
+        """Processes that have bound something after they could not bind something else."""
+        self._connected: dict[tuple[str, str], None] = {}
+        """Names to which it has connected, with the address."""
+        self._shared: set[str] = set()
+
+    def socket(self, call: Call) -> Socket:
+        """Return the socket in the first argument of a call."""
+        match = SOCKET.match(call.words)
+        return self._sockets.setdefault(match.group(1), Socket()) if match else Socket()
+
+    def make(self, call: Call) -> None:
+        """A socket is made."""
+        number = (call.path or b"").partition(b"socket:[")[2].rstrip(b"]")
+        if number and b"AF_INET" in call.words:
+            self._sockets[number] = Socket(stream=b"SOCK_STREAM" in call.words)
+
+    def set_option(self, call: Call) -> None:
+        if call.error:
+            return
+        one = self.socket(call)
+        if b", SO_REUSEPORT, [1" in call.words or (one.stream is False and b", SO_REUSEADDR, [1" in call.words):
+            one.reuses = True
+        elif match := GROUP.search(call.words):
+            one.groups.add(match.group(1).decode())
+
+    def bind(self, call: Call, unix: str | None) -> None:
+        """A socket is bound; `unix` is the name of a Unix socket that others can have, too."""
+        one, match = self.socket(call), BOUND.search(call.words)
+        name = unix
+        if match is not None:
+            one.port = int(match.group(1))
+            name = self._port(one) if one.port else None
+        if call.error == b"EADDRINUSE":
+            self._fail(name, call.pid)
+        elif not call.error and (match or unix):
+            self._found.add(call.pid)
+            one.name, one.pid = name, call.pid
+            self._bound.update([name] if name else [])
+
+    def listen(self, call: Call) -> None:
+        """A bound socket listens: with SO_REUSEADDR, only this may fail."""
+        one = self.socket(call)
+        if call.error == b"EADDRINUSE" and one.name:
+            if not any(other.name == one.name for other in self._sockets.values() if other is not one):
+                self._bound.discard(one.name)
+            self._fail(one.name, call.pid)
+            one.name = None
+
+    def _fail(self, name: str | None, pid: bytes) -> None:
+        if name is not None and name not in self._bound:
+            self._in_use.setdefault(name, set()).add(pid)
+            self._found.discard(pid)
+
+    def connect(self, call: Call, unix: str | None, remote: re.Match[bytes] | None) -> None:
+        """A socket is connected, or will be."""
+        one = self.socket(call)
+        if unix is not None:
+            self._connected[(unix, "")] = None
+        elif remote is not None and one.stream is not False and int(remote.group(1)):
+            self._connected[("127.0.0.1:%d" % int(remote.group(1)), remote.group(2).decode())] = None
+
+    def share(self, call: Call) -> None:
+        """A System V key or a message queue is used."""
+        if call.name == b"mq_open":
+            name = call.words.partition(b'"')[2].partition(b'"')[0]
+            self._shared.add("message queue /" + os.fsdecode(ESCAPED.sub(unescaped, name)).lstrip("/"))
+        elif match := KEY.match(call.words):
+            self._shared.add("%s %s" % (SHARED_KEYS[call.name], match.group(1).decode()))
+
+    def _port(self, one: Socket) -> str:
+        return "127.0.0.1:%d%s" % (one.port, "/udp" if one.stream is False else "")
+
+    def used(self) -> tuple[tuple[str, str], ...]:
+        """Return the names and their uses, sorted."""
+        uses = {(name, REUSED) for name in self._shared}
+        bound = {one.name for one in self._sockets.values() if one.name} | self._bound
+        talked = {name for name, address in self._connected if name not in bound and (not address or is_own_address(address))}
+        looking = {pid for name, pids in self._in_use.items() if name not in talked for pid in pids & self._found}
+        uses |= {(one.name, SEARCHED) for one in self._sockets.values() if one.name and one.pid in looking}
+        uses |= {(name, TALKED) for name in talked}
+        for one in self._sockets.values():
+            if one.groups and one.port:
+                bound.discard(one.name)
+                uses |= {("%s:%d/udp" % (group, one.port), REUSED) for group in one.groups}
+            elif one.name and one.reuses:
+                uses.add((one.name, REUSED))
+        uses |= {(name, LISTENED) for name in bound if name and not uses & {(name, REUSED), (name, SEARCHED)}}
+        for name, pids in self._in_use.items():
+            uses.add((name, SEARCHED if pids <= self._found and name not in talked else IN_USE))
+        return tuple(sorted((name, use) for name, use in uses if name not in DISCOVERY)[:MOST_CHANNELS])
+
+
+def is_own_address(address: str) -> bool:
+    """Return whether an IP address is one of this host: a socket can be bound to it."""
+    import socket
+
+    address = address[7:] if address.startswith("::ffff:") else address
+    if address.startswith("127.") or address in ("::1", "0.0.0.0", "::"):  # noqa: S104 - compared, not bound
+        return True
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_DGRAM) as one:
+            one.bind((address, 0))
+    except OSError:
+        return False
+    return True
+
+
+DISCOVERY_OF_GAZEBO = "239.255.0.7:"
+
+
+def with_channels(trace: Trace, own: Iterable[str], environment: Mapping[str, str]) -> Trace:
+    """Return a trace without the channels that are a run's own: their names, and Gazebo's group if a partition is declared."""
+    own = set(own)
+    parted = "GZ_PARTITION" in environment or "IGN_PARTITION" in environment
+    kept = (one for one in trace.channels if one[0] not in own and not (parted and one[0].startswith(DISCOVERY_OF_GAZEBO)))
+    return trace._replace(channels=tuple(kept))
+
+
+def is_doubtful(channels: Iterable[tuple[str, str]]) -> bool:
+    """Return whether a second run must be observed, to know whether it uses one of these names, too."""
+    return any(use not in (SEARCHED, TALKED) or (use == TALKED and not name.startswith(UNCONNECTED)) for name, use in channels)
+
+
 class Damaged(Exception):
     """A line of a log is not what strace writes, or is not understood."""
 
@@ -720,6 +897,7 @@ class Log:
         """All folders above the names that the run has made."""
         self._folders: dict[bytes, bytes] = {}
         """The real paths of folders."""
+        self._channels = Channels()
 
     def read(self, file: IO[bytes], check_stop: Callable[[], None] = nothing, *, living: bool = False) -> int:
         """Read a log, at most LOG_BYTES of it; return how many bytes it has. `living`: leave out a line without an end."""
@@ -1279,8 +1457,34 @@ class Log:
         self._reasons["it traces processes, or lets itself be traced"] = None
         self._disturbed = self._disturbed or "it traces processes, or lets itself be traced, which strace prevents"
 
+    def make_socket(self, call: Call) -> None:
+        if not call.error:
+            self._channels.make(call)
+
+    def set_option(self, call: Call) -> None:
+        self._channels.set_option(call)
+
+    def bind(self, call: Call) -> None:
+        self._channels.bind(call, self._unix(call))
+
+    def _unix(self, call: Call) -> str | None:
+        """Return the name of a Unix socket in a call that others can use, too: `@name` if it is abstract, or its path."""
+        local = UNIX.search(call.words)
+        if local is None or not local.group(2):
+            return None
+        name = ESCAPED.sub(unescaped, local.group(2))
+        if local.group(1):
+            return "@" + os.fsdecode(name)
+        if b"\0" in name or not (name.startswith(b"/") or call.process.folder.path):
+            return None
+        real = self._real_name(clean(os.path.join(call.process.folder.path or b"/", name)))
+        own = self._is_in_own_folder(real) or any(folder in self._new for folder in with_folders(real))
+        return None if own else os.fsdecode(real)
+
     def connect(self, call: Call) -> None:
         local, remote = UNIX.search(call.words), INTERNET.search(call.words)
+        if call.error in CONNECTED:
+            self._channels.connect(call, self._unix(call), remote)
         if local:
             name = ESCAPED.sub(unescaped, local.group(2))  # may be abstract, and contain any byte
             if call.error in MISSING:
@@ -1292,11 +1496,14 @@ class Log:
             self._note("may have read from %s, port %s" % (remote.group(2).decode(), remote.group(1).decode()))
 
     def listen(self, call: Call) -> None:
+        self._channels.listen(call)
         self._note("waited for connections")
 
     def share(self, call: Call) -> None:
         if not call.error:
-            self._note("used shared memory")
+            self._channels.share(call)
+            if call.name == b"shmget":
+                self._note("used shared memory")
 
     def _note(self, note: str) -> None:
         if len(self._notes) < MOST_NOTES:
@@ -1333,6 +1540,7 @@ class Log:
                 sorted(os.fsdecode(path) for path, use in self._reread_new.items() if not is_lock(path, use, new=True))
             ),
             links={os.fsdecode(path): os.fsdecode(self._links[path]) for path in sorted(self._links)},
+            channels=tuple((one_line(name), use) for name, use in self._channels.used()),
             reasons=tuple(one_line(reason) for reason in (*self._reasons, *(self._now_unknown() if living else ()))),
             disturbed=self._disturbed and one_line(self._disturbed),
             notes=tuple(one_line(note) for note in self._notes),
@@ -1484,7 +1692,10 @@ ACTIONS: dict[bytes, Callable[[Log, Call], None]] = {
     b"ptrace": Log.trace_others,
     b"connect": Log.connect,
     b"listen": Log.listen,
-    b"shmget": Log.share,
+    b"socket": Log.make_socket,
+    b"bind": Log.bind,
+    b"setsockopt": Log.set_option,
+    **dict.fromkeys((*SHARED_KEYS, b"mq_open"), Log.share),
 }
 
 
@@ -2011,6 +2222,8 @@ class Names:
         links = {path: real for path, real in trace.links.items() if not self.left_out(path) and not self.left_out(real)}
         again, new = (list(filter(self._is_data, paths)) for paths in (trace.reread, trace.reread_new))
         reasons = (*trace.reasons, TOO_MANY_REREAD) if max(len(again), len(new)) > MOST_REREAD else trace.reasons
+        channels = tuple((self.name(name) if name.startswith("/") else name, use) for name, use in trace.channels)
+        trace = trace._replace(channels=channels)
         trace = trace._replace(links=links, reread=most_lasting(again), reread_new=most_lasting(new), reasons=reasons)
         return filled(trace, {name: tuple(paths) for name, paths in lists.items()})
 
@@ -2107,6 +2320,7 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
         "distributions": DISTRIBUTIONS.used(sizes),
         "files": sorted(set(files), key=lambda file: file[:2]),
         "listings": contents.listings,
+        "channels": trace.channels,
         "written": sorted(
             {
                 (names.name(path), use)

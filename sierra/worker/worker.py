@@ -91,7 +91,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import IO, TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Sequence, TextIO, TypedDict, Union
+from typing import IO, TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Sequence, TextIO, TypedDict, Union, cast
 
 if TYPE_CHECKING:
     from resource import struct_rusage
@@ -110,6 +110,8 @@ PROGRAM = re.compile(rb"\0-I\0-S\0[^\0]*/(?:worker|conductor)\.py\0")
 CONDUCTED = "\2"  # the first word of a job that the conductor executes; the second is its plan
 REPORT = os.path.join("home", ".sierra-conductor")  # the conductor's, in the run's folder
 REPORT_BYTES = 1 << 16
+PORT_MARK = "730461892355147"  # the beginning of the marks of ports, which are numbers, so that inputs with types may have them
+PORT_MARKS = re.compile(PORT_MARK + "[0-9]{2}")
 UNOBSERVED = "services that all runs share were not observed"
 SHARED = "shared"  # in the folder of shared services: what their conductor tells when they are ready
 OF_ONE_RUN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_EXECUTION")  # variables
@@ -220,6 +222,10 @@ class Job(Program):
 
     It is one of several that start together on robots, and so cannot be executed once more. Therefore no tracer observes it.
     """
+    own_ports: NotRequired[Sequence[int]]
+    """The ports that the worker has chosen for it."""
+    again: NotRequired[bool]
+    """In a request: one more run is to be observed after the next."""
     unobserved: NotRequired[str]
     """Why this run was executed before and could not be observed: it is executed once more without observation."""
 
@@ -1003,7 +1009,26 @@ class Worker:
             return os.path.join(self.folder, prefix + str(next(self.numbers)))
 
     def execute(self, job: Job, slot: int) -> None:
-        """Execute one run, from making its folder to writing its line in the journal."""
+        """Execute one run, from making its folder to writing its line in the journal. It has ports of its own until then."""
+        marks = marks_in(job)
+        if not marks:
+            self.execute_filled(job, slot)
+            return
+        conductor = module_beside(CONDUCTOR)
+        held = conductor.Ports()
+        try:
+            ports = {mark: held.take() for mark in marks}
+        except conductor.Failed as failed:
+            began, started = self.now()
+            self.report(job, slot, self.next_folder(), began, time.monotonic() - started, no_outputs("{port}: %s" % failed))
+            return
+        try:
+            self.execute_filled(with_ports(job, ports), slot)
+        finally:
+            held.give_back()
+
+    def execute_filled(self, job: Job, slot: int) -> None:
+        """Execute one run whose ports are known."""
         job = self.with_observation(job)
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
@@ -1172,18 +1197,27 @@ class Worker:
         job.pop("affordable", None)
         if compares:
             job["compares"] = True
+            if first.get("again"):
+                again = first.copy()
+                del again["again"]
+                with self.lock:
+                    self.requests.setdefault(ANY, again)
         elif "affordable" in first:
             job["affordable"] = first["affordable"]
         return job
 
     def compare(self, job: Job, trace: Trace) -> None:
-        """Let the next run be observed if this one wrote and read the same files outside its folder.
+        """Let the next run be observed if this one wrote and read the same files outside its folder, or used ports.
 
+        For ports, two are observed, so that they overlap if runs do: a program that looks for a free port is recognised then.
         It most likely is one of the same experiment, of which the first run is observed. Runs of the sample are not followed.
         """
-        if not ("compares" in job or "budget" in job) and (trace.reread or trace.reread_new):
+        if "compares" in job or "budget" in job:
+            return
+        talks = file_trace().is_doubtful(trace.channels)
+        if talks or trace.reread or trace.reread_new:
             with self.lock:
-                self.requests[ANY] = job
+                self.requests[ANY] = {**job, "again": talks}
 
     def request_another(self, job: Job) -> None:
         """Let another run be observed in place of one that has failed, or could not be observed; at most a few times.
@@ -1233,10 +1267,12 @@ class Worker:
         try:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
             disturbed = trace.disturbed
+            shared = services.seen() if services else None
+            known = own_channels(job, running.folder, services, shared)
+            trace = file_trace().with_channels(trace, known, job["environment"])
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             self.compare(job, seen)
-            shared = services.seen() if services else None
             with self.observing:
                 contents = self.contents(job, seen, names, running.observation.began)
                 if services:
@@ -1582,6 +1618,50 @@ def make_log(path: str) -> None:
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
 
 
+def marks_in(job: Job) -> list[str]:
+    """Return the marks of ports in a job: in its words, variables and input files."""
+    client = job.get("client", job)
+    texts = [*job["argv"], *job["environment"].values(), *client["argv"], *client["environment"].values()]
+    found = {mark for text in texts if PORT_MARK in text for mark in PORT_MARKS.findall(text)}
+    if "folders" in job:  # else no input has a mark
+        contents = (base64.b64decode(content) for content in job["files"].values())
+        found.update(mark for content in contents for mark in PORT_MARKS.findall(content.decode("latin-1")))
+    return sorted(found)
+
+
+def with_ports(job: Job, ports: Mapping[str, int]) -> Job:
+    """Return the job with ports in the place of their marks."""
+
+    def filled(text: str) -> str:
+        return PORT_MARKS.sub(lambda mark: str(ports[mark.group()]), text) if PORT_MARK in text else text
+
+    def program(one: Program) -> Mapping[str, object]:
+        environment = {name: filled(value) for name, value in one["environment"].items()}
+        return {**one, "argv": [filled(word) for word in one["argv"]], "environment": environment}
+
+    done = cast("Job", {**program(job), "own_ports": list(ports.values())})
+    if "client" in job:
+        done["client"] = cast("Program", program(job["client"]))
+    if "folders" in job:
+        done["folders"] = {**job["folders"], **{mark: str(port) for mark, port in ports.items()}}
+    return done
+
+
+def own_channels(job: Job, folder: str, services: SharedServices | None, shared: Trace | None) -> set[str]:
+    """Return the names of ports that only this run uses, or that services have which runs share on purpose."""
+    given = [port + number for port in job.get("own_ports", ()) for number in range(module_beside(CONDUCTOR).BLOCK)]
+    given += ports_of(read_report(folder)) if is_conducted(job) else []
+    given += list(json.loads(services.word())["ports"].values()) if services else []
+    names = {"127.0.0.1:%d%s" % (port, end) for port in given for end in ("", "/udp")}
+    return names | {name for name, _ in (shared.channels if shared else ())}
+
+
+def ports_of(report: object) -> list[int]:
+    """Return the ports in a conductor's report."""
+    found = report.get("ports") if isinstance(report, dict) else None
+    return [port for port in found if isinstance(port, int)] if isinstance(found, list) else []
+
+
 def with_own_devices(job: Job, slot: int, slots: int) -> Job:
     """Return the job with the devices of its slot, if it requests any."""
     if not any(job["environment"].get(name) == ALLOTTED + name for name in DEVICES):
@@ -1683,13 +1763,19 @@ def with_reasons(trace: Trace, services: SharedServices, shared: Trace | None) -
 def reported(folder: str) -> str | None:
     """Return why a conductor has failed, by its report in its folder."""
     unread = "the program that executes its services and commands has ended without a report"
+    report = read_report(folder)
+    error = report.get("error", unread) if isinstance(report, dict) else unread
+    return error if error is None or isinstance(error, str) else unread
+
+
+def read_report(folder: str) -> object:
+    """Return what a conductor has reported; None if that cannot be read."""
     try:  # a run may have put anything there
         descriptor = os.open(os.path.join(folder, REPORT), os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
         with open(descriptor, "rb") as file:
-            error = json.loads(file.read(REPORT_BYTES))["error"]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return unread
-    return error if error is None or isinstance(error, str) else unread
+            return json.loads(file.read(REPORT_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return None
 
 
 def with_folder(client: Program, folder: str) -> Program:
@@ -2198,11 +2284,17 @@ def beside(name: str) -> str:
 
 @functools.lru_cache(maxsize=None)
 def file_trace() -> ModuleType:
-    """Load the module beside this file that observes runs."""
+    """Return the module beside this file that observes runs."""
+    return module_beside(TRACER)
+
+
+@functools.lru_cache(maxsize=None)
+def module_beside(file: str) -> ModuleType:
+    """Load a module beside this file, once."""
     import importlib.util
 
-    path = beside(TRACER)
-    spec = importlib.util.spec_from_file_location("file_trace", path)
+    path = beside(file)
+    spec = importlib.util.spec_from_file_location(file.partition(".")[0], path)
     if spec is None or spec.loader is None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
     module = importlib.util.module_from_spec(spec)

@@ -47,7 +47,7 @@ UNION SELECT attempt FROM executions WHERE attempt IS NOT NULL
 PACKAGES = "SELECT package FROM imports UNION SELECT unnest(packages) FROM imported_sessions"
 PATHS = """
 SELECT name FROM programs UNION SELECT name FROM unused_changes UNION SELECT path FROM programs WHERE path IS NOT NULL
-UNION SELECT path FROM files_read UNION SELECT path FROM files_written
+UNION SELECT path FROM files_read UNION SELECT path FROM files_written UNION SELECT name FROM channels
 UNION SELECT path FROM stale_sessions UNION SELECT file FROM images WHERE file IS NOT NULL
 """
 FILES = "SELECT DISTINCT * FROM files_read ORDER BY files, path, use, sha256"
@@ -186,7 +186,7 @@ def _is_general(path: str) -> bool:
     """Return whether a path shows nothing about a machine: it is in the project, or of the operating system."""
     if ".." in PurePosixPath(path).parts:
         return False
-    relative = not path.startswith(("/", "{"))
+    relative = not path.removeprefix("@").startswith(("/", "{"))
     return relative or PLACEHOLDERS.match(path) is not None or SYSTEM.match(path) is not None
 
 

@@ -1,8 +1,8 @@
 """The arguments of a command that a user gives: `--name VALUE`, `--name=VALUE` and `name=VALUE`.
 
-A program without a template gets its values from them. The seed and the output keep their places in the command, as `{seed}`
-and `{output}`. An argument that becomes a variable leaves the command, because the words of variables stand in the place of
-`{arguments}`.
+A program without a template gets its values from them. The seed, the output and ports keep their places in the command, as
+`{seed}`, `{output}` and `{port}`. An argument that becomes a variable leaves the command, because the words of variables stand
+in the place of `{arguments}`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sierra.config.change_tables import OWN_PLACEHOLDERS, VALUE
+from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES, VALUE
 from sierra.errors import QueryError, UsageError
 from sierra.execution.commands import NAMED, SPLICED
 from sierra.query import grammar
@@ -23,6 +23,9 @@ JOINED = re.compile(r"(-{0,2}[A-Za-z_][\w.+/-]*)=(.+)", re.ASCII | re.DOTALL)
 OPTION = re.compile(r"-{1,2}[A-Za-z][\w.-]*", re.ASCII)
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 OUTPUTS = frozenset(["o", "out", "output", "outdir", "outfile", "outputs", "results", "logdir"])
+HOSTS = frozenset(["address", "host", "hostname", "ip", "server"])
+LOCAL = re.compile(r"localhost|127\.[0-9.]+|0\.0\.0\.0|::1?|")
+PORT_NUMBERS = range(1024, 65536)
 OF_OUTPUTS = frozenset(["dir", "directory", "file", "folder", "path", "prefix", "to"])
 
 
@@ -87,7 +90,7 @@ def _after_program(words: Sequence[str]) -> int:
 def placeholders(words: Sequence[str]) -> tuple[str, ...]:
     """Return the names of variables that the words use as `{name}`."""
     found = (name for word in words for _, name in NAMED.findall(word) if name)
-    return tuple(dict.fromkeys(name for name in found if name not in OWN_PLACEHOLDERS))
+    return tuple(dict.fromkeys(name for name in found if name not in (*OWN_PLACEHOLDERS, *PORT_NAMES)))
 
 
 def numbers(found: Sequence[Argument]) -> dict[str, str]:
@@ -131,6 +134,27 @@ def with_outputs(words: Sequence[str], root: Path) -> tuple[str, ...]:
         if _is_output(one, root):
             new[one.first + len(one.words) - 1] = one.words[-1].replace(VALUE, _in_output(one.value, root))
     return tuple(new)
+
+
+def with_ports(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the words with `{port}`, `{port2}`, … instead of the numbers of ports, unless another host is named."""
+    found = find(words)
+    if any(_parts(one) & HOSTS and not one.is_number and not LOCAL.fullmatch(one.value) for one in found):
+        return tuple(words)
+    ports = [one for one in found if "port" in _parts(one) and one.value.isdecimal() and int(one.value) in PORT_NUMBERS]
+    named = dict(zip(dict.fromkeys(one.value for one in ports), PORT_NAMES, strict=False))
+    new = list(words)
+    for one in ports:
+        if one.value in named:
+            new[one.first + len(one.words) - 1] = one.words[-1].replace(VALUE, f"{{{named[one.value]}}}")
+    for number, name in named.items():
+        new = [re.sub(rf"(?<=[\w\].]:){number}(?!\d)", f"{{{name}}}", word) for word in new]
+    return tuple(new)
+
+
+def _parts(argument: Argument) -> set[str]:
+    """Return the words in the name of an argument, also of one such as `remotePort`."""
+    return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", argument.name)}
 
 
 def _is_output(argument: Argument, root: Path) -> bool:

@@ -192,7 +192,8 @@ def _inputs(guess: Guess) -> Iterator[str]:
 
 
 def _about_command(guess: Guess) -> str:
-    where = "runs write into their working directory, {output}"
+    port = "{port} is a free port of each run; " if "{port}" in (guess.command or "") else ""
+    where = f"{port}runs write into their working directory, {{output}}"
     if guess.templates:
         names = " and ".join(f"{{input.{name}}}" for name in guess.templates)
         return f"{names} are the generated files; {where}"

@@ -67,6 +67,13 @@ def test_arguments_become_a_variable_the_seed_and_the_output_and_what_is_written
         ("./sim --threads 4 --mode fast", "./sim --threads 4 --mode fast", {}),
         ("./sim --noise -0.5 --RngRun=3", "./sim {arguments} --RngRun={seed}", {"noise": "--noise {value}"}),
         ("./sim run --seed 1 --robots 8", "./sim run --seed {seed}", {"population_size": "--robots {value}"}),
+        ("./sim -carla-rpc-port=2000 --seed 1", "./sim -carla-rpc-port={port} --seed {seed}", {}),
+        (
+            "./sim --port 9 --remote-port 8813 --zmqPort=5555 --url tcp://localhost:8813 --report yes",
+            "./sim --port 9 --remote-port {port} --zmqPort={port2} --url tcp://localhost:{port} --report yes",
+            {},
+        ),
+        ("./sim --host lic.example.org --port 2000", "./sim --host lic.example.org --port 2000", {}),
         ("python3 -W 1 sim.py --out=/tmp/a/x.csv -v 2", "python3 -W 1 sim.py --out={output}/x.csv", {"v": "-v {value}"}),
     ],
 )
