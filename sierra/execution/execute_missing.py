@@ -39,7 +39,9 @@ from sierra.util.text import counted, few
 JOIN_S = 0.2
 ENDING_S = 3.0
 """The seconds in which another session that has executed supervised trials must have ended."""
-SECOND = "{} is executed again and observed, because an observed run wrote and read a file elsewhere, or used a port: do others?"
+SECOND = (
+    "{} is executed again and observed, because an observed run wrote and read a file elsewhere, or used a port: do others?"
+)
 FAILED = "{} is executed again and observed, because all observed runs of its experiment have failed: which files does it use?"
 SHOWN = 2
 """Maximum number of named runs that are executed again."""

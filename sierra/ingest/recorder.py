@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import volatile_and_rates
 from sierra.containers import engines
-from sierra.ingest import astray, compare_observations, compare_robots
+from sierra.ingest import astray, compare_observations, compare_robots, shared_use
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -252,6 +252,7 @@ class Recorder:
         kept = self._assigning.kept
         used = compare_observations.notes(self._store, self.context.session) if len(self._file_sets) > 1 else ()
         elsewhere = astray.notes(self._astray)
+        servers = shared_use.notes(self._store, self.context) if self._file_sets else ()
         unseen = [
             *compare_observations.changed_meanwhile(self._reasons),
             *compare_observations.incomplete(() if self._complete else self._reasons),
@@ -265,6 +266,7 @@ class Recorder:
             *elsewhere,
             *unseen,
             *used,
+            *servers,
             *compare_robots.notes(self._store, self.context.batch),
             *self._assigning.renamed.values(),
             *as_files(kept),

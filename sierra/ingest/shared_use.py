@@ -20,7 +20,7 @@ A `Kind` of things that executions may share is a query for what observed execut
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -47,6 +47,8 @@ class Kind(NamedTuple):
     cure: str
     wider: str = ""
     """Another query, for what a second run is to be observed; by default the same."""
+    usual: float = 0.0
+    """The part of the runs with such uses that have a name in common, below which it is by chance."""
     on_host: bool = False
     """True if executions on different hosts never share them."""
 
@@ -74,9 +76,21 @@ PORTS = Kind(
     "{names} {verb} used by several runs at the same time",
     "execute with --jobs 1, in a container, or use {port}",
     CHANNELS.format(listened="true"),
+    usual=0.1,
     on_host=True,
 )
 KINDS = (FILES, PORTS)
+OUTSIDE = PORTS._replace(
+    uses=f"""
+SELECT execution, name, true AS doubtful FROM channels WHERE use = 'connected' AND starts_with(name, '127.0.0.1:')
+AND name <> '127.0.0.1:53' AND name NOT IN (SELECT name FROM channels WHERE {LISTENING})
+"""
+)
+"""Servers of this host, without those for names, that no observed run has started."""
+USED_OUTSIDE = f"""
+SELECT name FROM ({OUTSIDE.uses}) JOIN all_judgements USING (execution) WHERE session = $session AND purpose = 'run'
+GROUP BY name HAVING count(DISTINCT run) > 1 ORDER BY name
+"""
 UNDECIDED = '; no second run was observed, so set observe = "all" if each run has a name of its own'
 ON_HOST = ("/tmp/", "/var/tmp/", "/dev/shm/", "/run/", "/var/run/")  # noqa: S108 - no file is made there
 """Folders that executions on different hosts do not share."""
@@ -104,8 +118,12 @@ last AS (
 witnesses AS (SELECT scope, reason, arg_max(run, last, 2) AS runs, max(last, 2) AS lasts FROM last GROUP BY ALL),
 used AS (
     SELECT DISTINCT name, execution, run, place, scope,
-           coalesce(doubtful, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) > 1) AS doubtful
-    FROM ({{uses}}) u JOIN mine USING (execution)
+           coalesce(doubtful, alike > 1 AND alike >= $usual * all_alike) AS doubtful
+    FROM (
+        SELECT *, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) AS alike,
+               count(DISTINCT run) FILTER (doubtful IS NULL) OVER () AS all_alike
+        FROM ({{uses}}) JOIN mine USING (execution)
+    )
 ),
 doubtful AS (
     SELECT d.name, d.scope, coalesce(bool_or(
@@ -256,13 +274,28 @@ def unseen(store: Store, context: Context) -> set[str]:
         return set(snapshot.values(str, UNSEEN, batch=context.batch, session=context.session))
 
 
+def notes(store: Store, context: Context) -> Iterator[str]:
+    """Yield a warning for servers that several runs of a session used at the same time, and that no run has started."""
+    with store.snapshot() as snapshot:
+        if not snapshot.holds(OUTSIDE.table):
+            return
+        snapshot.views.make((OUTSIDE.table, "observations", "batch_runs", "all_judgements"))
+        names = [_Shared(name, True, []) for name in snapshot.values(str, USED_OUTSIDE, session=context.session)]
+        if any(one.session == context.session for one in _overlapping(snapshot, context, OUTSIDE, names, math.inf)):
+            said = few([one.name for one in names], NAMED)
+            yield (
+                f"runs at the same time used a server that no run has started: {said}; if runs "
+                "change its state, execute with --jobs 1, or let each run start its own ([services.NAME], {port})"
+            )
+
+
 def _shared(snapshot: Snapshot, batch: str, kind: Kind) -> list[_Shared]:
     if not snapshot.holds(kind.table):
         return []
     snapshot.views.make((kind.table, "observations", "batch_runs", "all_judgements"))
     if not snapshot.run(f"SELECT 1 FROM {kind.table} WHERE {kind.doubts} LIMIT 1"):
         return []
-    return snapshot.select(_Shared, SHARED.replace("{uses}", kind.uses), batch=batch)
+    return snapshot.select(_Shared, SHARED.replace("{uses}", kind.uses), batch=batch, usual=kind.usual)
 
 
 def _overlapping(snapshot: Snapshot, context: Context, kind: Kind, names: Sequence[_Shared], lost: float) -> list[_Overlapping]:

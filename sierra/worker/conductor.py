@@ -46,7 +46,7 @@ import time
 TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
     import socket
-    from typing import Iterable, Mapping, NoReturn, Sequence, TypedDict
+    from typing import Mapping, NoReturn, Sequence, TypedDict
 
     class Service(TypedDict):
         """A service: see `sierra.model.Service`."""
@@ -174,9 +174,9 @@ class Conductor:
         signal.signal(signal.SIGTERM, lambda number, frame: self.tell())
 
     @property
-    def ports(self) -> Iterable[int]:
-        """Return the ports of the services."""
-        return self._ports.values()
+    def ports(self) -> Mapping[str, int]:
+        """Return the ports of the services, by their names."""
+        return self._ports
 
     def tell(self) -> None:
         """Note that the run was told to end. For a signal handler, which also wakes the conductor."""
@@ -488,14 +488,14 @@ def write(data: bytes) -> None:
             data = data[os.write(2, data) :]
 
 
-def report(folder: str, reason: str | None, ports: Iterable[int]) -> None:
+def report(folder: str, reason: str | None, ports: Mapping[str, int]) -> None:
     """Write why the run has failed, or that everything was executed; and the ports of its services."""
     path = os.path.join(folder, REPORT)
     with contextlib.suppress(OSError):
         os.unlink(path)
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     with open(descriptor, "w", encoding="ascii") as file:
-        json.dump({"error": reason, "ports": list(ports)}, file)
+        json.dump({"error": reason, "ports": ports}, file)
 
 
 def end_like(status: int) -> NoReturn:

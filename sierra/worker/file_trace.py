@@ -659,8 +659,9 @@ SHARED_KEYS = {b"shmget": "shared memory", b"semget": "semaphore", b"msgget": "m
 DISCOVERY = ("224.0.0.251:5353/udp", "ff02::fb:5353/udp", "239.255.255.250:1900/udp")
 """Groups by which programs only look for devices and services of the network: mDNS and SSDP."""
 MOST_CHANNELS = 1000
-UNCONNECTED = ("/", "{")
+FILE_NAMES = ("/", "{")
 """The beginnings of names of files: a connection to a socket with such a name says nothing, unless another run has made it."""
+NAME_SERVER = "127.0.0.1:53"
 
 
 class Socket:
@@ -807,20 +808,30 @@ def is_own_address(address: str) -> bool:
     return True
 
 
+DIGITS = re.compile("[0-9]+")
 DISCOVERY_OF_GAZEBO = "239.255.0.7:"
 
 
-def with_channels(trace: Trace, own: Iterable[str], environment: Mapping[str, str]) -> Trace:
-    """Return a trace without the channels that are a run's own: their names, and Gazebo's group if a partition is declared."""
-    own = set(own)
+def with_channels(trace: Trace, ports: Iterable[int], theirs: Iterable[str], environment: Mapping[str, str]) -> Trace:
+    """Return a trace without the channels that are a run's own, or that are shared on purpose.
+
+    These are names with numbers in `ports`, those of shared services (`theirs`), and Gazebo's group if a partition is declared.
+    """
+    numbers, names = set(map(str, ports)), set(theirs)
     parted = "GZ_PARTITION" in environment or "IGN_PARTITION" in environment
-    kept = (one for one in trace.channels if one[0] not in own and not (parted and one[0].startswith(DISCOVERY_OF_GAZEBO)))
-    return trace._replace(channels=tuple(kept))
+
+    def is_own(name: str) -> bool:
+        return name in names or (parted and name.startswith(DISCOVERY_OF_GAZEBO)) or bool(numbers & set(DIGITS.findall(name)))
+
+    return trace._replace(channels=tuple(one for one in trace.channels if not is_own(one[0])))
 
 
 def is_doubtful(channels: Iterable[tuple[str, str]]) -> bool:
     """Return whether a second run must be observed, to know whether it uses one of these names, too."""
-    return any(use not in (SEARCHED, TALKED) or (use == TALKED and not name.startswith(UNCONNECTED)) for name, use in channels)
+    return any(
+        use not in (SEARCHED, TALKED) or (use == TALKED and not name.startswith(FILE_NAMES) and name != NAME_SERVER)
+        for name, use in channels
+    )
 
 
 class Damaged(Exception):

@@ -952,10 +952,7 @@ class Worker:
             self.contains = self.contains or "client" in job
             try:
                 job = with_own_devices(job, number, self.slots)
-                if job.get("shared"):
-                    self.execute_inside(job, number)
-                else:
-                    self.execute(job, number)
+                self.execute_with_ports(job, number)
             except Exception as error:
                 self.fail(error)
         container = self.containers.pop(number, None)
@@ -1008,27 +1005,29 @@ class Worker:
         with self.lock:
             return os.path.join(self.folder, prefix + str(next(self.numbers)))
 
-    def execute(self, job: Job, slot: int) -> None:
-        """Execute one run, from making its folder to writing its line in the journal. It has ports of its own until then."""
+    def execute_with_ports(self, job: Job, slot: int) -> None:
+        """Execute one run, which has ports of its own until it has ended, if it needs any."""
+        execute = self.execute_inside if job.get("shared") else self.execute
         marks = marks_in(job)
         if not marks:
-            self.execute_filled(job, slot)
+            execute(job, slot)
             return
         conductor = module_beside(CONDUCTOR)
         held = conductor.Ports()
         try:
             ports = {mark: held.take() for mark in marks}
         except conductor.Failed as failed:
+            held.give_back()
             began, started = self.now()
             self.report(job, slot, self.next_folder(), began, time.monotonic() - started, no_outputs("{port}: %s" % failed))
             return
         try:
-            self.execute_filled(with_ports(job, ports), slot)
+            execute(with_ports(job, ports), slot)
         finally:
             held.give_back()
 
-    def execute_filled(self, job: Job, slot: int) -> None:
-        """Execute one run whose ports are known."""
+    def execute(self, job: Job, slot: int) -> None:
+        """Execute one run, from making its folder to writing its line in the journal."""
         job = self.with_observation(job)
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
@@ -1268,8 +1267,8 @@ class Worker:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
             disturbed = trace.disturbed
             shared = services.seen() if services else None
-            known = own_channels(job, running.folder, services, shared)
-            trace = file_trace().with_channels(trace, known, job["environment"])
+            theirs = {name for name, _ in shared.channels} if shared else ()
+            trace = file_trace().with_channels(trace, own_ports(job, running.folder, services), theirs, job["environment"])
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             self.compare(job, seen)
@@ -1647,19 +1646,17 @@ def with_ports(job: Job, ports: Mapping[str, int]) -> Job:
     return done
 
 
-def own_channels(job: Job, folder: str, services: SharedServices | None, shared: Trace | None) -> set[str]:
-    """Return the names of ports that only this run uses, or that services have which runs share on purpose."""
+def own_ports(job: Job, folder: str, services: SharedServices | None) -> list[int]:
+    """Return the ports that only this run uses, and those of services that runs share on purpose."""
     given = [port + number for port in job.get("own_ports", ()) for number in range(module_beside(CONDUCTOR).BLOCK)]
     given += ports_of(read_report(folder)) if is_conducted(job) else []
-    given += list(json.loads(services.word())["ports"].values()) if services else []
-    names = {"127.0.0.1:%d%s" % (port, end) for port in given for end in ("", "/udp")}
-    return names | {name for name, _ in (shared.channels if shared else ())}
+    return given + (ports_of(json.loads(services.word())) if services else [])
 
 
 def ports_of(report: object) -> list[int]:
-    """Return the ports in a conductor's report."""
+    """Return the ports in a conductor's report, by the names of services."""
     found = report.get("ports") if isinstance(report, dict) else None
-    return [port for port in found if isinstance(port, int)] if isinstance(found, list) else []
+    return [port for port in found.values() if isinstance(port, int)] if isinstance(found, dict) else []
 
 
 def with_own_devices(job: Job, slot: int, slots: int) -> Job:
