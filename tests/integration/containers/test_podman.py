@@ -134,6 +134,20 @@ def what_is_told(folder: Path) -> dict[str, Any]:
     return {row["what"]: row["said"] for row in rows(folder, "SELECT DISTINCT what, said FROM told")}
 
 
+@pytest.mark.parametrize("isolation", ["run", pytest.param("worker", marks=pytest.mark.nightly)])
+def test_each_run_in_a_container_gets_ports_of_its_own(tmp_path: Path, python: Path, isolation: str) -> None:
+    simulator = 'echo tick,value,other > swarm.csv\necho "0,$2,$P" >> swarm.csv\n'
+    folder = containers.make(
+        tmp_path / "project", python, f'isolation = "{isolation}"', command="sh sim.sh {input} {port}", simulator=simulator
+    )
+    config = (folder / "sierra.toml").read_text()
+    (folder / "sierra.toml").write_text(f'{config}\n[environment]\nset = {{ P = "{{port2}}" }}\n')
+    says(folder, *RUN)
+    found = rows(folder, "SELECT value, other FROM swarm")
+    assert len(found) == 4
+    assert all(20_000 <= row["value"] != row["other"] >= 20_000 for row in found)
+
+
 def isolated(isolation: str) -> dict[str, Any]:
     """Return the expected surroundings, except the number of folders with names of the host."""
     return {

@@ -35,7 +35,7 @@ def batch(folder: Path) -> str:
         ("before = [[]]\n", "", "before.0 should not be empty"),
         ('before = "sh {inputs}"\n', "", "before: unknown placeholder {inputs} in '{inputs}'; known are {input}, "),
         ('after = "sh {arguments}"\n', "", "after: unknown placeholder {arguments}"),
-        ('after = "sh {port}"\n', "", "after: unknown placeholder {port}"),
+        ('after = "sh {ports}"\n', "", "after: unknown placeholder {ports}"),
         (
             'after = "sh {services.echo.port}"\n',
             "",
