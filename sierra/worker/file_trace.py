@@ -659,8 +659,11 @@ SHARED_KEYS = {b"shmget": "shared memory", b"semget": "semaphore", b"msgget": "m
 DISCOVERY = ("224.0.0.251:5353/udp", "ff02::fb:5353/udp", "239.255.255.250:1900/udp")
 """Groups by which programs only look for devices and services of the network: mDNS and SSDP."""
 MOST_CHANNELS = 1000
-FILE_NAMES = ("/", "{")
-"""The beginnings of names of files: a connection to a socket with such a name says nothing, unless another run has made it."""
+FILE_NAMES = ("/", "{", "@/")
+"""The beginnings of names of files, and of displays and daemons.
+
+A connection to a socket with such a name says nothing, unless another run has made it.
+"""
 NAME_SERVER = "127.0.0.1:53"
 
 

@@ -31,6 +31,9 @@ that reason, or may not have noticed), and the worker cannot continue.
 time of that moment plus the elapsed time by a monotonic clock. `ended` is `started` plus the elapsed time. So changes to the
 system clock have no effect: no run has a negative duration, or a duration below its CPU time.
 
+In argv, environment and input files, a mark that begins with PORT_MARK stands for a free port, which this worker chooses before
+the run begins, and holds until it has ended (see `conductor.Ports`). The worker in a shared container gets jobs without marks.
+
 A job of a cluster may use the devices that its scheduler has allotted. In an environment (and in a client's argv), the
 character \\1 followed by a name from DEVICES stands for the value of the worker's variable of that name, or for nothing if
 there is none. If a list of several devices can be divided among the slots, each slot gets its own part.
