@@ -67,7 +67,7 @@ else:
                 client = socket.socket(family, kind)
                 time.sleep(0.02)
         world = seed if mode == "reuse" else client.recv(99).decode()
-    time.sleep(0.4)
+    time.sleep(float((sys.argv[4:] or ["0.4"])[0]))
 open("swarm.csv", "w").write(f"tick,value\\n0,{world}\\n")
 """
 
@@ -133,7 +133,7 @@ def test_with_one_job_they_count(execute: Callable[..., tuple[int, str]]) -> Non
 
 def test_two_runs_at_once_are_compared_although_one_was_observed(execute: Callable[..., tuple[int, str]]) -> None:
     port = free()
-    good, said = execute(f"fixed {port}", runs=1)
+    good, said = execute(f"fixed {port} 2", runs=1)
     assert good < 2
     assert f"127.0.0.1:{port} is used" in said
 
@@ -166,4 +166,4 @@ def test_a_server_that_no_run_has_started_gets_a_note(execute: Callable[..., tup
     good, said = execute(f"outside {outside}")
     assert good == 8
     assert f"runs at the same time used a server that no run has started: 127.0.0.1:{outside}; if runs change its state" in said
-    assert "no run has started" not in execute(f"outside {outside} again", jobs=1)[1]
+    assert "no run has started" not in execute(f"outside {outside} 1", jobs=1)[1]
