@@ -217,7 +217,7 @@ class Point:
     value: Value
     changes: tuple[Change, ...] = ()
     stream: int = 0
-    """The number of the stream of seeds: the run numbers for its seeds begin at `stream * 2**16`."""
+    """The number of the stream of seeds: the run numbers for its seeds begin at this multiple of `seeds.streams`."""
     parameters: Mapping[str, Value] = field(default_factory=dict)
     """Further values for expressions, by name: the numbers in the name of a scenario."""
     replaces: frozenset[Change] = frozenset()
@@ -246,6 +246,7 @@ class Design:
     lists: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     """Lists of values, by name: run number n takes item n (modulo the list's length)."""
     independent_seeds: bool = False
+    largest_seed: int = 2**31 - 1
     on_robots: bool = False
     """True if the changes of runs may also use `robot`, the place of a robot."""
 
