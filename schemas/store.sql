@@ -471,6 +471,13 @@ CREATE TABLE files_written (
     "use" VARCHAR  -- written, removed, or reread (written and read again, so that other executions may have written it meanwhile); reread_new if the execution made the name itself, or a folder above it, and had not removed it before
 );
 
+-- Remarks on how executions ended, beside their status.
+CREATE TABLE endings (
+    "execution" VARCHAR,  -- the execution
+    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends) or after marker (it was ended because its marker was met)
+    "text" VARCHAR  -- the process's program with the first words of its command; the error message; seconds from marker to end
+);
+
 -- Sessions whose executions do not count in a later session's batch, because files that they used have changed.
 CREATE TABLE stale_sessions (
     "session" VARCHAR,  -- the later session

@@ -65,8 +65,8 @@ class Expansion:
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs, design.largest_seed)
         elif design.query.runs > design.largest_seed:
             raise QueryError(
-                f"[seed] max allows {counted(design.largest_seed, 'different seed')}, and this query requests {design.query.runs} "
-                "runs per experiment; raise max, or request fewer runs"
+                f"[seed] max allows {counted(design.largest_seed, 'different seed')}, and this query requests "
+                f"{design.query.runs} runs per experiment; raise max, or request fewer runs"
             )
 
     def batch(self, report: PlanningProgress = ignore_progress) -> Batch:

@@ -349,7 +349,17 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     )
 
 
-OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written", "robots", "trials")
+OF_EXECUTIONS = (
+    "executions",
+    "artifacts",
+    "findings",
+    "output",
+    "observations",
+    "files_written",
+    "endings",
+    "robots",
+    "trials",
+)
 
 
 def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:

@@ -46,7 +46,17 @@ from sierra.util.text import counted
 
 log = Log(__name__)
 
-OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written", "robots", "trials")
+OF_EXECUTIONS = (
+    "executions",
+    "artifacts",
+    "findings",
+    "output",
+    "observations",
+    "files_written",
+    "endings",
+    "robots",
+    "trials",
+)
 JUDGEMENTS = "SELECT judgement FROM judgements WHERE list_contains($e, execution)"
 
 

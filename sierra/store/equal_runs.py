@@ -199,11 +199,13 @@ def _kinds(frame: Frame) -> dict[str, str]:
 def _unlikely(frame: Frame, experiment: int, groups: Groups, left_out: Columns) -> Groups:
     """Return the groups of runs that most likely are equal because their seeds count as one.
 
-    Coarse data, such as counts, are often equal by chance. So the runs of a group need values in common that differ in other runs
-    of their experiment, and that are many, or have many digits and are no fractions of small numbers.
+    Coarse data, such as counts, are often equal by chance. So the runs of a group need values in common that differ in other
+    runs of their experiment, and that are many, or have many digits and are no fractions of small numbers.
     """
     return tuple(
-        group for group in groups if any(_tells(frame, output, experiment, group[0], names) for output, names in left_out.items())
+        group
+        for group in groups
+        if any(_tells(frame, output, experiment, group[0], names) for output, names in left_out.items())
     )
 
 
@@ -239,8 +241,8 @@ def _said(frame: Frame, groups: Mapping[int, Groups], sizes: Mapping[int, int]) 
     same = "the same data" if len(groups[experiment]) == 1 else "the data of another run"
     more = f" (and so have runs of {counted(len(groups) - 1, 'more experiment')})" if len(groups) > 1 else ""
     return (
-        f"{runs} of {sizes[experiment]} runs of {values} have {same} although their seeds differ{more}: they are not independent "
-        f"samples, so n and intervals are wrong ({_cure(frame, groups)})"
+        f"{runs} of {sizes[experiment]} runs of {values} have {same} although their seeds differ{more}: "
+        f"they are not independent samples, so n and intervals are wrong ({_cure(frame, groups)})"
     )
 
 

@@ -175,6 +175,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     "files_read": _rules("use size", files=Rule.ROW, path=Rule.ROW, sha256=Rule.ROW),
     "listings": _rules("names", sha256=Rule.ROW),
     "files_written": _rules("execution use", path=Rule.PLACE),
+    "endings": _rules("execution kind text"),
     "stale_sessions": _rules("session stale", path=Rule.PLACE),
     "reused_executions": _rules("session run execution"),
     "unused_changes": _rules("session spec programs", name=Rule.PLACE),

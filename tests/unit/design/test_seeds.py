@@ -75,7 +75,8 @@ def test_golden_seeds_with_a_largest_one_are_unchanged() -> None:
 @pytest.mark.parametrize("largest", [65_535, 900_000_000])
 def test_seeds_with_a_largest_one_are_spread_evenly(largest: int) -> None:
     made = [seed(3, number, largest=largest) for number in range(4096)]
-    assert len(set(made)) == 4096 and max(made) <= largest
+    assert len(set(made)) == 4096
+    assert max(made) <= largest
     for tenth in range(10):
         assert 0.08 < sum(value * 10 // (largest + 1) == tenth for value in made) / 4096 < 0.12
 
@@ -83,7 +84,8 @@ def test_seeds_with_a_largest_one_are_spread_evenly(largest: int) -> None:
 @given(st.integers(1, LARGEST))
 def test_all_streams_together_have_no_more_numbers_than_there_are_seeds(largest: int) -> None:
     width, most = seeds.streams(largest)
-    assert width * most <= largest and (most or largest < 4)
+    assert width * most <= largest
+    assert most or largest < 4
 
 
 @given(BASES, NUMBERS, STREAMS)

@@ -122,7 +122,8 @@ def test_some_runs_with_the_same_data_are_counted(value: str, ticks: int, equal:
     assert (text in said(root, "--runs", "10")) == equal
     if equal and ticks == 3:
         stated = quick(root, "stats", "swarm", "coverage").stderr
-        assert text in stated and "set max = 900000000 in [seed]" in stated
+        assert text in stated
+        assert "set max = 900000000 in [seed]" in stated
 
 
 @pytest.mark.integration
@@ -130,7 +131,8 @@ def test_a_largest_seed_makes_the_runs_differ(tmp_path: Path) -> None:
     root = limited(tmp_path / "p", "{chance.gauss(0, 1):.6f}", config="[seed]\nmax = 900_000_000\n")
     assert "the same data" not in said(root, "--runs", "10")
     drawn = sql(root, "SELECT run, seed FROM batch_runs ORDER BY ALL")
-    assert len({row["seed"] for row in drawn}) == 10 and max(row["seed"] for row in drawn) <= 900_000_000
+    assert len({row["seed"] for row in drawn}) == 10
+    assert max(row["seed"] for row in drawn) <= 900_000_000
     again = quick(root, "run", "population_size=1,2", "--runs", "10", "--no-figures")
     assert "20 runs: 0 executed, 20 reused" in again.stdout
     assert quick(root, "replay", drawn[0]["run"]).returncode == 0
@@ -146,7 +148,8 @@ def test_more_runs_than_seeds_are_refused(tmp_path: Path) -> None:
     tried = quick(root, "try", "population_size=1", "--seed", "66")
     assert (tried.returncode, tried.stderr) == (2, "sierra: seed 66 is above 65, the largest seed ([seed] max)\n")
     several = quick(root, "run", "population_size=1", "montecarlo.C9", "--runs", "2", "--dry-run")
-    assert several.returncode == 2 and "montecarlo allows at most 4 experiments with [seed] max = 65" in several.stderr
+    assert several.returncode == 2
+    assert "montecarlo allows at most 4 experiments with [seed] max = 65" in several.stderr
 
 
 @pytest.mark.nightly
