@@ -475,7 +475,7 @@ CREATE TABLE files_written (
 CREATE TABLE endings (
     "execution" VARCHAR,  -- the execution
     "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends) or after marker (it was ended because its marker was met)
-    "text" VARCHAR  -- the process's program with the first words of its command; the error message; seconds from marker to end
+    "text" VARCHAR  -- the process: its program and the first words; the error message; the seconds from marker to end
 );
 
 -- Sessions whose executions do not count in a later session's batch, because files that they used have changed.

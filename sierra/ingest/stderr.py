@@ -1,8 +1,8 @@
 """Standard error of runs: the error message with which it ends, and what a run must not print there.
 
 Some programs print a traceback and end with status 0. A message counts only at the end of standard error: the program has
-survived an error in the middle. Progress, warnings and numbers are no errors. If standard error is empty, tracebacks and crashes at the end of
-standard output count, because a command may send both streams there.
+survived an error in the middle. Progress, warnings and numbers are no errors. If standard error is empty, tracebacks and
+crashes at the end of standard output count, because a command may send both streams there.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ SHOWN = 200
 """The number of characters of a line that are shown."""
 EMPTY = "empty"
 """The rule that nothing is printed."""
+LONGEST_LINE = 4096
 LONGEST_MESSAGE = 5
 """The number of lines that may follow the first line of an exception's message."""
 
@@ -63,7 +64,7 @@ def error_at_end(directory: str) -> str | None:
 
 def error_line(content: bytes, *, words: bool = True) -> str | None:
     """Return the error with which a log ends, in one line; `words`: a line that begins with an error word is one, too."""
-    for lines in _of_programs(list(_lines(content))):
+    for lines in map(_without_ignored, _of_programs(list(_lines(content)))):
         found = _crash(lines) or _traceback(lines) or (_word(lines) if words else None)
         if found is not None:
             shown = one_line(found)
@@ -98,7 +99,7 @@ def _lines(content: bytes) -> Iterator[str]:
     for line in ESCAPES.sub(b"", content).decode("utf-8", "replace").split("\n"):
         shown = line.rstrip("\r").rpartition("\r")[2].rstrip()
         if shown.strip() and not OF_CONDUCTOR.match(shown):
-            yield shown
+            yield shown[:LONGEST_LINE]
 
 
 def _of_programs(lines: Sequence[str]) -> Iterator[Sequence[str]]:
@@ -108,10 +109,20 @@ def _of_programs(lines: Sequence[str]) -> Iterator[Sequence[str]]:
         yield [line for line in lines[start:end] if not OF_ROBOT.fullmatch(line)]
 
 
+def _without_ignored(lines: Sequence[str]) -> Sequence[str]:
+    """Return the lines before exceptions that Python has ignored at the end, as it does while it shuts down."""
+    while (ignored := max((place for place, line in enumerate(lines) if line.startswith(IGNORED)), default=None)) is not None:
+        more = [line for line in lines[ignored + 1 :] if not line[:1].isspace() and line != TRACEBACK]
+        if len(more) > 1:
+            break
+        lines = lines[:ignored]
+    return lines
+
+
 def _traceback(lines: Sequence[str]) -> str | None:
     """Return the exception of a traceback at the end."""
     places = [place for place, line in enumerate(lines) if line.strip() == TRACEBACK]
-    if not places or (places[-1] and lines[places[-1] - 1].startswith(IGNORED)):
+    if not places:
         return None
     inner = len(lines[places[-1]]) - len(lines[places[-1]].lstrip())
     after = lines[places[-1] + 1 :]
@@ -139,10 +150,7 @@ def _word(lines: Sequence[str]) -> str | None:
     end = next((place for place in range(len(lines) - 1, -1, -1) if not lines[place][:1].isspace()), None)
     if end is None:
         return None
-    line = lines[end]
-    if end and line.startswith(IGNORED):
-        return None
-    message = line
+    line = message = lines[end]
     while (found := PREFIX.match(message)) and found.end():
         message = message[found.end() :]
     for pattern in (ERROR, UPPER, EXCEPTION):

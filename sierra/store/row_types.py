@@ -523,12 +523,12 @@ class EndingRow(NamedTuple):
     execution: Annotated[str, "the execution"]
     kind: Annotated[
         str,
-        "left running (a process that still ran when the command had ended, and was ended), error (the error message with which "
-        "standard error of a successful execution ends) or after marker (it was ended because its marker was met)",
+        "left running (a process that still ran when the command had ended, and was ended), error (the error message with "
+        "which standard error of a successful execution ends) or after marker (it was ended because its marker was met)",
     ]
     text: Annotated[
         str,
-        "the process's program with the first words of its command; the error message; seconds from marker to end",
+        "the process: its program and the first words; the error message; the seconds from marker to end",
     ]
 
 
