@@ -57,6 +57,7 @@ def test_inputs_as_differences_are_the_same_inputs(before: str, text: str) -> No
     assert execute_runs.changed(None, execute_runs.changes(None, text)) == text
 
 
+ABOUT = '[package]\ntitle = "x"\nauthors = [{ name = "A B" }]\nlicense = "MIT"\n'
 LINE = {
     "run": "ab" * 32,
     "experiment": 0,
@@ -227,7 +228,7 @@ def test_runs_are_executed_without_sierra_and_a_clock_is_not_comparable(
 )
 def test_a_bad_end_that_counts_counts_without_sierra_too(rules: str, end: str, tmp_path: Path) -> None:
     success = f'[success]\nmarker = "stdout"\ncontains = "finished"\n{rules}\n'
-    root = projects.make(tmp_path / "p", projects.CONFIG + success, simulator=projects.SIMULATOR + end)
+    root = projects.make(tmp_path / "p", projects.CONFIG + success + ABOUT, simulator=projects.SIMULATOR + end)
     batch = sierra.open(root).run("population_size=1", runs=2, figures=False).batch
     assert sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip") is not None
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
