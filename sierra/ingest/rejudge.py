@@ -16,8 +16,8 @@ project returns to earlier rules, the earlier judgement is found, and nothing is
 An execution can be evaluated again if it has the same programs, ended by itself or by a signal, and was successful or failed
 only by its rules. The store must have the bytes that the new rules need: of each file that becomes a table, and of the marker.
 Rules that read tables as before (`min_rows`, `required`) need no bytes of tables: the recorded rows are copied. The run is
-executed instead if bytes are missing, if the marker is a log that was cut, or if the execution failed before and fails by the new
-rules too. An execution that is not successful by the new rules has failed, as if it had been executed.
+executed instead if bytes are missing, if the marker is a log that was cut, or if the execution failed before and fails by the
+new rules too. An execution that is not successful by the new rules has failed, as if it had been executed.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ STOPPED = {
     Status.STOPPED: "was stopped by the operator",
     Status.INTERRUPTED: "was interrupted",
 }
+AFTER_MARKER = "; its marker was met: with after_marker in [limits], such runs are ended and count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,8 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     if result.error is not None and result.stopped != Status.INTERRUPTED:
         return Status.FAILED, result.error
     if result.stopped is not None:
-        return Status(result.stopped), STOPPED[Status(result.stopped)]
+        met = success.marker and result.stopped == Status.TIMEOUT and _marked(result, success)[0] is Status.OK
+        return Status(result.stopped), STOPPED[Status(result.stopped)] + (AFTER_MARKER if met else "")
     if result.after_marker is None and (reason := _bad_end(result, success)) is not None:
         return Status.FAILED, reason
     for name, output in outputs.items():

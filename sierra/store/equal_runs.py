@@ -6,6 +6,7 @@ files where equal data make equal files, else by the rows. Columns with the seed
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -34,6 +35,8 @@ OWN_COLUMNS = frozenset({"run", "# experiment", "# number", "# rowid", "# t"})
 LARGEST_SEEDS = (900_000_000, 65_535, 2**16, 32_767, 10**9, 10**8, 10**6)
 """Largest seeds of programs: LAMMPS and Pythia, and numbers of 16 bits; and round numbers."""
 VALUES_AT_MOST = 1_000
+EXPERIMENTS_AT_MOST, GROUPS_AT_MOST = 20, 5
+"""The number of experiments, and of groups of equal runs in each, whose values are read."""
 MANY = 10
 """The number of different values in a column from which on equal columns are unlikely."""
 DIGITS = 5
@@ -141,7 +144,8 @@ def _note(frame: Frame, volatile: Columns, rates: Columns) -> str:
     if all(len(groups.get(experiment, ((),))[0]) == runs for experiment, runs in sizes.items() if runs > 1):
         return NOTE
     left_out = {output: {*volatile.get(output, ()), *rates.get(output, ())} for output in {file.output for file in files}}
-    unlikely = {experiment: _unlikely(frame, experiment, some, left_out) for experiment, some in groups.items()}
+    first = itertools.islice(groups.items(), EXPERIMENTS_AT_MOST)
+    unlikely = {experiment: _unlikely(frame, experiment, some[:GROUPS_AT_MOST], left_out) for experiment, some in first}
     unlikely = {experiment: some for experiment, some in unlikely.items() if some}
     return _said(frame, unlikely, sizes) if unlikely else ""
 
