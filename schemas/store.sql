@@ -478,6 +478,13 @@ CREATE TABLE channels (
     "use" VARCHAR  -- listened; reused (listened with an option by which others may have the same name at the same time, or something that belongs to all); in_use (another program had it); searched (the same, but then the process chose another one); connected (to a server that is not the execution's own)
 );
 
+-- Remarks on how executions ended, beside their status.
+CREATE TABLE endings (
+    "execution" VARCHAR,  -- the execution
+    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends) or after marker (it was ended because its marker was met)
+    "text" VARCHAR  -- the process: its program and the first words; the error message; the seconds from marker to end
+);
+
 -- Sessions whose executions do not count in a later session's batch, because files that they used have changed.
 CREATE TABLE stale_sessions (
     "session" VARCHAR,  -- the later session

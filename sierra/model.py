@@ -217,7 +217,7 @@ class Point:
     value: Value
     changes: tuple[Change, ...] = ()
     stream: int = 0
-    """The number of the stream of seeds: the run numbers for its seeds begin at `stream * 2**16`."""
+    """The number of the stream of seeds: the run numbers for its seeds begin at this multiple of `seeds.streams`."""
     parameters: Mapping[str, Value] = field(default_factory=dict)
     """Further values for expressions, by name: the numbers in the name of a scenario."""
     replaces: frozenset[Change] = frozenset()
@@ -246,6 +246,7 @@ class Design:
     lists: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     """Lists of values, by name: run number n takes item n (modulo the list's length)."""
     independent_seeds: bool = False
+    largest_seed: int = 2**31 - 1
     on_robots: bool = False
     """True if the changes of runs may also use `robot`, the place of a robot."""
 
@@ -458,6 +459,12 @@ class Limits:
     output_bytes: int | None = None
     grace_s: float = 5.0
     """The seconds between SIGTERM and SIGKILL."""
+    after_marker_s: float | None = None
+    """The run is ended so many seconds after its marker is met, and counts as ended by itself."""
+    marker: str | None = None
+    """That marker: a path in the output folder, or `stdout` or `stderr`. None if the run is not ended by a marker."""
+    contains: str | None = None
+    """The text that the marker contains when it is met; None if it only needs to exist."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -686,3 +693,7 @@ class Result:
     """The isolation of the execution, if it differs from that of this process."""
     robots: Mapping[int, str] = field(default_factory=dict)
     """The names of the robots that took the places of the run; empty for a run without robots."""
+    left_running: tuple[str, ...] = ()
+    """Some of the processes that still ran when its command had ended, and were ended: their programs with the first words."""
+    after_marker: float | None = None
+    """It was ended so many seconds after its marker was met, which counts as an end by itself; None if it was not."""

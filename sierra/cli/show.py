@@ -29,6 +29,7 @@ APART = (
     "build",
     "failures",
     "firmware",
+    "notes",
     "programs",
     "environment",
     "image",
@@ -93,6 +94,8 @@ def show(
                 _print_commit(shown.history)
             _print_host(shown, shown.spec.host_access, shown.isolations)
             _print_failures(shown.failures)
+            for text in shown.notes:
+                print(f"\nnote: {readable(text)}")
         case ShownExecution():
             _print_record(_without_parts(record), long=long)
             _print_host(shown, shown.host_access, [shown.isolation] if shown.isolation else [])

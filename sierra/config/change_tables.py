@@ -138,6 +138,12 @@ class Seed(PlaceOfSeed):
         False,
         description="different seeds in each experiment; by default, all experiments use the same seeds: common random numbers",
     )
+    max: int = Field(
+        2**31 - 1,
+        ge=1,
+        le=2**31 - 1,
+        description="the largest seed, for a program that takes no larger one; another value gives all runs other seeds",
+    )
     targets: Mapping[Name, Annotated[PlaceOfSeed, BeforeValidator(set_to, json_schema_input_type=str | PlaceOfSeed)]] = Field(
         default_factory=dict, description=OF_TARGETS
     )

@@ -15,6 +15,7 @@ from sierra.config.field_types import (
     Argv,
     Command,
     InProject,
+    NotNegative,
     Positive,
     Size,
     SizeOrNone,
@@ -59,6 +60,11 @@ class LimitsTable(Table):
         description="total size of the files in its folder, in bytes or as in `500 MB`; holes of sparse files are included",
     )
     grace: Positive = Field(5.0, description="time between SIGTERM and SIGKILL, in seconds")
+    after_marker: NotNegative | None = Field(
+        None,
+        description="time from the moment when the marker of `[success]` is met until the run is ended and counts, in seconds, "
+        "for a program that does not end by itself; default: a run is never ended for its marker",
+    )
 
 
 class Environment(Table):

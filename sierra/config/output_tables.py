@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, PositiveInt, StringConstraints, WithJsonSchema, model_validator
 
-from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table
+from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
 from sierra.model import Measure
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
@@ -277,12 +277,40 @@ def volatile_and_rates(outputs: Mapping[str, Output]) -> tuple[Columns, Columns]
     return volatile, {name: output.rates for name, output in outputs.items() if output.rates}
 
 
+SHELL = 128
+"""The number that a shell adds to the signal that has ended a program."""
+STATUSES = range(-64, 256)
+"""The exit statuses of programs; those below 0 are signals."""
+
+
 class Success(Table):
     """Conditions for a successful run, in addition to its required outputs."""
 
     marker: Inside = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must exist")
     contains: str = Field("", description="text that the marker file must contain")
-    exit_status: tuple[int, ...] = Field((0,), min_length=1, description="exit statuses that mean success")
+    exit_status: tuple[int, ...] = Field(
+        (0,), min_length=1, description="exit statuses that mean success; 139 and -11 both mean an end by signal 11"
+    )
+    stderr: Annotated[str, AfterValidator(regular_expression)] = Field(
+        "",
+        description="what a run must not print on standard error: `empty` fails each run that prints something, any other text "
+        "is a regular expression that fails a run if a line matches",
+    )
+    leftovers: Literal["end", "fail"] = Field(
+        "end",
+        description="processes that still run when the command has ended: they are ended, and the run counts (`end`) or fails "
+        "(`fail`)",
+    )
+
+    @property
+    def statuses(self) -> frozenset[int]:
+        """Return the exit statuses that mean success, with both spellings of each signal: 139 and -11."""
+        return frozenset({*self.exit_status, *(SHELL - one for one in self.exit_status if one < 0 or one > SHELL)})
+
+    @property
+    def unused_later_keys(self) -> frozenset[str]:
+        """Return the later keys that have their default; hashes of rules do not contain them, and stay the same."""
+        return frozenset(key for key in ("stderr", "leftovers") if getattr(self, key) == type(self).model_fields[key].default)
 
 
 class Equivalence(Table):

@@ -57,14 +57,14 @@ from sierra.config.field_types import (
 )
 from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
-from sierra.config.output_tables import Equivalence, Output, Success, file_once
+from sierra.config.output_tables import STATUSES, Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.config.video_table import Video
 from sierra.errors import ConfigError, Missing, UsageError
-from sierra.store.layout import CONFIG, PYPROJECT
+from sierra.store.layout import CONFIG, PYPROJECT, RUN_STDERR, RUN_STDOUT
 from sierra.util.processors import ARCH
 from sierra.util.regular_files import read_regular_text
 from sierra.util.text import like
@@ -346,6 +346,20 @@ class Project(Table):
         taken = [name for name in (*self.variables, *self.per_run) if name == ROBOT]
         if self.robots and taken:
             raise ValueError(f"{ROBOT}: in runs on robots, {{{ROBOT}}} is the robot's place; use another name")
+        return self
+
+    @model_validator(mode="after")
+    def _possible_ends(self) -> Project:
+        if impossible := [status for status in self.success.exit_status if status not in STATUSES]:
+            raise ValueError(
+                f"success.exit_status: {impossible[0]} should be from 0 to 255, or from -64 to -1 for a signal "
+                "(-11 or 139 for signal 11)"
+            )
+        marker, needs = self.success.marker, self.limits.after_marker is not None and not self.targets
+        if needs and not marker:
+            raise ValueError("limits.after_marker: give the marker in [success]")
+        if needs and marker in (RUN_STDOUT, RUN_STDERR) and not self.success.contains:
+            raise ValueError(f'limits.after_marker: give the text of {marker} that shows the end in "contains" of [success]')
         return self
 
     @model_validator(mode="after")

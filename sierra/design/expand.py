@@ -19,10 +19,8 @@ from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_NAMES
 from sierra.templates.base import Files, Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
+from sierra.util.text import counted
 
-STREAM = 1 << 16
-STREAMS = (1 << 15) - 1
-"""Run numbers per stream of seeds (STREAM), and number of streams (STREAMS); each `montecarlo` experiment has its own."""
 USUAL = {"command": ("input.xml",), "argos": ("input.argos",)}
 """The names of input files, by platform, that are not part of specifications: these have kept the ids of format 1."""
 
@@ -64,7 +62,12 @@ class Expansion:
         self._spec = self._naming(spec)
         self.spec_id = digest("recipe", self._spec.preimage())
         if any(cell.stream for cell in design.cells):
-            _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
+            _check_streams(max(cell.stream for cell in design.cells), design.query.runs, design.largest_seed)
+        elif design.query.runs > design.largest_seed:
+            raise QueryError(
+                f"[seed] max allows {counted(design.largest_seed, 'different seed')}, and this query requests "
+                f"{design.query.runs} runs per experiment; raise max, or request fewer runs"
+            )
 
     def batch(self, report: PlanningProgress = ignore_progress) -> Batch:
         """Return the batch with all ids. Raises TemplateError for a change that does not fit the template."""
@@ -157,7 +160,9 @@ class Expansion:
         stream = ""
         if self._design.independent_seeds:
             stream = canonical({axis.name: exact(cell.values[axis.name]) for axis in self._design.axes}).decode()
-        return seeds.seed(self._design.query.base_seed, cell.stream * STREAM + number, stream)
+        largest = self._design.largest_seed
+        first = cell.stream * seeds.streams(largest)[0]
+        return seeds.seed(self._design.query.base_seed, first + number, stream, largest)
 
 
 def _named(rendered: Files, platform: Platform) -> Files:
@@ -177,11 +182,13 @@ def _check_names(names: tuple[str, ...]) -> None:
             )
 
 
-def _check_streams(last: int, runs: int) -> None:
-    if runs > STREAM:
-        raise QueryError(f"montecarlo allows at most {STREAM} runs per experiment; this query requests {runs}")
-    if last >= STREAMS:
-        raise QueryError(f"montecarlo allows at most {STREAMS} experiments; this query requests {last + 1}")
+def _check_streams(last: int, runs: int, largest: int) -> None:
+    width, most = seeds.streams(largest)
+    cause = "" if largest == seeds.LARGEST else f" with [seed] max = {largest}"
+    if runs > width:
+        raise QueryError(f"montecarlo allows at most {width} runs per experiment{cause}; this query requests {runs}")
+    if last >= most:
+        raise QueryError(f"montecarlo allows at most {most} experiments{cause}; this query requests {last + 1}")
 
 
 def run_id(spec: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:

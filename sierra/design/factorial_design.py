@@ -109,6 +109,7 @@ def design(
         per_run=per_run,
         lists=dict(project.per_run),
         independent_seeds=project.seed.independent,
+        largest_seed=project.seed.max,
         on_robots=project.robots is not None,
     )
     sure: set[tuple[tuple[Change, ...], ...]] = set()

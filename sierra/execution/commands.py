@@ -18,6 +18,7 @@ import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -297,8 +298,11 @@ def arguments(files: Files) -> tuple[str, ...]:
 
 def limits(project: Project) -> Limits:
     """Return the limits of each execution."""
-    table = project.limits
-    return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
+    table, success = project.limits, project.success
+    bounds = Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
+    if table.after_marker is None:
+        return bounds
+    return replace(bounds, after_marker_s=table.after_marker, marker=success.marker, contains=success.contains or None)
 
 
 def execution_id(session: str, run: str, attempt: int = 0) -> str:
@@ -473,6 +477,9 @@ class CommandBuilder:
             "success": self._success,
             "grace": self._bounds.grace_s,
         }
+        if self._bounds.after_marker_s is not None:
+            bounds = self._bounds
+            plan["marker"] = {"after_marker_s": bounds.after_marker_s, "marker": bounds.marker, "contains": bounds.contains}
         return (worker.CONDUCTED, json.dumps(plan))
 
     def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
@@ -492,7 +499,7 @@ class CommandBuilder:
         """Return the client that starts one container for all runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
         more = (Mount(str(self._beside), _BESIDE),) if self._beside else ()
-        more = (*more, self._conductor()) if self._spec.around else more
+        more = (*more, self._conductor())  # the worker uses it, too
         own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script), *more)
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)

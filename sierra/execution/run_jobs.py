@@ -144,7 +144,7 @@ class Service:
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record
-        builder = self._builder(context.success.exit_status)
+        builder = self._builder(sorted(context.success.statuses))
         work = Work(
             self._observed(
                 ((run, builder.job(run, files, attempt)) for run, files in inputs),

@@ -35,12 +35,14 @@ from sierra.execution.shown_records import (
     ShownRun,
     VerdictOnRun,
 )
+from sierra.store import endings
 from sierra.store.recorded_files import INPUT_FOLDER, Recorded, contents, recorded, take
 from sierra.store.row_types import (
     ArtifactRow,
     BatchRow,
     BuildProductRow,
     BuildRow,
+    EndingRow,
     ExecutionRow,
     RobotRow,
     SessionRow,
@@ -101,6 +103,7 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         imports=snapshot.select(ImportOfBatch, IMPORTS, b=identity) if snapshot.holds("imports") else (),
         robots=snapshot.select(RobotOfBatch, ROBOTS, b=identity) if spec.robots else (),
         firmware=snapshot.select(FirmwareOfBatch, FIRMWARE, b=identity) if spec.robots else (),
+        notes=list(endings.notes(snapshot, identity)),
     )
 
 
@@ -322,6 +325,7 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         packages=snapshot.values(str, PACKAGES, s=row.session),
         robots=snapshot.select(RobotRow, "SELECT * FROM robots WHERE execution = $e ORDER BY place", e=identity),
         trials=snapshot.select(TrialRow, "SELECT * FROM all_trials WHERE execution = $e ORDER BY lamport", e=identity),
+        endings=snapshot.select(EndingRow, "SELECT * FROM endings WHERE execution = $e ORDER BY ALL", e=identity),
     )
 
 

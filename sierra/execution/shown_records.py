@@ -18,6 +18,7 @@ from sierra.store.row_types import (
     BatchRow,
     BuildProductRow,
     BuildRow,
+    EndingRow,
     EnvironmentRow,
     ExecutionRow,
     ImageRow,
@@ -267,6 +268,8 @@ class ShownBatch:
     """Versions of the firmware, if it differs between runs: a place was taken with several. Otherwise empty."""
     log_file: str | None = None
     """Log file of the last session."""
+    notes: Sequence[str] = ()
+    """Notes on how its runs ended, one line each."""
 
     def as_dict(self) -> Record:
         attempts = [_without(attempt._asdict(), "executed") for attempt in self.attempts]
@@ -362,13 +365,16 @@ class ShownExecution:
     robots: Sequence[RobotRow] = ()
     trials: Sequence[TrialRow] = ()
     """Remarks that people made on it, the one that counts last."""
+    endings: Sequence[EndingRow] = ()
+    """Remarks on how it ended, beside its status."""
 
     def as_dict(self) -> Record:
         members = _members(self) if self.isolation else _without(_members(self), "isolation")
         artifacts = [_without(artifact._asdict(), "execution", "run") for artifact in self.artifacts]
         robots = [_without_nulls(_without(one._asdict(), "execution")) for one in self.robots]
         trials = [_without_nulls(_without(one._asdict(), "execution", "lamport")) for one in self.trials]
-        own = {"robots": robots, "trials": trials, "artifacts": artifacts}
+        endings = [_without(one._asdict(), "execution") for one in self.endings]
+        own = {"robots": robots, "trials": trials, "endings": endings, "artifacts": artifacts}
         return {"kind": self.kind, **_without_nulls(self.row._asdict()), **members, **own}
 
 

@@ -117,6 +117,8 @@ def choose(plan: Plan, experiment: int, seed: int | None) -> tuple[Run, Files]:
         return next(iter(plan.inputs.files(plan.batch, lambda run: run is first)))
     if not isinstance(plan.inputs, Expansion):
         raise UsageError("a recorded batch has recorded seeds; leave out --seed")
+    if seed > (most := plan.project.config.seed.max):
+        raise UsageError(f"seed {seed} is above {most}, the largest seed ([seed] max)")
     return plan.inputs.seeded(first, seed)
 
 

@@ -17,6 +17,7 @@ from sierra.ingest.messages import difference
 from sierra.ingest.model import Group, Siblings
 from sierra.ingest.recording_context import SAME_PROGRAMS, Context
 from sierra.model import Status
+from sierra.store import endings
 from sierra.store.layout import SessionPaths
 from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
@@ -57,8 +58,9 @@ def _find_odd_tables(store: Store, session: SessionPaths, context: Context) -> s
         tables.setdefault((row.ordinal, row.output), []).append(row)
     found: dict[str, str] = {}
     events = _events(store, context, tables)
+    ended = endings.left_running(store, context.batch) if tables else ""
     for (_, name), siblings in sorted(tables.items()):
-        for execution, reason in _odd(siblings, name, context.outputs.get(name), events=name in events):
+        for execution, reason in _odd(siblings, name, context.outputs.get(name), ended, events=name in events):
             found.setdefault(execution, reason)
     now, lamport = datetime.now(UTC), context.lamport()
     writer = store.writer(session.segment, context.batch)
@@ -123,10 +125,13 @@ class Sibling(NamedTuple):
     forms: list[str] | None
 
 
-def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None, *, events: bool) -> Iterator[tuple[str, str]]:
+def _odd(
+    siblings: Sequence[Sibling], name: str, declared: Output | None, ended: str = "", *, events: bool
+) -> Iterator[tuple[str, str]]:
     """Yield the executions among siblings whose table `name` differs, each with the difference.
 
-    `events`: it is taken as a table of events, so that its number of rows may differ.
+    `ended`: a remark on processes of these runs that were ended, which may be the cause. `events`: it is taken as a table of
+    events, so that its number of rows may differ.
     """
     having = [row for row in siblings if row.rows is not None]
     lacking = [row for row in siblings if row.rows is None]
@@ -144,7 +149,7 @@ def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None, *, eve
     forms = Counter(form for row in having for form in row.forms or ())
     parsed = {form: TableLayout.load(form) for form in forms}
     likely = _usual([(parsed[form], number) for form, number in forms.items()])
-    allow = _allowing(name, None if declared else likely.file)
+    allow = _allowing(name, None if declared else likely.file, ended)
     for row in having:
         for form in row.forms or ():
             if reason := _unlike(parsed[form], likely, ragged, allow):
@@ -158,10 +163,11 @@ def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None, *, eve
                 yield row.execution, f"table {name!r} {message} {allow}"
 
 
-def _allowing(name: str, undeclared: str | None) -> str:
-    """Return the hint about the declaration that allows tables to differ."""
+def _allowing(name: str, undeclared: str | None, ended: str) -> str:
+    """Return the hint about the declaration that allows tables to differ, after what may be the cause."""
+    cause = f"{ended}: let the command wait for them; " if ended else ""
     file = f"file = {json.dumps(undeclared, ensure_ascii=False)}, " if undeclared else ""
-    return f'(to allow this, set {file}mismatch = "ragged" in [outputs.{name}])'
+    return f'({cause}to allow this, set {file}mismatch = "ragged" in [outputs.{name}])'
 
 
 @dataclass(frozen=True, slots=True)

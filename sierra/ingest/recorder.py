@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import volatile_and_rates
 from sierra.containers import engines
-from sierra.ingest import astray, compare_observations, compare_robots, shared_use
+from sierra.ingest import astray, compare_observations, compare_robots, shared_use, stderr
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -27,10 +27,11 @@ from sierra.ingest.success import Doubt, Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import LateFiles, OutputFile, Result, Status
 from sierra.provenance.hash_cache import HashCache
-from sierra.store import equal_runs
+from sierra.store import endings, equal_runs
+from sierra.store.endings import Kind
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
-from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, FileWrittenRow, IngestRulesRow
+from sierra.store.row_types import ArtifactRow, DuplicateRow, EndingRow, ExecutionRow, FileWrittenRow, IngestRulesRow
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.store.views import INVALID_TRIAL
@@ -260,6 +261,7 @@ class Recorder:
         ]
         return [
             *self._twice(),
+            *endings.of_batch(self._store, self.context.batch),
             *self._collected,
             *lost(list(self._left_out)),
             *self._silent.notes(),
@@ -356,6 +358,7 @@ class Recorder:
             if path.startswith(astray.RUN)
         )
         writer.records(FileWrittenRow(execution, path, WRITTEN) for execution, path in own)
+        writer.records(row for one in self._pending for row in _endings(one))
         self._file_sets |= sets.keys()
         if digests := {path: fact for one in found for path, fact in one.digests.items()}:
             cache = HashCache()
@@ -397,6 +400,17 @@ class Recorder:
             attempt=result.attempt,
             lamport=context.lamport(position),
         )
+
+
+def _endings(one: Judgement) -> Iterator[EndingRow]:
+    """Yield the remarks on how an execution ended. An error counts only if its status does not say the same."""
+    result = one.result
+    for name in result.left_running:
+        yield EndingRow(result.execution, Kind.LEFT_RUNNING, name)
+    if result.after_marker is not None:
+        yield EndingRow(result.execution, Kind.AFTER_MARKER, f"{result.after_marker:g}")
+    elif one.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
+        yield EndingRow(result.execution, Kind.ERROR, error)
 
 
 def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[ArtifactRow]:

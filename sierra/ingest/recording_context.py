@@ -111,7 +111,8 @@ class Context:
             name: output.model_dump(mode="json", exclude={*without, *output.unused_later_keys})
             for name, output in self.outputs.items()
         }
-        declared: dict[str, JsonView] = {"outputs": outputs, "success": self.success.model_dump(mode="json")}
+        success = self.success.model_dump(mode="json", exclude={*self.success.unused_later_keys})
+        declared: dict[str, JsonView] = {"outputs": outputs, "success": success}
         if self.readers:
             declared["readers"] = {n: {"package": one["package"], "options": one["options"]} for n, one in self.readers.items()}
         return declared

@@ -13,11 +13,11 @@ batch's last session. The views of outputs show the rows of that judgement, with
 the files of segments uses judgements (`all_judgements`, `all_artifacts`). Code that counts executions uses `executions`. When a
 project returns to earlier rules, the earlier judgement is found, and nothing is evaluated.
 
-An execution can be evaluated again if it has the same programs, ended by itself, and was successful or failed only by its
-rules. The store must have the bytes that the new rules need: of each file that becomes a table, and of the marker. Rules
-that read tables as before (`min_rows`, `required`) need no bytes of tables: the recorded rows are copied. The run is executed
-instead if bytes are missing, if the marker is a log that was cut, or if the execution failed before and fails by the new
-rules too. An execution that is not successful by the new rules has failed, as if it had been executed.
+An execution can be evaluated again if it has the same programs, ended by itself or by a signal, and was successful or failed
+only by its rules. The store must have the bytes that the new rules need: of each file that becomes a table, and of the marker.
+Rules that read tables as before (`min_rows`, `required`) need no bytes of tables: the recorded rows are copied. The run is
+executed instead if bytes are missing, if the marker is a log that was cut, or if the execution failed before and fails by the
+new rules too. An execution that is not successful by the new rules has failed, as if it had been executed.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files
 from sierra.model import OutputFile, Result, Status
 from sierra.store.copy_rejudged_rows import write_again
+from sierra.store.endings import Kind
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.recorded_files import ChosenExecution, Recorded, contents
 from sierra.store.row_types import ArtifactRow, IngestRulesRow, JudgementRow
@@ -59,6 +60,8 @@ AT_A_TIME = 4_000
 BYTES = 256 << 20
 """The approximate number of bytes of files that are unpacked at a time."""
 LOGS = (RUN_STDOUT, RUN_STDERR)
+UNREAD = {"marker": "", "stderr": ""}
+"""The rules that need the bytes of a file or of a log, without effect."""
 NOT_KEPT = "the bytes of {path!r} are not in the store ([store] raw = false, sierra gc --raw, or an older SIERRA)"
 CUT = "the store has only the beginning and the end of {path}"
 
@@ -73,7 +76,8 @@ class _LastJudgement(NamedTuple):
 
     run: str
     execution: str
-    exit_code: int
+    exit_code: int | None
+    signal: int | None
     found: bool
     """True if it is not successful because it differs from its siblings."""
     status: str
@@ -96,6 +100,9 @@ class Past:
     """The files that it wrote, but not among its outputs."""
     robots: Mapping[int, str] = field(default_factory=dict)
     """The names of its robots by place."""
+    left_running: tuple[str, ...] = ()
+    after_marker: float | None = None
+    """These two are as in its result."""
     tabled: bool = False
     """True if the rows of its tables by the new rules are already recorded."""
 
@@ -114,7 +121,7 @@ class Past:
             started=0.0,
             ended=0.0,
             exit_code=self.last.exit_code,
-            signal=None,
+            signal=self.last.signal,
             stopped=None,
             user_s=None,
             system_s=None,
@@ -124,6 +131,8 @@ class Past:
             outputs=tuple(outputs),
             elsewhere=self.elsewhere,
             robots=self.robots,
+            left_running=self.left_running,
+            after_marker=self.after_marker,
         )
 
     def failed_by_rules(self, result: Result) -> bool:
@@ -167,11 +176,14 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
 
 PAST = f"""
 WITH last AS (
-    SELECT e.run, e.execution, any_value(e.exit_code) AS exit_code, any_value(e.lamport) AS lamport,
+    SELECT e.run, e.execution, any_value(e.exit_code) AS exit_code, any_value(e.signal) AS signal,
+           any_value(e.lamport) AS lamport,
            arg_max({{'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'ingest_rules': e.ingest_rules}},
                    (e.ingest_rules = $ingest_rules, e.place, e.judgement)) AS j
     FROM all_candidates e SEMI JOIN wanted w ON w.run = e.run
-    WHERE e.purpose = 'run' AND e.reusing IS NULL AND {SAME_PROGRAMS} AND e.exit_code IS NOT NULL GROUP BY e.run, e.execution
+    WHERE e.purpose = 'run' AND e.reusing IS NULL AND {SAME_PROGRAMS}
+        AND coalesce(e.exit_code, e.signal) IS NOT NULL
+    GROUP BY e.run, e.execution
 ),
 may AS (
     SELECT l.*, f.execution IS NOT NULL AS found FROM last l LEFT JOIN findings f ON f.execution = l.j.judgement
@@ -179,16 +191,17 @@ may AS (
         AND (l.j.ingest_rules <> $ingest_rules OR ($mismatched AND f.execution IS NOT NULL))
 ),
 best AS (
-    SELECT run, arg_max({{'execution': execution, 'exit_code': exit_code, 'found': found, 'status': j.status,
+    SELECT run, arg_max({{'execution': execution, 'exit_code': exit_code, 'signal': signal, 'found': found, 'status': j.status,
            'reason': j.reason, 'ingest_rules': j.ingest_rules, 'judgement': j.judgement}},
            (j.status = 'ok', lamport, execution)) AS b
     FROM may GROUP BY run
 )
-SELECT run, b.execution AS execution, b.exit_code AS exit_code, b.found AS found, b.status AS status, b.reason AS reason,
-       b.ingest_rules AS ingest_rules, b.judgement AS judgement
+SELECT run, b.execution AS execution, b.exit_code AS exit_code, b.signal AS signal, b.found AS found, b.status AS status,
+       b.reason AS reason, b.ingest_rules AS ingest_rules, b.judgement AS judgement
 FROM best ORDER BY run
 """
 WRITTEN = "SELECT execution, path FROM files_written WHERE use = 'written' AND list_contains($executions, execution)"
+ENDINGS = "SELECT execution, kind, text FROM endings WHERE list_contains($executions, execution)"
 ROBOTS = "SELECT execution, place, robot FROM robots WHERE list_contains($executions, execution)"
 ARTIFACTS = "SELECT a.* FROM all_artifacts a SEMI JOIN chosen USING (execution) ORDER BY execution, path"
 
@@ -216,12 +229,28 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     written: dict[str, list[str]] = {}
     for execution, path in snapshot.run(WRITTEN, {"executions": [row.execution for row in rows]}):
         written.setdefault(execution, []).append(path)
+    left, after = _endings(snapshot, [row.execution for row in rows])
     for row in rows:
         if row.ingest_rules in rules:
             elsewhere = tuple(sorted(written.get(row.execution, ())))
             known = robots.get(row.execution, {})
-            one = Past(row, *rules[row.ingest_rules], tuple(artifacts[row.judgement]), elsewhere, known)
+            files, ended = tuple(artifacts[row.judgement]), (tuple(left.get(row.execution, ())), after.get(row.execution))
+            one = Past(row, *rules[row.ingest_rules], files, elsewhere, known, *ended)
             yield replace(one, tabled=_is_tabled(one, context))
+
+
+def _endings(snapshot: Snapshot, executions: Sequence[str]) -> tuple[dict[str, list[str]], dict[str, float]]:
+    """Return the processes that still ran when the command had ended, and the seconds after a marker, by execution."""
+    left: dict[str, list[str]] = {}
+    after: dict[str, float] = {}
+    if snapshot.holds("endings"):
+        snapshot.views.make(("endings",))
+        for execution, kind, text in snapshot.run(ENDINGS, {"executions": executions}):
+            if kind == Kind.LEFT_RUNNING:
+                left.setdefault(execution, []).append(text)
+            elif kind == Kind.AFTER_MARKER:
+                after[execution] = float(text)
+    return left, after
 
 
 def _is_tabled(one: Past, context: Context) -> bool:
@@ -242,9 +271,9 @@ def _is_hopeless(one: Past, context: Context) -> bool:
     if one.succeeded:
         return False
     result = one.result(one.last.execution, Path(), {})
-    if judge(result, context.outputs, context.success.model_copy(update={"marker": ""}))[0] is not Status.OK:
+    if judge(result, context.outputs, context.success.model_copy(update=UNREAD))[0] is not Status.OK:
         return True
-    return not (one.success.marker or one.failed_by_rules(result))
+    return not (one.success.marker or one.success.stderr or one.failed_by_rules(result))
 
 
 def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
@@ -267,7 +296,8 @@ def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | Non
 def needed(one: Past, context: Context) -> list[ArtifactRow]:
     """Return the files to read for an evaluation: files that become tables and are not yet tables, and the markers."""
     tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context)}
-    markers = {context.success.marker, *(() if one.succeeded else (one.success.marker,))} - {""}
+    rules = (context.success, *(() if one.succeeded else (one.success,)))
+    markers = {path for rule in rules for path in (rule.marker, RUN_STDERR if rule.stderr else "")} - {""}
     files = {row.path: row for row in one.artifacts if row.kind != "log" and row.path in tables | markers}
     return [*files.values(), *(row for row in one.artifacts if row.kind == "log" and row.path in markers)]
 

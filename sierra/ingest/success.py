@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.output_tables import Output, Success
-from sierra.ingest import astray, robot_files
+from sierra.ingest import astray, robot_files, stderr
 from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
@@ -22,6 +22,7 @@ STOPPED = {
     Status.STOPPED: "was stopped by the operator",
     Status.INTERRUPTED: "was interrupted",
 }
+AFTER_MARKER = "; its marker was met: with after_marker in [limits], such runs are ended and count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +59,10 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     if result.error is not None and result.stopped != Status.INTERRUPTED:
         return Status.FAILED, result.error
     if result.stopped is not None:
-        return Status(result.stopped), STOPPED[Status(result.stopped)]
-    if result.signal is not None:
-        return Status.FAILED, f"ended by signal {result.signal} ({_signal_name(result.signal)})"
-    if result.exit_code not in success.exit_status:
-        return Status.FAILED, f"exit status {result.exit_code}"
+        met = success.marker and result.stopped == Status.TIMEOUT and _marked(result, success)[0] is Status.OK
+        return Status(result.stopped), STOPPED[Status(result.stopped)] + (AFTER_MARKER if met else "")
+    if result.after_marker is None and (reason := _bad_end(result, success)) is not None:
+        return Status.FAILED, reason
     for name, output in outputs.items():
         if output.required and (place := robot_files.lacking(output, result.outputs, result.robots)) is not None:
             return Status.FAILED, f"{robot_files.named(place, result.robots)} did not write {robot_files.own(output)!r}"
@@ -70,7 +70,25 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
             return Status.FAILED, astray.lacking(name, output, result.elsewhere)
     if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:
         return Status.FAILED, reason
-    return _marked(result, success)
+    status, reason = _marked(result, success)
+    if status is Status.OK and (printed := stderr.against(success.stderr, result.directory)) is not None:
+        return Status.FAILED, printed
+    return status, reason
+
+
+def _bad_end(result: Result, success: Success) -> str | None:
+    """Return why the end of a program means a failure; None if it does not."""
+    if result.signal is not None:
+        if -result.signal in success.statuses:
+            return _left_running(result, success)
+        return f"ended by signal {result.signal} ({_signal_name(result.signal)})"
+    return f"exit status {result.exit_code}" if result.exit_code not in success.statuses else _left_running(result, success)
+
+
+def _left_running(result: Result, success: Success) -> str | None:
+    if success.leftovers == "end" or not result.left_running:
+        return None
+    return f"processes were still running when the command ended: {', '.join(result.left_running)}"
 
 
 def _marked(result: Result, success: Success) -> tuple[Status, str | None]:

@@ -18,6 +18,7 @@ from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
 from sierra.ingest.recording_context import Context
+from sierra.store import endings
 from sierra.store.sql_names import differing_by_case, identifier, stored_name, stored_names
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
@@ -136,6 +137,9 @@ class TableWarnings:
         """Return the note on a table whose row counts differ; `events`: these were not compared."""
         file = "" if output in self._context.outputs else f"file = {json.dumps(path, ensure_ascii=False)}, "
         message = f"output {output!r} has {min(sizes)} to {max(sizes)} rows, a different number in most runs"
+        if ended := endings.left_running(self._store, self._context.batch):
+            declare = f'set {file}mismatch = "ragged" in [outputs.{output}]'
+            return f"{ended}; so {message}: let the command wait for them, and only if these are events, {declare}"
         if events:
             message += ", so the numbers were not compared"
         return f'{message}; if these are events, set {file}mismatch = "ragged" in [outputs.{output}]'

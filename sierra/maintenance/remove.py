@@ -357,6 +357,7 @@ OF_EXECUTIONS = (
     "observations",
     "files_written",
     "channels",
+    "endings",
     "robots",
     "trials",
 )

@@ -54,6 +54,7 @@ OF_EXECUTIONS = (
     "observations",
     "files_written",
     "channels",
+    "endings",
     "robots",
     "trials",
 )

@@ -160,7 +160,7 @@ class Batch:
             self.files, self.beside = (
                 {name: self.taken(one) for name, one in plan[key].items()} for key in ("files", "beside")
             )
-            self.limits = {text_of(name): float(limit) for name, limit in plan["limits"].items()}
+            self.limits = {text_of(name): limit_of(name, limit) for name, limit in plan["limits"].items()}
             self.success = [int(status) for status in plan["success"]]
             self.image = None if plan["image"] is None else texts_of(plan["image"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -222,6 +222,15 @@ def text_of(value: Any) -> str:
     if not isinstance(value, str):
         raise TypeError(f"{value!r} is not a text")
     return value
+
+
+def limit_of(name: str, value: Any) -> Any:
+    """Return a limit of runs: a number, or what the marker is that may end them."""
+    if name not in ("marker", "contains"):
+        return float(value)
+    if name == "marker" and not is_safe(text_of(value)):
+        raise ValueError(f"the marker {value!r} leads outside")
+    return text_of(value)
 
 
 def texts_of(value: Any) -> dict[str, str]:
@@ -556,8 +565,10 @@ def trouble_of(batch: Batch, end: Mapping[str, Any]) -> str:
     """Return why a run has failed; "" if it has not."""
     if end.get("stopped"):
         return f"stopped: {end['stopped']}"
+    if end.get("after_marker") is not None:
+        return ""
     if end.get("signal"):
-        return f"ended by signal {end['signal']}"
+        return "" if -end["signal"] in batch.success else f"ended by signal {end['signal']}"
     return "" if end.get("exit_code") in batch.success else f"exit status {end.get('exit_code')}"
 
 

@@ -517,6 +517,21 @@ class ListingRow(NamedTuple):
     names: Annotated[list[str], "the names, sorted"]
 
 
+class EndingRow(NamedTuple):
+    """Remarks on how executions ended, beside their status."""
+
+    execution: Annotated[str, "the execution"]
+    kind: Annotated[
+        str,
+        "left running (a process that still ran when the command had ended, and was ended), error (the error message with "
+        "which standard error of a successful execution ends) or after marker (it was ended because its marker was met)",
+    ]
+    text: Annotated[
+        str,
+        "the process: its program and the first words; the error message; the seconds from marker to end",
+    ]
+
+
 class StaleSessionRow(NamedTuple):
     """Sessions whose executions do not count in a later session's batch, because files that they used have changed."""
 
@@ -846,6 +861,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "listings": ListingRow,
     "files_written": FileWrittenRow,
     "channels": ChannelRow,
+    "endings": EndingRow,
     "stale_sessions": StaleSessionRow,
     "reused_executions": ReusedExecutionRow,
     "unused_changes": UnusedChangeRow,

@@ -24,6 +24,9 @@ the content of this file as SHARED, and fail when one of these processes has end
 The output of services and of the commands before and after goes to the run's standard error: a line `== before: WORDS` precedes
 that of a command, and `[NAME] ` each line of a service. Standard output is that of the run's command alone.
 
+If the plan has a marker, the command is ended so many seconds after its marker is met (`Marker`), and counts as successful.
+Processes of the command that still run when it has ended by itself are killed with the rest of its group, and reported.
+
 The conductor ends like the run's command: with the same exit status, or by the same signal. If anything else has failed, its
 exit status is that of the failed command, or 1. It writes the reason to REPORT, or null. A run without a report has failed,
 too, because its exit status alone does not show that everything was executed.
@@ -39,6 +42,7 @@ import os
 import re
 import select
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -46,7 +50,7 @@ import time
 TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
     import socket
-    from typing import Mapping, NoReturn, Sequence, TypedDict
+    from typing import IO, Callable, Container, Iterable, Mapping, NoReturn, NotRequired, Sequence, TypedDict
 
     class Service(TypedDict):
         """A service: see `sierra.model.Service`."""
@@ -81,6 +85,8 @@ if TYPE_CHECKING:
         """The exit statuses of the command that mean success."""
         grace: float
         """The seconds between SIGTERM and SIGKILL."""
+        marker: NotRequired[Mapping[str, object]]
+        """The limits of the run with which `Marker` begins."""
 
 
 REPORT = os.path.join("home", ".sierra-conductor")  # in the run's folder, removed with `home`
@@ -94,6 +100,11 @@ LONGEST_S = 3600.0  # of one wait
 LAST_WORDS_S = 1.0  # for the output of a service that has ended
 CHUNK = 1 << 16
 LAST_BYTES = 1 << 12
+LOGS = ("stdout", "stderr")
+WHOLE = 1 << 20  # a marker up to this size is read as a whole, because it may have been written again
+LINGER_S = 0.25  # for processes to end after the command that has started them
+NAMED = 3  # processes that are reported
+NAME_LENGTH = 80
 
 
 class Failed(Exception):
@@ -153,6 +164,55 @@ class Started:
             self.read()
 
 
+class Marker:
+    """The file by which a run shows that its results are complete: it exists, or it contains a text."""
+
+    def __init__(self, folder: str, limits: Mapping[str, object]) -> None:
+        """`folder` is the run's folder. The limits `marker`, `contains` and `after_marker_s` say what is awaited."""
+        name = str(limits["marker"])
+        self.seconds = float(str(limits["after_marker_s"]))
+        self._log = name in LOGS
+        self._path = os.path.join(folder, name if self._log else os.path.join("output", name))
+        self._text = str(limits.get("contains") or "").encode()
+        self._read = 0
+        self._end = b""
+        self._met: float | None = None
+
+    def due(self, now: float) -> float:
+        """Look at the file, at the time `now`; return when the run is over, or when to look again."""
+        if self._met is None and self._is_met():
+            self._met = now
+        return now + LOOK_S if self._met is None else self._met + self.seconds
+
+    def is_over(self, now: float) -> bool:
+        """Return whether the marker was met so many seconds ago."""
+        return self.due(now) <= now
+
+    def _is_met(self) -> bool:
+        try:
+            descriptor = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except OSError:
+            return False
+        with open(descriptor, "rb") as file:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                return False
+            return not self._text or self._has_text(file, status.st_size)
+
+    def _has_text(self, file: IO[bytes], size: int) -> bool:
+        """Return whether the file has the text. Of a log, and of a large file, only what is new is read."""
+        if size < self._read or (not self._log and size <= WHOLE):
+            self._read, self._end = 0, b""
+        file.seek(self._read)
+        for chunk in iter(lambda: file.read(CHUNK), b""):
+            self._read += len(chunk)
+            self._end += chunk
+            if self._text in self._end:
+                return True
+            self._end = self._end[-len(self._text) :]
+        return False
+
+
 class Conductor:
     """The programs of one run."""
 
@@ -165,6 +225,10 @@ class Conductor:
         self._services: list[Started] = []
         self._current: subprocess.Popen[bytes] | None = None
         self._told = False
+        self.left: list[str] = []
+        """The processes that still ran when the command had ended."""
+        self.after_marker: float | None = None
+        """The command was ended so many seconds after its marker was met."""
         self._kill_at = float("inf")
         self._awake, wake = os.pipe()
         for end in (self._awake, wake):
@@ -292,29 +356,55 @@ class Conductor:
         """Execute the run's command; return its status."""
         argv = [self._filled(word) for word in self._plan["argv"]]
         self._check_told()
+        before = set(run_processes())
         try:
             process = start(argv, output=None, errors=None)
         except (OSError, ValueError) as error:
             raise Failed("could not be started: " + explain(error, argv), 127) from error
-        status = self._await(process)
+        marker = Marker(self._folder, self._plan["marker"]) if "marker" in self._plan else None
+        status = self._await(process, marker=marker, ended=lambda: self._note_left(process.pid, before))
         self._check_told()
         self._check_services()
+        if self.after_marker is not None:
+            return 0
         if self._plan["after"] and status not in self._plan["success"]:
             raise Failed("%s; the commands in `after` were not executed" % described(status), status)
         return status
 
-    def _await(self, process: subprocess.Popen[bytes], deadline: float | None = None) -> int:
-        """Return the status of a program when it has ended. A service that ends first, or the deadline, ends it."""
+    def _note_left(self, command: int, before: Container[int]) -> None:
+        """Note the processes of a command that still run, unless they were told to end."""
+        if self._kill_at == float("inf"):
+            services = [started.process.pid for started in self._services]
+            self.left = still_running(lambda: (pid for pid in run_processes(services) if pid not in before and pid != command))
+
+    def _await(
+        self,
+        process: subprocess.Popen[bytes],
+        deadline: float | None = None,
+        marker: Marker | None = None,
+        ended: Callable[[], None] = lambda: None,
+    ) -> int:
+        """Return the status of a program when it has ended. A service that ends first, or the deadline, ends it.
+
+        A `marker` that was met long enough ago ends it, too. `ended` is called before the rest of its group is killed.
+        """
         self._current, self._kill_at = process, float("inf")
         while is_running(process):
-            late = deadline is not None and time.monotonic() >= deadline
+            now = time.monotonic()
+            late = deadline is not None and now >= deadline
+            if marker and self._kill_at == float("inf") and marker.is_over(now):
+                self.after_marker = marker.seconds
+                self._end_current()
             if late or self._told or self._ended_service() or self._ended_shared():
                 self._end_current()
             if time.monotonic() >= self._kill_at:
                 send(process.pid, signal.SIGKILL)
-            due = min(self._kill_at, float("inf") if deadline is None or late else deadline)
+            due = min(
+                self._kill_at, float("inf") if deadline is None or late else deadline, now + LOOK_S if marker else float("inf")
+            )
             self._wait(max(FIRST_LOOK_S, min(due - time.monotonic(), LOOK_S if self._shared else LONGEST_S)))
         self._current = None
+        ended()
         return close_group(process)
 
     def _end_current(self) -> None:
@@ -387,6 +477,67 @@ def is_alive(pid: int) -> bool:
             return file.read().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
     except (OSError, IndexError):
         return False
+
+
+def run_processes(left_out: Iterable[int] = ()) -> Iterable[int]:
+    """Yield the living processes of this run, by SIERRA_EXECUTION, without this one, `left_out`, and what those started."""
+    mark = b"SIERRA_EXECUTION=" + os.environb.get(b"SIERRA_EXECUTION", b"")
+    ended = {os.getpid(), *left_out}
+    for pid in sorted(int(name) for name in entries_of("/proc") if name.isdigit()):
+        if (
+            pid not in ended
+            and mark in read(pid, "environ").split(b"\0")
+            and is_alive(pid)
+            and ended.isdisjoint(ancestors(pid))
+        ):
+            yield pid
+
+
+def ancestors(pid: int) -> Iterable[int]:
+    """Yield the parents of a process, but this one."""
+    while pid > 1:
+        fields = read(pid, "stat").rpartition(b")")[2].split()
+        pid = int(fields[1]) if fields else 0
+        if pid != os.getpid():
+            yield pid
+
+
+def entries_of(folder: str) -> Sequence[str]:
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return ()
+
+
+def read(pid: int, name: str) -> bytes:
+    """Return the content of a file in /proc/PID; nothing if there is none."""
+    try:
+        with open("/proc/%d/%s" % (pid, name), "rb") as file:
+            return file.read()
+    except OSError:
+        return b""
+
+
+def still_running(living: Callable[[], Iterable[int]]) -> list[str]:
+    """Return the names of the processes that `living` yields, after a moment in which they may end by themselves."""
+    give_up = time.monotonic() + LINGER_S
+    while True:
+        pids = list(living())
+        if not pids or time.monotonic() >= give_up:
+            names = [name for name in map(program_of, pids) if name]
+            return list(dict.fromkeys(names))[:NAMED]
+        time.sleep(FIRST_LOOK_S)
+
+
+def program_of(pid: int) -> str:
+    """Return the name of a process's program, with its words up to the first that is no option: `python3 sim.py`.
+
+    Folders are left out, because those of each run are different.
+    """
+    words = read(pid, "cmdline").decode("utf-8", "replace").split("\0")[:-1]
+    end = next((place for place, word in enumerate(words) if place and not word.startswith("-")), len(words))
+    shown = " ".join(" ".join(os.path.basename(word) or word for word in words[: end + 1]).split())
+    return shown if len(shown) <= NAME_LENGTH else shown[: NAME_LENGTH - 1] + "…"
 
 
 def close_group(process: subprocess.Popen[bytes]) -> int:
@@ -488,14 +639,20 @@ def write(data: bytes) -> None:
             data = data[os.write(2, data) :]
 
 
-def report(folder: str, reason: str | None, ports: Mapping[str, int]) -> None:
-    """Write why the run has failed, or that everything was executed; and the ports of its services."""
+def report(folder: str, reason: str | None, conductor: Conductor) -> None:
+    """Write why the run has failed, or that everything was executed; its services' ports; and how its command has ended."""
     path = os.path.join(folder, REPORT)
     with contextlib.suppress(OSError):
         os.unlink(path)
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     with open(descriptor, "w", encoding="ascii") as file:
-        json.dump({"error": reason, "ports": ports}, file)
+        record = {
+            "error": reason,
+            "ports": conductor.ports,
+            "left_running": conductor.left,
+            "after_marker": conductor.after_marker,
+        }
+        json.dump(record, file)
 
 
 def end_like(status: int) -> NoReturn:
@@ -519,7 +676,7 @@ def main(arguments: Sequence[str]) -> NoReturn:
     except Failed as failed:
         reason, status = failed.reason, failed.status or 1
     try:
-        report(folder, reason, conductor.ports)
+        report(folder, reason, conductor)
     except OSError as error:
         write(os.fsencode("the report cannot be written: %s\n" % error))
     end_like(status)

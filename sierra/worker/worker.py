@@ -44,6 +44,12 @@ it tells to end, so that a program can react to SIGTERM. Under a tracer, the sta
 stopped it and if it waits for the tracer. A signal has stopped it if, between two looks, it was never on a processor, and the
 tracer sleeps: the tracer has then seen the stop, and has let the process stay in it.
 
+A run with the limit `after_marker_s` is ended so many seconds after its marker is met: the file `marker` in its output folder
+(or its log of that name) exists, and contains `contains`. Such a run counts as ended by itself with status 0, and its `end` has
+the key `after_marker`. Processes of a run that still run when its program has ended by itself are ended; its `end` has the
+names of some of them (`left_running`). A process that ends within a moment does not count. Neither do those of a container of
+one run, which end with its program.
+
 A worker that stops, for whatever reason, continues for GIVE_UP_S to read the outputs of runs that had ended by then. Runs whose
 outputs are not read by then count as interrupted. Outputs are counted, and read, by their apparent size: the size of a file
 with holes is its length.
@@ -94,13 +100,27 @@ import subprocess
 import sys
 import threading
 import time
-from typing import IO, TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Sequence, TextIO, TypedDict, Union, cast
+from typing import (
+    IO,
+    TYPE_CHECKING,
+    Callable,
+    Iterable,
+    Iterator,
+    Mapping,
+    NamedTuple,
+    Sequence,
+    TextIO,
+    TypedDict,
+    Union,
+    cast,
+)
 
 if TYPE_CHECKING:
     from resource import struct_rusage
     from types import ModuleType
     from typing import Literal, NotRequired
 
+    from sierra.worker.conductor import Marker
     from sierra.worker.file_trace import Contents, Hashed, Names, Observation, Trace, Way
 
 FOLDERS = ("home", "tmp", "output")
@@ -141,6 +161,7 @@ PROCESSORS = {  # by their numbers in ELF files (elf.h)
     243: "riscv64",
     258: "loongarch64",
 }
+MARKED = "marker"  # why a run was stopped that counts as ended by itself
 STALLED_S = 5.0  # with only stopped processes, until a run is reported as stalled
 SAMPLE_S = 0.05
 LOOKS = 4  # the next look at an observed run comes after a quarter of its time, because most programs load their files early
@@ -172,6 +193,9 @@ class Limits(TypedDict, total=False):
     memory_bytes: int
     output_bytes: int
     grace_s: float
+    after_marker_s: float
+    marker: str
+    contains: str
 
 
 class Program(TypedDict):
@@ -269,6 +293,8 @@ class Remains(TypedDict):
     spare: NotRequired[bool]
     observed: NotRequired[bool]
     delay_s: NotRequired[float]
+    left_running: NotRequired[list[str]]
+    after_marker: NotRequired[float]
 
 
 class Start(TypedDict):
@@ -418,7 +444,11 @@ class Running:
         self.client = with_folder(job["client"], folder) if "client" in job else None
         self.meter = Meter(self) if self.client else None
         self.measured = any(self.limits.get(name) is not None for name in ("cpu_s", "memory_bytes", "output_bytes"))
-        self.limited = self.measured or self.limits.get("wall_s") is not None
+        watched = self.limits.get("after_marker_s") is not None and not self.conducted
+        self.marker: Marker | None = conducting().Marker(folder, self.limits) if watched else None
+        self.left: list[str] = []
+        """The names of processes that still ran when its program had ended by itself."""
+        self.limited = self.measured or self.marker is not None or self.limits.get("wall_s") is not None
         self.started = time.monotonic()
         self.stopped: str | None = None
         self.kill_at: float | None = None
@@ -452,8 +482,16 @@ class Running:
         """Return the ids of the run's processes, as far as /proc lists them."""
         if self.meter:
             return self.meter.pids()
-        roots = [self.pid, *(pid for pid in orphans() if belongs_to(pid, self.execution, self.pid) and not self.is_tracer(pid))]
-        return [pid for root in roots for pid in descendants(root)]
+        return [pid for root in (self.pid, *self.orphans()) for pid in descendants(root)]
+
+    def orphans(self) -> list[int]:
+        """Return the ids of the run's processes whose parents have ended."""
+        return [pid for pid in orphans() if belongs_to(pid, self.execution, self.pid) and not self.is_tracer(pid)]
+
+    def note_left(self) -> None:
+        """Note the processes that still run although the run's program has ended by itself."""
+        if self.stopped is None and not self.client and not self.conducted and self.orphans():
+            self.left = conducting().still_running(lambda: (pid for pid in self.orphans() if is_alive(pid)))
 
     def is_tracer(self, pid: int) -> bool:
         return self.observation is not None and self.observation.is_tracer(pid)
@@ -685,7 +723,7 @@ class SharedServices:
             with open(self.path, encoding="ascii") as file:
                 return file.read()
         except OSError:
-            reason = reported(self.folder) or "the services that all runs share have ended"
+            reason = read_report(self.folder).error or "the services that all runs share have ended"
             return json.dumps({"ports": {}, "pids": {}, "log": os.path.join(self.folder, LOGS[1]), "error": reason})
 
     def end(self, skip_grace: Callable[[], bool]) -> None:
@@ -1015,7 +1053,7 @@ class Worker:
         if not marks:
             execute(job, slot)
             return
-        conductor = module_beside(CONDUCTOR)
+        conductor = conducting()
         held = conductor.Ports()
         try:
             ports = {mark: held.take() for mark in marks}
@@ -1070,6 +1108,10 @@ class Worker:
             del self.running[running.pid]
         if running.client and (running.stopped is not None or os.WIFSIGNALED(status)):
             end_container(running.client)
+        report = report_of(job, folder)
+        left, after_marker = running.left or report.left_running, report.after_marker
+        if running.stopped == MARKED and running.marker:
+            running.stopped, after_marker, status = None, running.marker.seconds, 0
         # a run with a seal is alone in its container
         alone = end_orphans(None if running.seal else running.execution, running.pid, running.is_tracer)
         if alone:
@@ -1087,7 +1129,7 @@ class Worker:
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
-        failure = trouble_of(job, folder) or trouble_of_services(services)
+        failure = report.error or trouble_of_services(services)
         spare = alone and self.adopts and place is not None and place.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
             remains = no_outputs(self.clear_shared(folder), running.stopped)
@@ -1104,6 +1146,10 @@ class Worker:
             self.request_another(job)
         if observed:
             remains["observed"] = True
+        if left and after_marker is None:
+            remains["left_running"] = list(left)
+        if after_marker is not None:
+            remains["after_marker"] = after_marker
         if job.get("waits") and not held and running.meter:
             remains["delay_s"] = wall if running.meter.since is None else running.meter.since - running.started
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
@@ -1401,6 +1447,10 @@ class Worker:
             deadline = one.deadline()
             if deadline is not None and now >= deadline:
                 one.stop("timeout")
+            if one.marker and one.stopped is None:
+                due.append(one.marker.due(now))
+                if due[-1] <= now:
+                    one.stop(MARKED)
             if one.stalled(now):
                 since = time.time() - STALLED_S
                 self.note(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
@@ -1651,14 +1701,14 @@ def with_ports(job: Job, ports: Mapping[str, int]) -> Job:
 
 def own_ports(job: Job, folder: str, services: SharedServices | None) -> list[int]:
     """Return the ports that only this run uses, and those of services that runs share on purpose."""
-    given = [port + number for port in job.get("own_ports", ()) for number in range(module_beside(CONDUCTOR).BLOCK)]
-    given += ports_of(read_report(folder)) if is_conducted(job) else []
-    return given + (ports_of(json.loads(services.word())) if services else [])
+    given = [port + number for port in job.get("own_ports", ()) for number in range(conducting().BLOCK)]
+    shared = ports_of(json.loads(services.word())) if services else []
+    return [*given, *report_of(job, folder).ports, *shared]
 
 
-def ports_of(report: object) -> list[int]:
-    """Return the ports in a conductor's report, by the names of services."""
-    found = report.get("ports") if isinstance(report, dict) else None
+def ports_of(report: Mapping[str, object]) -> list[int]:
+    """Return the ports of services in a conductor's report."""
+    found = report.get("ports")
     return [port for port in found.values() if isinstance(port, int)] if isinstance(found, dict) else []
 
 
@@ -1741,9 +1791,22 @@ def is_conducted(job: Job) -> bool:
     return list(job["argv"][:1]) == [CONDUCTED]
 
 
-def trouble_of(job: Job, folder: str) -> str | None:
-    """Return why a run has failed, by the conductor's report; None if all was executed, or if there is no conductor."""
-    return reported(folder) if is_conducted(job) else None
+class Report(NamedTuple):
+    """The report of a conductor."""
+
+    error: str | None
+    """Why the run has failed; None if all was executed."""
+    left_running: Sequence[str] = ()
+    """The processes that still ran when the command had ended."""
+    after_marker: float | None = None
+    """The command was ended so many seconds after its marker."""
+    ports: Sequence[int] = ()
+    """The ports of its services."""
+
+
+def report_of(job: Job, folder: str) -> Report:
+    """Return the conductor's report on a run; an empty one if there is no conductor."""
+    return read_report(folder) if is_conducted(job) else Report(None)
 
 
 def trouble_of_services(services: SharedServices | None) -> str | None:
@@ -1760,22 +1823,20 @@ def with_reasons(trace: Trace, services: SharedServices, shared: Trace | None) -
     return trace._replace(reasons=tuple(dict.fromkeys(reasons)), notes=tuple(dict.fromkeys(notes)))
 
 
-def reported(folder: str) -> str | None:
-    """Return why a conductor has failed, by its report in its folder."""
-    unread = "the program that executes its services and commands has ended without a report"
-    report = read_report(folder)
-    error = report.get("error", unread) if isinstance(report, dict) else unread
-    return error if error is None or isinstance(error, str) else unread
-
-
-def read_report(folder: str) -> object:
-    """Return what a conductor has reported; None if that cannot be read."""
+def read_report(folder: str) -> Report:
+    """Return the report of a conductor in its folder."""
+    unread = Report("the program that executes its services and commands has ended without a report")
     try:  # a run may have put anything there
         descriptor = os.open(os.path.join(folder, REPORT), os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
         with open(descriptor, "rb") as file:
-            return json.loads(file.read(REPORT_BYTES))
-    except (OSError, ValueError, RecursionError):
-        return None
+            record = json.loads(file.read(REPORT_BYTES))
+        error, left, after = record["error"], record.get("left_running", []), record.get("after_marker")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return unread
+    texts = isinstance(left, list) and all(isinstance(name, str) for name in left)
+    if not texts or not isinstance(error, (str, type(None))) or not isinstance(after, (int, float, type(None))):
+        return unread
+    return Report(error, left, after, ports_of(record))
 
 
 def with_folder(client: Program, folder: str) -> Program:
@@ -1817,10 +1878,12 @@ def await_end(running: Running) -> tuple[int, struct_rusage]:
     If the program was told to end, the processes that it had started keep the rest of the grace time.
     """
     if hasattr(os, "waitid"):
-        os.waitid(os.P_PID, running.pid, os.WEXITED | os.WNOWAIT)
+        ended = os.waitid(os.P_PID, running.pid, os.WEXITED | os.WNOWAIT)
         running.announce(ENDING)
         while running.kill_at is not None and any(is_alive_in(pid, running.pid) for pid in orphans()):
             time.sleep(POLL_S / 10)
+        if ended and ended.si_code == os.CLD_EXITED:
+            running.note_left()
         with running.lock:
             running.over = True
             signal_group(running.pid, signal.SIGKILL)
@@ -2282,19 +2345,23 @@ def beside(name: str) -> str:
     return os.path.join(os.path.dirname(os.path.abspath(__file__)), name)
 
 
-@functools.lru_cache(maxsize=None)
 def file_trace() -> ModuleType:
-    """Return the module beside this file that observes runs."""
+    """Load the module beside this file that observes runs."""
     return module_beside(TRACER)
 
 
+def conducting() -> ModuleType:
+    """Load the module beside this file that executes what is around a run's command."""
+    return module_beside(CONDUCTOR)
+
+
 @functools.lru_cache(maxsize=None)
-def module_beside(file: str) -> ModuleType:
-    """Load a module beside this file, once."""
+def module_beside(name: str) -> ModuleType:
+    """Load a module beside this file."""
     import importlib.util
 
-    path = beside(file)
-    spec = importlib.util.spec_from_file_location(file.partition(".")[0], path)
+    path = beside(name)
+    spec = importlib.util.spec_from_file_location(name[: -len(".py")], path)
     if spec is None or spec.loader is None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
     module = importlib.util.module_from_spec(spec)
@@ -2379,6 +2446,11 @@ def orphans() -> list[int]:
 def group_of(pid: int) -> int | None:
     fields = stat_of(pid)
     return int(fields[2]) if fields else None
+
+
+def is_alive(pid: int) -> bool:
+    """Return whether there is a process, and it is not a zombie."""
+    return stat_of(pid)[:1] not in ([], [b"Z"], [b"X"])
 
 
 def is_alive_in(pid: int, group: int) -> bool:

@@ -54,6 +54,8 @@ def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
     if failures:
         yield sql(FAILURES, state.id)
     yield from _earlier(state)
+    for text in state.shown.notes:
+        yield note(f"{text[:1].upper()}{text[1:]}.")
     if unlike := state.shown.nondeterminism:
         text = "gave other output when executed again; the table nondeterminism has them"
         yield note(f"{counted(len(unlike), 'run')} {text}.")

@@ -176,6 +176,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     "listings": _rules("names", sha256=Rule.ROW),
     "files_written": _rules("execution use", path=Rule.PLACE),
     "channels": _rules("execution use", name=Rule.PLACE),
+    "endings": _rules("execution kind text"),
     "stale_sessions": _rules("session stale", path=Rule.PLACE),
     "reused_executions": _rules("session run execution"),
     "unused_changes": _rules("session spec programs", name=Rule.PLACE),

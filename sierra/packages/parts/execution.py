@@ -89,7 +89,7 @@ class _Batch:
             "requires": list(project.config.requires),
             "image": _image(image),
             "limits": local.limits(commands.limits(project.config)),
-            "success": list(recalled.success.exit_status),
+            "success": sorted(recalled.success.statuses),
             "notes": _notes(recalled),
         }
         jobs = recorded_jobs.Jobs(store, project, recalled, image)

@@ -83,7 +83,7 @@ class Jobs:
             "",
             place,
             image=image,
-            success=recalled.success.exit_status,
+            success=sorted(recalled.success.statuses),
             timeouts={name: table.timeout for name, table in project.config.services.items()},
             python=execute_runs.PYTHON_MARK,
             arch=execute_runs.ARCH_MARK,

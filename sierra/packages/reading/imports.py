@@ -42,7 +42,17 @@ from sierra.store.views import ONCE
 from sierra.util.hashing import short
 
 Drop = dict[str, dict[str, AbstractSet[str]]]
-OF_EXECUTIONS = ("executions", "judgements", "duplicates", "observations", "files_written", "channels", "robots", "trials")
+OF_EXECUTIONS = (
+    "executions",
+    "judgements",
+    "duplicates",
+    "observations",
+    "files_written",
+    "channels",
+    "endings",
+    "robots",
+    "trials",
+)
 """Tables whose rows belong to the execution in the column of this name."""
 OF_JUDGEMENTS = ("artifacts", "findings", "output")
 """Tables whose rows belong to a judgement, in the column `execution`. `output` stands for all outputs."""

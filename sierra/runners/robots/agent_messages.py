@@ -153,6 +153,8 @@ class End(_Part):
     left_out: list[Raw] = Field(default_factory=list)
     observed: bool = False
     delay_s: float = 0.0
+    left_running: list[Text] = Field(default_factory=list)
+    after_marker: Amount | None = None
 
 
 class _Report(_Part):

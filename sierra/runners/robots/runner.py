@@ -26,7 +26,7 @@ from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.links.base import Link, NoSession, Unreachable
-from sierra.model import Job, LateFiles, Member, Result
+from sierra.model import Job, LateFiles, Limits, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
@@ -324,7 +324,7 @@ class Robots:
             environment=variables,
             files=placed.files,
             folders=placed.folders,
-            limits=replace(job.limits, grace_s=self._table.grace),
+            limits=replace(member_limits(job.limits, member.place), grace_s=self._table.grace),
             beside=robot.beside(Path(job.beside), self._beside) if job.beside else None,
             client=robot.container.client(placed.argv, variables, waits=True) if robot.container else None,
             observe=robot.folders() if job.observe is not None else None,
@@ -549,3 +549,13 @@ class Robot:
 def as_json(row: Mapping[str, RecordValue]) -> dict[str, object]:
     """Return a row whose times are texts."""
     return {name: value.isoformat() if isinstance(value, datetime) else value for name, value in row.items()}
+
+
+def member_limits(given: Limits, place: int) -> Limits:
+    """Return the limits of a run for the robot at a place: the marker of another place does not end its program."""
+    folder, separator, own = (given.marker or "").partition("/")
+    if given.after_marker_s is None or not separator or not folder.isdecimal():
+        return given
+    return (
+        replace(given, marker=own) if int(folder) == place else replace(given, after_marker_s=None, marker=None, contains=None)
+    )

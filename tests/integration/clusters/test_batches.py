@@ -46,6 +46,28 @@ def test_a_batch_on_slurm_has_the_same_results_as_a_local_one(tmp_path: Path, sl
     assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
 
 
+HABITS = """
+import subprocess, time
+if count == 1:
+    subprocess.Popen(["sleep", "71"])
+    print("RuntimeError: no GPU", file=sys.stderr)
+print("finished", flush=True)
+if count == 2:
+    time.sleep(72)
+"""
+MARKED = '[success]\nmarker = "stdout"\ncontains = "finished"\n[limits]\nafter_marker = 0.5\n'
+
+
+def test_what_nodes_see_of_the_ends_of_runs_is_told(tmp_path: Path, slurm: Slurm) -> None:
+    root = projects.make(tmp_path / "p", projects.CONFIG + MARKED + CLUSTER, simulator=projects.SIMULATOR + HABITS)
+    done = projects.sierra(root, "run", "population_size=1,2", "--runs", "2", "--on", "slurm", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "in 2 of 4 runs processes were still running when the command ended, and were ended: sleep 71" in done.stderr
+    assert "2 of 4 runs were successful, but what they printed ends with an error: RuntimeError: no GPU" in done.stderr
+    found = rows(sierra.open(root), "SELECT kind, count(*) AS n FROM endings GROUP BY kind ORDER BY kind")
+    assert found == [{"kind": kind, "n": 2} for kind in ("after marker", "error", "left running")]
+
+
 @pytest.mark.nightly
 def test_a_study_waits_for_the_batch_of_each_look(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)

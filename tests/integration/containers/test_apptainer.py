@@ -11,7 +11,18 @@ from pathlib import Path
 import pytest
 
 from tests import containers
-from tests.integration.containers.test_podman import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
+from tests.integration.containers.test_podman import (
+    ENDED,
+    ENDS,
+    HANGS,
+    RUN,
+    TOLD,
+    ends_after_marker,
+    isolated,
+    rows,
+    says,
+    what_is_told,
+)
 from tests.projects import SIERRA
 from tests.waiting import PATIENCE_S, until
 
@@ -249,3 +260,9 @@ def test_a_run_is_tried_in_its_image(tmp_path: Path, python: Path, isolation: st
     assert "not observed" in said
     assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
     assert not (folder / ".sierra" / "try" / "store").exists()
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_runs_that_hang_after_their_marker_are_ended_and_count(tmp_path: Path, python: Path, isolation: str) -> None:
+    ends_after_marker(containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=HANGS))

@@ -210,6 +210,42 @@ SIMULATOR_LOCKED = containers.SIMULATOR + "mkdir deep; echo x > deep/file; chmod
 
 # ---------------------------------------------------------------- how runs end
 
+HANGS = containers.SIMULATOR + "echo finished; sleep 77\n"
+AFTER_MARKER = '[success]\nmarker = "stdout"\ncontains = "finished"\n[limits]\nafter_marker = 0.2\nwall = 60\n'
+
+
+def ends_after_marker(folder: Path) -> None:
+    """Check that runs which hang are ended after their marker, and count."""
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(AFTER_MARKER)
+    assert "4 runs: 4 executed" in says(folder, *RUN)
+    [found] = rows(
+        folder,
+        "SELECT count(*) AS n, min(kind) AS kind, min(status) AS status, max(wall_s) < 40 AS soon "
+        "FROM executions JOIN endings USING (execution)",
+    )
+    assert found == {"n": 4, "kind": "after marker", "status": "ok", "soon": True}
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_runs_that_hang_after_their_marker_are_ended_and_count(tmp_path: Path, python: Path, isolation: str) -> None:
+    folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=HANGS)
+    ends_after_marker(folder)
+    assert containers.left(folder) == []
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize(("isolation", "around"), [("worker", ""), ("run", 'after = "true"\n')])
+def test_processes_that_still_run_in_a_container_are_named(tmp_path: Path, python: Path, isolation: str, around: str) -> None:
+    folder = containers.make(
+        tmp_path / "project", python, f'isolation = "{isolation}"', simulator=containers.SIMULATOR + "setsid sleep 78 &\n"
+    )
+    config = (folder / "sierra.toml").read_text()
+    (folder / "sierra.toml").write_text(around + config)
+    assert "in 4 of 4 runs processes were still running when the command ended, and were ended: sleep 78" in says(folder, *RUN)
+
+
 ENDS = """\
 case $(sed -n 's/.*count="\\([0-9]*\\)".*/\\1/p' "$1") in
 1) exit 7;;

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from sierra.errors import Missing
 from sierra.links.base import LinkOptions
 from sierra.links.fabric import Fabric
 from sierra.links.openssh import OpenSsh, OpenSshOptions
+from sierra.model import Limits
 from sierra.runners.robots.trial import Trial
 from tests.support.robot_fleet import Fleet, Proxy
 from tests.support.robot_runs import Runs, job
@@ -77,6 +79,12 @@ def test_programs_start_together_by_the_clock_of_each_robot(runs: Runs, fleet: F
     assert max(skews) - min(skews) < 60e9, "`make bench` has the time on a machine without other work"
     counts = [(robot.home / "stops").read_text().count("stopped\n") for robot in fleet.robots.values()]
     assert counts == [1 + 2 * 2] * 3, "at the beginning, and at the first sign and at the end of both runs"
+
+
+def test_programs_are_ended_after_the_marker_of_their_robot(runs: Runs):
+    marked = Limits(grace_s=1.0, after_marker_s=0.3, marker="here.csv")
+    [good] = runs.run(replace(job(1, *SLEEP), limits=marked))
+    assert (good.exit_code, good.error, good.stopped, good.after_marker) == (0, None, None, 0.3)
 
 
 @pytest.mark.parametrize("kind", ["fabric", "openssh"])

@@ -61,6 +61,33 @@ def test_hundred_thousand_runs_have_distinct_seeds() -> None:
     assert len({seed(7, number) for number in range(100_000)}) == 100_000
 
 
+@given(st.integers(1, 300), BASES, STREAMS)
+def test_every_seed_up_to_a_largest_one_belongs_to_one_number(largest: int, base: int, stream: str) -> None:
+    assert sorted(seed(base, number, stream, largest) for number in range(largest)) == list(range(1, largest + 1))
+
+
+def test_golden_seeds_with_a_largest_one_are_unchanged() -> None:
+    assert [seed(0, number, largest=900_000_000) for number in range(3)] == [303561610, 358600769, 800982882]
+    assert [seed(42, number, largest=65_535) for number in range(3)] == [59085, 45816, 13621]
+    assert [seed(9, number, "s", LARGEST) for number in range(99)] == [seed(9, number, "s") for number in range(99)]
+
+
+@pytest.mark.parametrize("largest", [65_535, 900_000_000])
+def test_seeds_with_a_largest_one_are_spread_evenly(largest: int) -> None:
+    made = [seed(3, number, largest=largest) for number in range(4096)]
+    assert len(set(made)) == 4096
+    assert max(made) <= largest
+    for tenth in range(10):
+        assert 0.08 < sum(value * 10 // (largest + 1) == tenth for value in made) / 4096 < 0.12
+
+
+@given(st.integers(1, LARGEST))
+def test_all_streams_together_have_no_more_numbers_than_there_are_seeds(largest: int) -> None:
+    width, most = seeds.streams(largest)
+    assert width * most <= largest
+    assert most or largest < 4
+
+
 @given(BASES, NUMBERS, STREAMS)
 def test_other_base_seeds_and_streams_give_other_seeds(base: int, first: int, stream: str) -> None:
     numbers = range(min(first, LARGEST - 8), min(first, LARGEST - 8) + 8)

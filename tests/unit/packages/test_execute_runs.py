@@ -57,6 +57,7 @@ def test_inputs_as_differences_are_the_same_inputs(before: str, text: str) -> No
     assert execute_runs.changed(None, execute_runs.changes(None, text)) == text
 
 
+ABOUT = '[package]\ntitle = "x"\nauthors = [{ name = "A B" }]\nlicense = "MIT"\n'
 LINE = {
     "run": "ab" * 32,
     "experiment": 0,
@@ -109,6 +110,8 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
         (LINE, {"files": {"a": {"member": "../../etc/passwd", "program": False}}}),
         (LINE, {"beside": {"../a": {"member": "project/a", "program": False}}}),
         (LINE, {"limits": 3}),
+        (LINE, {"limits": {"marker": "../../etc/passwd", "after_marker_s": 1}}),
+        (LINE, {"limits": {"wall_s": "stdout"}}),
         (LINE, {"batch": "../../elsewhere"}),
         (LINE, {"environment": {"A": 1}}),
         ([1], {}),
@@ -211,6 +214,27 @@ def test_runs_are_executed_without_sierra_and_a_clock_is_not_comparable(
     assert (status, "LEVEL 2: 4 of 4 runs executed again: 4 not comparable" in printed) == (3, True)
     assert "clock.csv differs at the byte level (volatile: wall); level 3 compares values" in printed
     assert not (package / "reproduction").exists()
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize(
+    ("rules", "end"),
+    [
+        ("[limits]\nafter_marker = 0.2", "import time\nprint('finished', flush=True)\ntime.sleep(60)\n"),
+        ("exit_status = [139]", "import os\nprint('finished', flush=True)\nos.kill(os.getpid(), 11)\n"),
+    ],
+    ids=["after its marker", "by a signal"],
+)
+def test_a_bad_end_that_counts_counts_without_sierra_too(rules: str, end: str, tmp_path: Path) -> None:
+    success = f'[success]\nmarker = "stdout"\ncontains = "finished"\n{rules}\n'
+    root = projects.make(tmp_path / "p", projects.CONFIG + success + ABOUT, simulator=projects.SIMULATOR + end)
+    batch = sierra.open(root).run("population_size=1", runs=2, figures=False).batch
+    assert sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip") is not None
+    with zipfile.ZipFile(tmp_path / "x.zip") as file:
+        file.extractall(tmp_path / "x")
+    status, printed = executed(tmp_path / "x", "--yes", f"--work={tmp_path / 'work'}")
+    assert (status, "2 runs executed again: 2 identical" in printed) == (0, True), printed
 
 
 def without_clock(folder: Path) -> None:

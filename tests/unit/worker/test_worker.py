@@ -819,7 +819,7 @@ def test_the_worker_needs_only_python_3_8_and_the_standard_library() -> None:
     tree = ast.parse(Path(PROGRAM).read_text(), feature_version=(3, 8))
     imported = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
     imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    only_for_types = {"sierra.worker.file_trace"}
+    only_for_types = {"sierra.worker.conductor", "sierra.worker.file_trace"}
     assert {name.partition(".")[0] for name in imported - only_for_types} <= sys.stdlib_module_names
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from sierra.config.output_tables import Success
 from sierra.ingest.observations import observed
 from sierra.ingest.success import judge
 from sierra.links.clock import Clock
-from sierra.model import Status
+from sierra.model import Limits, Status
 from sierra.runners.journal_reader import result_of
 from sierra.runners.robots import results
 from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.fleet_table import FleetTable
+from sierra.runners.robots.runner import member_limits
 from sierra.runners.robots.trial import STOPPED, Part, Trial
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
@@ -58,6 +60,22 @@ def trial_of(folder: Path) -> Trial:
 def test_a_run_that_a_person_ends_is_only_interrupted(tmp_path: Path):
     end = results.result(trial_of(tmp_path), JOB, tmp_path)
     assert (end["stopped"], end["error"]) == ("interrupted", None)
+
+
+def test_remarks_on_the_ends_of_all_robots_are_those_of_the_run(tmp_path: Path):
+    trial = trial_of(tmp_path)
+    for part, left, seconds in zip(trial.parts, (["rosmaster"], ["rosmaster", "gzserver"]), (0.5, 2.0), strict=True):
+        assert part.ended
+        part.ended["end"] |= {"left_running": left, "after_marker": seconds}
+    result = result_of(results.result(trial, JOB, tmp_path))
+    assert (result.left_running, result.after_marker) == (("rosmaster", "gzserver"), 2.0)
+
+
+def test_the_marker_of_another_place_ends_no_program():
+    limits = Limits(after_marker_s=1.0, marker="2/done.json")
+    assert [member_limits(limits, place).marker for place in (1, 2)] == [None, "done.json"]
+    assert member_limits(limits, 1) == Limits()
+    assert member_limits(replace(limits, marker="stdout"), 1).marker == "stdout"
 
 
 def test_a_robot_that_is_gone_after_its_files_were_copied_is_only_remarked(tmp_path: Path):

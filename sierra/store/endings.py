@@ -1,0 +1,97 @@
+"""Notes on how the runs of a batch ended: processes that still ran, and errors on standard error of successful runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from typing import NamedTuple
+
+from sierra.store.store import Snapshot, Store
+from sierra.util.text import counted, few, verb
+
+
+class Kind(StrEnum):
+    """The kinds of remarks in the table `endings`."""
+
+    LEFT_RUNNING = "left running"
+    ERROR = "error"
+    AFTER_MARKER = "after marker"
+
+
+NAMED = 3
+LAST = """
+WITH last AS (
+    SELECT e.run, arg_max(e.execution, e.lamport) AS execution, arg_max(e.status, e.lamport) AS status
+    FROM executions e WHERE e.purpose = 'run' AND e.run IN (SELECT run FROM batch_runs WHERE batch = $b) GROUP BY e.run
+), ended AS (SELECT execution FROM last WHERE status IN ('ok', 'mismatch'))
+"""
+"""The last executions of the runs of a batch that were successful, at least by themselves."""
+REMARKS = (
+    LAST
+    + """
+SELECT kind, text, count(DISTINCT execution) AS runs, (SELECT count(*) FROM ended) AS of
+FROM endings JOIN ended USING (execution) GROUP BY ALL ORDER BY runs DESC, text
+"""
+)
+AFFECTED = (
+    LAST
+    + """
+SELECT kind, '' AS text, count(DISTINCT execution) AS runs, (SELECT count(*) FROM ended) AS of
+FROM endings JOIN ended USING (execution) GROUP BY ALL
+"""
+)
+TABLES = ("executions", "batch_runs", "endings")
+
+
+class _Remark(NamedTuple):
+    kind: str
+    text: str
+    runs: int
+    of: int
+
+
+def of_batch(store: Store, batch: str) -> list[str]:
+    """Return the notes on the ends of a batch's runs, one line each."""
+    with store.snapshot() as snapshot:
+        return list(notes(snapshot, batch))
+
+
+def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
+    """Yield the notes on the ends of a batch's runs, one line each."""
+    if not snapshot.holds("endings"):
+        return
+    snapshot.views.make(TABLES)
+    affected = {row.kind: row for row in snapshot.select(_Remark, AFFECTED, b=batch)}
+    texts: dict[str, list[_Remark]] = {}
+    for row in snapshot.select(_Remark, REMARKS, b=batch):
+        texts.setdefault(row.kind, []).append(row)
+    if left := affected.get(Kind.LEFT_RUNNING):
+        cure = 'let the command wait for them; leftovers = "fail" in [success] makes such runs fail'
+        yield f"{_left_running(left, texts)} ({cure})"
+    if bad := affected.get(Kind.ERROR):
+        yield _errors(bad, texts)
+
+
+def left_running(store: Store, batch: str) -> str:
+    """Return that processes were ended that still ran when the command of a batch's runs had ended; "" if none were."""
+    with store.snapshot() as snapshot:
+        if not snapshot.holds("endings"):
+            return ""
+        snapshot.views.make(TABLES)
+        affected = [row for row in snapshot.select(_Remark, AFFECTED, b=batch) if row.kind == Kind.LEFT_RUNNING]
+        rows = [row for row in snapshot.select(_Remark, REMARKS, b=batch) if row.kind == Kind.LEFT_RUNNING]
+        return _left_running(affected[0], {Kind.LEFT_RUNNING: rows}) if affected else ""
+
+
+def _left_running(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
+    named = few([one.text for one in texts[Kind.LEFT_RUNNING]], NAMED)
+    where = f"in {row.runs} of {counted(row.of, 'run')}"
+    return f"{where} processes were still running when the command ended, and were ended: {named}"
+
+
+def _errors(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
+    first, *others = texts[Kind.ERROR]
+    more = f" (and {counted(len(others), 'other message')})" if others else ""
+    ends = f"{verb(row.runs, 'was', 'were')} successful, but what {verb(row.runs, 'it', 'they')} printed ends with an error"
+    cure = 'stderr in [success] makes such runs fail: a pattern, or "empty"'
+    return f"{row.runs} of {counted(row.of, 'run')} {ends}: {first.text}{more} ({cure})"
