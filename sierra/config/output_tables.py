@@ -8,7 +8,17 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, PositiveInt, StringConstraints, WithJsonSchema, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PositiveInt,
+    Strict,
+    StrictInt,
+    StrictStr,
+    StringConstraints,
+    WithJsonSchema,
+    model_validator,
+)
 
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table
 from sierra.model import Measure
@@ -23,7 +33,7 @@ PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
 ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
-CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
+CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
     "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
@@ -38,8 +48,9 @@ BAG_ENDINGS = ("bag", "mcap", "db3")
 BAG_COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 ROS_VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
-LATER_KEYS = (*KEYS_OF_FORMATS, "time_order")
+LATER_KEYS = (*KEYS_OF_FORMATS, "na", "time_order")
 """Keys of `[outputs.NAME]` that were added after rules had been recorded."""
+Comment = str | Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
 Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
 
 
@@ -110,13 +121,19 @@ class Output(Table):
         (), description="column names of a CSV file without a header"
     )
     skip: int = Field(0, ge=0, description="number of lines at the beginning of a CSV file that are not read")
-    comment: str = Field("", description="beginning of lines of a CSV file that are not read, such as `#`")
+    comment: Comment = Field(
+        "", description="beginning of lines of a CSV file that are not read, such as `#`, or a list of several"
+    )
     header_lines: int = Field(
         1, ge=1, description="number of lines of a CSV file that make up the column names; their texts are joined by a dot"
     )
     units_row: bool = Field(False, description="whether a line with units follows the column names of a CSV file")
     decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
-    na: tuple[str, ...] = Field((), description="texts that stand for a missing value in a CSV file, such as `NA`")
+    na: tuple[StrictStr | StrictInt | Annotated[Finite, Strict()], ...] = Field(
+        (),
+        description="what stands for a missing value: texts such as `NA`, and numbers such as `-1`, however they are written; "
+        "in a CSV file, a text that is a number matches only cells that are written in the same way",
+    )
     widths: tuple[PositiveInt, ...] = Field(
         (), description="number of characters of each column of a text file without separators (fixed width)"
     )
@@ -183,6 +200,8 @@ class Output(Table):
             if getattr(self, key) and key not in self.unused_later_keys and self.kind not in known:
                 formats = " or ".join(f'format = "{name}"' for name in known)
                 raise ValueError(f"{key} needs {formats}, but the format is {self.kind!r}")
+        if self.na and self.kind == FILE_FORMAT:
+            raise ValueError(f'na needs a format that makes a table, but the format is "{FILE_FORMAT}"')
         if not self.header and (self.units_row or self.header_lines > 1):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):

@@ -261,7 +261,10 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
         wanted = set(runs)
         return {row.run: row.ordinal for row in places if row.run in wanted}, votes
 
-    return Siblings(frozenset(mixed), ask)
+    def names() -> set[str]:
+        return {column for form in store.values(str, RECORDED_FORMS, output=name) for column in TableLayout.load(form).columns}
+
+    return Siblings(frozenset(mixed), ask, names)
 
 
 class _Place(NamedTuple):
@@ -294,6 +297,7 @@ SIBLINGS_FORMS = """
 SELECT DISTINCT a.table_layout FROM all_artifacts a
 WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)
 """
+RECORDED_FORMS = "SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND output = $output"
 SIBLINGS_VOTES = """
 SELECT g.ordinal, a.table_layout, count(DISTINCT a.execution) AS executions
 FROM all_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output

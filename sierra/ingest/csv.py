@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -17,6 +16,8 @@ from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_table_reader import Text
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import csv_given
+from sierra.store.sql_names import unmarked
+from sierra.store.type_inference import as_float
 
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
@@ -65,7 +66,7 @@ class Csv(Text):
 
     def _named(self, head: str) -> Part | str:
         delimiter = self.shape.delimiter or delimiter_of(head)
-        names = split(head, delimiter)
+        names = self._unmarked(split(head, delimiter))
         if not any(names):
             return "is empty, but must contain the column names"
         if "\ufffd" in head or CONTROL.search(head):
@@ -79,6 +80,15 @@ class Csv(Text):
         if doubled:
             return f"the column {doubled[0]!r} occurs twice"
         return Part(names, delimiter)
+
+    def _unmarked(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names without the mark of a comment before the first one, unless the table has been recorded with it."""
+        first = unmarked(names[0]) if names else ""
+        is_sentence = len(names) == 1 and len(first.split()) > 1
+        taken = {name.lower() for name in names[1:]}
+        if not names or first == names[0] or is_sentence or first.lower() in taken or names[0] in self.siblings.names():
+            return names
+        return (first, *names[1:])
 
     def _numbered(self, head: str, delimiter: str) -> Part | None:
         """Return the columns of a file without header: as declared, or one for each field of its first line."""
@@ -294,8 +304,4 @@ def _end(ends: list[str]) -> str:
 
 
 def reads_as_number(field: str) -> bool:
-    try:
-        number = float(field)
-    except ValueError:
-        return False
-    return "_" not in field and not (math.isinf(number) and any(map(str.isdigit, field)))
+    return as_float(field) is not None

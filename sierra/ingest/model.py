@@ -45,11 +45,11 @@ class Form:
     """The differences of a file from a plain one that shipped readers read; keys of the same names in `[outputs.NAME]`."""
 
     skip: int = 0
-    comment: str = ""
+    comment: str | tuple[str, ...] = ""
     header_lines: int = 1
     units_row: bool = False
     decimal: str = "."
-    na: tuple[str, ...] = ()
+    na: tuple[str | float, ...] = ()
     widths: tuple[int, ...] = ()
     rows: str = ""
     unnest: str = ""
@@ -58,6 +58,12 @@ class Form:
     ros: str = ""
     covariances: bool = False
     min_rate: float = 0.0
+
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """The beginnings of lines that are not read."""
+        return self.comment if isinstance(self.comment, tuple) else (self.comment,) if self.comment else ()
 
 
 PLAIN = Form()
@@ -114,6 +120,8 @@ class Siblings:
     """The columns in which some of these files have values that are not numbers."""
     ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Votes]] = lambda runs: ({}, {})
     """A function of runs. It returns each run's experiment, and the votes of the files that were read before."""
+    names: Callable[[], AbstractSet[str]] = frozenset
+    """A function that returns all names of columns with which the table was ever recorded."""
 
 
 @dataclass(frozen=True, slots=True)
