@@ -211,10 +211,7 @@ class Gallery:
             except SierraError as error:
                 if output.name in filmed:
                     continue
-                doubled = output.name in self._seen and self._seen[output.name].doubled
-                doubled = doubled and output.files < 2 and self._topics(output) < 2
-                hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
-                notes.append(f"no figure of output {output.name!r}: {error}{hint}")
+                notes.append(f"no figure of output {output.name!r}: {error}")
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
             proposed = stats.default_figures(output.name, columns, varied(self._axes), series=series)
@@ -286,7 +283,7 @@ class Gallery:
         seen = self._coverage(output, several=bool(figure.where))
         if figure.where:
             seen = self._in_order(output, source.coverage(column))
-            stats.check_times(seen)
+            self.check_times(output, seen)
         return stats.Samples(source.samples(column, offset), seen, column in self.rates(output))
 
     def rates(self, output: OutputTable) -> tuple[str, ...]:
@@ -461,15 +458,21 @@ class Gallery:
                 "choose one topic by `where`, or make one row for each time by a derived table"
             )
         if not several:
-            try:
-                stats.check_times(self._seen[output.name])
-            except UsageError as error:
-                if output.files < 2:
-                    raise
-                raise UsageError(
-                    f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
-                ) from error
+            self.check_times(output, self._seen[output.name])
         return self._seen[output.name]
+
+    def check_times(self, output: OutputTable, seen: stats.Coverage) -> None:
+        """Raise UsageError for several rows at the same time of a run, with a proposal, and for a time that goes back."""
+        try:
+            stats.check_times(seen)
+        except UsageError as error:
+            if output.files > 1:
+                hint = f". A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
+            else:
+                hint = suggest_tables.of_single_rows(self.frame, output, self.time(output)) if seen.doubled else ""
+            if not hint:
+                raise
+            raise UsageError(f"{error}{hint}") from error
 
     def _any_order(self, output: OutputTable) -> bool:
         """Return whether the time of an output may go back within a run."""

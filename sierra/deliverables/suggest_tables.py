@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 
-from sierra.store.samples import Frame, OutputTable
-from sierra.store.sql_names import identifier, quote
+from sierra.store.samples import Frame, OutputTable, names_time
+from sierra.store.sql_names import identifier, quote, row_name
 from sierra.util.text import few
 
 SHOWN = 5
@@ -29,15 +30,25 @@ def notes(frame: Frame, output: OutputTable) -> Sequence[str]:
     return [f"{which}; a derived table has one, for example: [tables.{key}] sql = {_toml(sql)}"]
 
 
-def of_means(frame: Frame, output: OutputTable, time: str) -> str:
-    """Return a proposal for an output with several rows per run and time: their mean; empty if there is no such column."""
-    measured = (one for one in output.columns if one != time and not frame.numbers_rows(output.name, one, time))
-    column = next(measured, None) if time else None
-    if column is None:
+def of_single_rows(frame: Frame, output: OutputTable, time: str) -> str:
+    """Return a proposal for an output with several rows per run and time, which makes one row of them.
+
+    It is their mean if another column tells them apart at all times, as the number of a robot does. Otherwise it is the last
+    one: a model that writes the values before and after an event never had their mean.
+    """
+    if not time:
         return ""
-    table, name, at = (_name(frame, one) for one in (output.name, column, time))
-    sql = f"SELECT run, {at}, avg({name}) AS {name} FROM {table} GROUP BY run, {at}"  # noqa: S608 - the user may write it
-    return f"; or make one row of them, for example: [tables.{output.name}_mean] sql = {_toml(sql)}"
+    measured = [one for one in output.columns if one != time and not frame.numbers_rows(output.name, one, time)]
+    of_members = len(measured) < len(output.columns) - 1 and not frame.has_single_rows(output.name, time)
+    table, at = (_name(frame, one) for one in (output.name, time))
+    if of_members and measured:
+        name = _name(frame, measured[0])
+        sql = f"SELECT run, {at}, avg({name}) AS {name} FROM {table} GROUP BY run, {at}"  # noqa: S608 - the user may write it
+        return f"; or make one row of them, for example: [tables.{output.name}_mean] sql = {_toml(sql)}"
+    row = row_name((*frame.axis_names, *output.all_columns))
+    sql = f"SELECT * FROM {table} QUALIFY {row} = max({row}) OVER (PARTITION BY run, {at})"  # noqa: S608
+    declared = "" if names_time(time) else f", time = {json.dumps(time, ensure_ascii=False)}"
+    return f"; or take the last row of each time, for example: [tables.{output.name}_last] sql = {_toml(sql)}{declared}"
 
 
 def _example(frame: Frame, table: str, others: Mapping[str, str]) -> tuple[str, str, str] | None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import re
+import tempfile
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, lines_of
+from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, described, lines_of
 from sierra.ingest.messages import shown
-from sierra.ingest.model import Found, Part, Shape, Siblings, Written
+from sierra.ingest.model import Found, Part, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_table_reader import Text
 from sierra.store.connections import Database
+from sierra.store.segments import disk_errors
 from sierra.store.duckdb_file_io import csv_given
 from sierra.store.sql_names import unmarked
 from sierra.store.type_inference import as_float
@@ -26,6 +28,8 @@ SMALL = 1 << 20
 """The size in bytes of files that are read at once."""
 COMMENTS = 'if such lines are comments, set comment = "#" in [outputs.…]'
 QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
+BLANK_END = re.compile(rb"(?<=\n)((\r?\n)+\r?|\r)\Z|(?<=\r)\r+\Z")
+"""Lines without a character at the end of a file."""
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Control characters that are not allowed in column names."""
 
@@ -40,6 +44,44 @@ class Csv(Text):
         super().__init__(connection, shape, target, siblings)
         self._records: dict[str, int | str] = {}
         """The number of records in each file, or an error message, by path."""
+
+    def read(self, files: Sequence[Written]) -> Reading:
+        with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
+            return super().read(list(self._without_blank_ends(files, Path(folder))))
+
+    def _without_blank_ends(self, files: Sequence[Written], folder: Path) -> Iterator[Written]:
+        """Yield the files; of one with a single column and blank lines at its end, a copy without these lines.
+
+        Other blank lines in such a file are rows without a value. Files are read as before if the store has a sibling whose
+        blank lines at the end were recorded as rows.
+        """
+        counted = None
+        for number, file in enumerate(files):
+            if file.blank == 0 or not file.lines or (file.quotes or 0) % 2 or not self._is_single_column(file):
+                yield file
+                continue
+            content = Path(file.path).read_bytes()
+            whole = BLANK_END.sub(b"", content)
+            if len(whole) < len(content):
+                counted = self._counts_blank_ends() if counted is None else counted
+            if len(whole) == len(content) or counted:
+                yield file
+                continue
+            copy = folder / str(number)
+            copy.write_bytes(whole)
+            yield described(file, copy)
+
+    def _is_single_column(self, file: Written) -> bool:
+        if self.shape.names:
+            return len(self.shape.names) == 1
+        head = _first_record(file)
+        return len(split(head, self.shape.delimiter or delimiter_of(head))) == 1
+
+    def _counts_blank_ends(self) -> bool:
+        """Check if blank lines at the end of a sibling were recorded as rows, by an earlier version."""
+        content, rows = self.siblings.example() or (b"", 0)
+        whole = BLANK_END.sub(b"", content)
+        return len(whole) < len(content) and rows > whole.count(b"\n") - self.shape.header
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         for file in files:

@@ -122,6 +122,8 @@ class Siblings:
     """A function of runs. It returns each run's experiment, and the votes of the files that were read before."""
     names: Callable[[], AbstractSet[str]] = frozenset
     """A function that returns all names of columns with which the table was ever recorded."""
+    example: Callable[[], tuple[bytes, int] | None] = lambda: None
+    """A function that returns the content of one of these files, and the number of its rows that were recorded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,13 +20,12 @@ from typing import BinaryIO, ClassVar, TypeVar
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.ingest.base import UnreadableError
+from sierra.ingest.independent_row_count import described
 from sierra.ingest.messages import shown
 from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
-from sierra.model import OutputFile
 from sierra.store.connections import Database
 from sierra.store.segments import disk_errors
-from sierra.worker import worker
 
 LINE = re.compile(r"\bline (\d+): ")
 COMPRESSED = (".gz", ".zst")
@@ -180,7 +179,7 @@ class _Rewriting:
             fault = " ".join(f"the reader {self._rewriter.shape.format!r} failed: {type(error).__name__}: {error}".split())
         else:
             if counted == written:
-                return _described(file, path)
+                return described(file, path)
             fault = f"it contains {counted} rows, but {written} were found: it can be understood in more than one way"
         self._faults.setdefault(file.execution, f"{shown(file.name)}: {fault}")
         return None
@@ -197,22 +196,3 @@ class _Rewriting:
             return message
         place = self._rewriter.place(self._sources[execution, name], int(found[1]))
         return f"{name}: {place}: {message[found.end() :]}"
-
-
-def _described(file: Written, path: Path) -> Written:
-    """Return the plain file that a file became."""
-    seen = OutputFile(**worker.describe(str(path), file.name))
-    return Written(
-        str(path),
-        file.run,
-        file.execution,
-        file.name,
-        seen.head,
-        seen.lines,
-        seen.ended,
-        seen.bytes,
-        seen.quotes,
-        seen.blank,
-        seen.alike,
-        file.ticks,
-    )

@@ -394,7 +394,7 @@ class Frame:
         except SierraError as error:
             self.problems[name] = error
             return
-        hidden = {*NO_VALUES, *(axis.lower() for axis in self._axis_names())}
+        hidden = {*NO_VALUES, *(axis.lower() for axis in self.axis_names)}
         columns = {column: kind for column, kind in made.columns.items() if column.lower() not in hidden}
         numeric, flags = (tuple(c for c, kind in columns.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, FLAG))
         sizes = f"SELECT count(*) AS rows FROM {identifier(name)} GROUP BY run"
@@ -428,7 +428,9 @@ class Frame:
             raise UsageError(f"{origin}: it has a row {which}; its column 'run' must be that of the runs")
         return made
 
-    def _axis_names(self) -> list[str]:
+    @property
+    def axis_names(self) -> list[str]:
+        """The names of the batch's independent variables."""
         [(names,)] = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
         return list(names)
 
@@ -760,6 +762,11 @@ class Frame:
         fractions = f"SELECT 1 FROM {data} WHERE {of} <> floor({of}) LIMIT 1"
         doubled = f"SELECT 1 FROM {data} GROUP BY run, {at}, {of} HAVING count(*) > 1 LIMIT 1"
         return not self._snapshot.run(fractions) and not self._snapshot.run(doubled)
+
+    def has_single_rows(self, table: str, time: str) -> bool:
+        """Check if some run has a single row at some time."""
+        single = f"SELECT 1 FROM {self._data(table)} GROUP BY run, {identifier(time)} HAVING count(*) = 1 LIMIT 1"
+        return bool(self._snapshot.run(single))
 
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
         """Return the rows of one statement on the tables of the store as instances of a row class. Raises SqlError."""
