@@ -29,6 +29,8 @@ from sierra.stats import aggregate as stats
 from sierra.store import equal_runs
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, AllFailed, Column, Frame, NoRuns, OutputTable, names_time
+from sierra.store import clock_times
+from sierra.store.clock_times import TimeKind
 from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
@@ -203,7 +205,7 @@ class Gallery:
             columns = [column for column in output.columns if column != time]
             if output.name not in filmed:
                 notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
-                notes += suggest_tables.notes(self.frame, output)
+                notes += suggest_tables.notes(self.frame, output, time)
             try:
                 self._coverage(output)
             except DamagedFile:
@@ -253,7 +255,9 @@ class Gallery:
         """Return the units of columns: those that are declared, and that of durations."""
         declared = self._config.declared(output.name)
         units = {stored_name(name, output.all_columns): unit for name, unit in (declared.units if declared else {}).items()}
-        return {**units, **dict.fromkeys(self.frame.durations(output.name), "ns")}
+        time = self.time(output)
+        read = {time: clock_times.UNIT} if self._time_kind(output, time) else {}
+        return {**read, **units, **dict.fromkeys(self.frame.durations(output.name), "ns")}
 
     def declared_output(self, name: str) -> Output:
         """Return the declaration of an output. Raises NotFound."""
@@ -418,11 +422,12 @@ class Gallery:
 
     def _time(self, output: OutputTable) -> str:
         declared = self._config.declared(output.name)
-        if declared and declared.time:
-            return stored_name(declared.time, output.all_columns)
+        named = stored_name(declared.time, output.all_columns) if declared and declared.time else ""
         first = output.all_columns[0] if output.all_columns else ""
-        if names_time(first) and first in output.columns:
-            return first
+        if named or (names_time(first) and (first in output.columns or self._time_kind(output, first) is TimeKind.CLOCK)):
+            if self._time_kind(output, named or first):
+                self.time_notes[output.name] = clock_times.NOTE.format(time=named or first, table=output.name)
+            return named or first
         found = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
             if declared is None and output.rows > 1:
@@ -436,6 +441,15 @@ class Gallery:
             f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
         )
         return found
+
+    def _time_kind(self, output: OutputTable, column: str) -> TimeKind | None:
+        """Return the form of the times in a column, if they are no numbers; None for numbers, and for other values."""
+        if column not in output.others:
+            return None
+        try:
+            return self.frame.time_kind(output.name, column)
+        except NotFound:
+            return None
 
     def _coverage(self, output: OutputTable, *, several: bool = False) -> stats.Coverage:
         """Return the amount of data. Raises UsageError for several rows at the same time of a run, unless `several`."""

@@ -15,13 +15,14 @@ SHOWN = 5
 RESERVED = "SELECT 1 FROM duckdb_keywords() WHERE keyword_name = lower($name) AND keyword_category = 'reserved'"
 
 
-def notes(frame: Frame, output: OutputTable) -> Sequence[str]:
-    """Return a note on the columns of an output that are no numbers; none if there is no such column."""
-    if not output.others:
+def notes(frame: Frame, output: OutputTable, time: str) -> Sequence[str]:
+    """Return a note on the columns of an output that are no numbers, apart from its time; none if there is no such column."""
+    others = {column: kind for column, kind in output.others.items() if column != time}
+    if not others:
         return []
-    called = few([repr(column) for column in output.others], SHOWN)
-    which = f"no figure of {called} of output {output.name!r}: no {'number' if len(output.others) == 1 else 'numbers'}"
-    if (example := _example(frame, output.name, output.others)) is None:
+    called = few([repr(column) for column in others], SHOWN)
+    which = f"no figure of {called} of output {output.name!r}: no {'number' if len(others) == 1 else 'numbers'}"
+    if (example := _example(frame, output.name, others)) is None:
         return [which]
     column, expression, name = example
     table = _name(frame, output.name)

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
-from sierra.store import captures, robot_means, rounded_times
+from sierra.store import captures, clock_times, robot_means, rounded_times
+from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
@@ -274,7 +275,8 @@ class Frame:
         """
         if table not in self._files:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
-        source, t = self._relation(table, self._files[table]), f"{identifier(time)}::DOUBLE"
+        source, kind = self._relation(table, self._files[table]), self.time_kind(table, time)
+        t = f"{identifier(time)}::DOUBLE" if kind is None else clock_times.seconds(time, kind, "run")
         if not self._files[table]:
             return f'(SELECT *, {t} AS "# t", 0 AS "# file", rowid AS "# row" FROM {source.sql} WHERE run = {quote(run.run)})'
         mine = f"execution = {quote(run.judgement or '')}"
@@ -570,11 +572,48 @@ class Frame:
         """Return the SQL expression for the time of a row. If `shared`, times that differ by rounding only are one."""
         if not time:
             return '"# place"::DOUBLE'
+        own = f"{identifier(time)}::DOUBLE" if self.time_kind(table, time) is None else self._seconds(table, time)
         if not shared:
-            return f"{identifier(time)}::DOUBLE"
+            return own
         if (table, time) not in self._times:
-            self._times[table, time] = self._one_time(table, f"{identifier(time)}::DOUBLE")
+            self._times[table, time] = self._one_time(table, own)
         return self._times[table, time]
+
+    def time_kind(self, table: str, time: str) -> TimeKind | None:
+        """Return the form of times that are no numbers; None for numbers. Raises NotFound for texts that are no times."""
+        return self.once(("time", table, time), partial(self._time_kind, table, time))
+
+    def _time_kind(self, table: str, time: str) -> TimeKind | None:
+        kind, data = self._type(table, time), self._data(table)
+        if not kind or re.fullmatch(NUMERIC, kind):
+            return None
+        found = clock_times.kind_of(self._snapshot.run, data, time, kind)
+        if found is None:
+            [(example,)] = self._snapshot.run(f"SELECT min({identifier(time)})::VARCHAR FROM {data}")
+            raise NotFound(
+                f"output {table!r}: its time {time!r} has {'no value' if example is None else f'values such as {example!r}'}, "
+                f"which are neither numbers nor times; name another column (time in [outputs.{table}]), or let the run write "
+                "seconds, 00:00:10 or 2024-05-01T10:00:00"
+            )
+        return found
+
+    def _seconds(self, table: str, time: str) -> str:
+        """Return the name of a column of the table's rows that has the seconds of a time that is no number."""
+        return self.once(("seconds", table, time.lower()), partial(self._add_seconds, table, time))
+
+    def _add_seconds(self, table: str, time: str) -> str:
+        kind = self.time_kind(table, time)
+        if kind is None:
+            return identifier(time)
+        rows, name = identifier("rows " + table), identifier(f"# seconds of {time}")
+        value = clock_times.seconds(time, kind, 'run, "# experiment"')
+        self._snapshot.run(f"ALTER TABLE {rows} ADD COLUMN {name} DOUBLE")
+        self._snapshot.run(
+            f'UPDATE {rows} SET {name} = s."# value" FROM (SELECT rowid AS "# id", {value} AS "# value" FROM {rows}) s '
+            f'WHERE {rows}.rowid = s."# id"'
+        )
+        self._snapshot.run(SHOWN.format(data=identifier("data " + table), rows=rows))
+        return name
 
     def _one_time(self, table: str, time: str) -> str:
         """Return `time`, or an expression that looks it up in a table of the times that differ by rounding only."""
@@ -729,7 +768,7 @@ class Frame:
     def _load(self, table: str, files: list[str]) -> None:
         source, run = self._relation(table, files), self._snapshot.run
         data, rows = identifier("data " + table), identifier("rows " + table)
-        shown = f'CREATE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run), rowid AS "# rowid" FROM {rows}'
+        shown = SHOWN.format(data=data, rows=rows)
         if not files:
             run(LOAD.format(rows=rows, table=identifier(table)))
             run(shown)
@@ -783,6 +822,8 @@ SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.ended AS submitted
 FROM batch_runs m JOIN these t ON t.run = m.run JOIN all_judgements e ON e.judgement = t.judgement WHERE m.batch = {batch}
 """
 """The table `effective`, if statistics use given executions instead."""
+
+SHOWN = 'CREATE OR REPLACE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run), rowid AS "# rowid" FROM {rows}'
 
 LOAD = """
 CREATE TEMP TABLE {rows} AS SELECT w.ordinal::INTEGER AS "# experiment", w.number::INTEGER AS "# number",
