@@ -119,6 +119,11 @@ SELECT * FROM (
 """The files with the names that they have in the folder of each robot, as `[outputs]` declares them; a file that several robots
 wrote is there once, unless it is a part of a table. Those of the base station keep their folder.
 """
+MINE_UNREAD = """
+CREATE OR REPLACE TEMP TABLE mine AS SELECT arg_max(judgement, lamport) AS judgement FROM all_judgements
+WHERE purpose = 'run' AND status = 'mismatch' AND run IN (SELECT run FROM batch_runs WHERE batch = $batch) GROUP BY run
+"""
+"""If no run was successful: those whose tables could not be read."""
 COUNT = "SELECT count(*) FROM mine"
 LAYOUTS = """
 SELECT output, table_layout, arg_min(path, (starts_with(path, '0/'), path)) AS path
@@ -161,13 +166,15 @@ WHERE a.kind = 'file' AND (e.session = $session) = $own
 def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutputs:
     """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones."""
     with store.snapshot(batch) as snapshot:
-        snapshot.views.make(("effective", "all_artifacts", "batches", "specs"))
+        snapshot.views.make(("effective", "all_artifacts", "all_judgements", "batch_runs", "batches", "specs"))
         snapshot.run(MINE, {"batch": batch})
+        if failed := not snapshot.values(int, COUNT)[0]:
+            snapshot.run(MINE_UNREAD, {"batch": batch})
         on_robots = bool(snapshot.run(ON_ROBOTS, {"b": batch}))
         snapshot.run(OWN_FILES_OF_ROBOTS if on_robots else OWN_FILES)
         [runs] = snapshot.values(int, COUNT)
         layouts: dict[str, list[_Layout]] = {}
-        for row in snapshot.select(_Layout, LAYOUTS):
+        for row in snapshot.select(_Layout, LAYOUTS) if not failed else ():
             layouts.setdefault(row.output, []).append(row)
         sizes = {row.output: row for row in snapshot.select(_Rows, ROWS)}
         tables = tuple(

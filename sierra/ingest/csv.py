@@ -10,18 +10,19 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from sierra.ingest.delimiters import delimiter_of, reads_as_number, split
 from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, described, lines_of
+from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Found, Part, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE
+from sierra.ingest.text_headers import READ, keys_of
 from sierra.ingest.text_table_reader import Text
 from sierra.store.connections import Database
 from sierra.store.segments import disk_errors
 from sierra.store.duckdb_file_io import csv_given
 from sierra.store.sql_names import unmarked
-from sierra.store.type_inference import as_float
 
-DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""
 SMALL = 1 << 20
@@ -57,7 +58,8 @@ class Csv(Text):
         """
         counted = None
         for number, file in enumerate(files):
-            if file.blank == 0 or not file.lines or (file.quotes or 0) % 2 or not self._is_single_column(file):
+            sound = file.lines and not (file.quotes or 0) % 2
+            if (file.blank == 0 and file.ended) or not sound or not self._is_single_column(file):
                 yield file
                 continue
             content = Path(file.path).read_bytes()
@@ -95,6 +97,20 @@ class Csv(Text):
             if isinstance(part, str):
                 self.fault(file, f"line 1: {part}")
         return {path: part for path, head in heads.items() if not isinstance(part := described[head], str)}
+
+    def fault(self, file: Written, what: str) -> None:
+        super().fault(file, what + self._advice(file, what))
+
+    def _advice(self, file: Written, what: str) -> str:
+        """Return the keys that read a file whose names are not in its first line; "" if a message names them, or there are none."""
+        with Path(file.path).open("rb") as content:
+            keys = keys_of(content.read(READ + 1))
+        if not self.shape.header:
+            keys = {name: value for name, value in (keys or {}).items() if name != "header"}
+        if not keys or all(f"{key} = " in what for key in keys):
+            return ""
+        named = keys if self.shape.declared else {"file": file.name, **keys}
+        return f" (set {in_words(named)} in [outputs.{self.shape.name}])"
 
     def key(self, part: Part) -> Hashable:
         return part.names, part.delimiter
@@ -288,20 +304,6 @@ class Csv(Text):
         return None
 
 
-def delimiter_of(head: str) -> str:
-    """Return the delimiter that occurs most often in a header line, outside quotes; a comma if there is none."""
-    bare = re.sub(r'"[^"]*"', "", head)
-    return max(DELIMITERS, key=lambda d: (bare.count(d), d == ","))
-
-
-def split(head: str, delimiter: str) -> tuple[str, ...]:
-    """Return the fields of a header line."""
-    if len(delimiter) != 1:
-        return tuple(field.strip() for field in head.split(delimiter))
-    reader = csv.reader(io.StringIO(head, newline=""), delimiter=delimiter, skipinitialspace=True)
-    return tuple(field.strip() for field in next(reader, []))
-
-
 def _first_record(file: Written) -> str:
     """Return the whole header of a CSV. A worker reports only its beginning, and a quoted name may contain a line feed."""
     head = file.head
@@ -344,6 +346,3 @@ def _end(ends: list[str]) -> str:
     end = ends[-1]
     return end if end in ("\n", "\r", "\r\n") else (ends[-2] if len(ends) > 1 else "\n")
 
-
-def reads_as_number(field: str) -> bool:
-    return as_float(field) is not None

@@ -18,13 +18,16 @@ from itertools import islice
 from typing import BinaryIO
 
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.csv import Csv, delimiter_of, reads_as_number, split
+from sierra.ingest.csv import Csv
+from sierra.ingest.delimiters import delimiter_of, reads_as_number, split
 from sierra.ingest.independent_row_count import any_size, csv_reader
+from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
 from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
+from sierra.ingest.text_headers import keys_of
 from sierra.store.connections import Database
 
 BLANKS = "blanks"
@@ -113,6 +116,16 @@ class CsvAsFound(Rewriter):
                 begun = True
                 quoted ^= not self._aligned and text.count(b'"') % 2 == 1
                 yield number, text
+
+    def advice(self, source: Source) -> str:
+        form = self.shape.form
+        now = {"comment": form.comment, "skip": form.skip, "delimiter": self.shape.delimiter, "header": self.shape.header}
+        try:
+            keys = keys_of(next(source.pieces(), b"")) or {}
+        except UnreadableError:
+            return ""
+        keys = {name: value for name, value in keys.items() if (tuple(value) if isinstance(value, list) else value) != now[name]}
+        return f" (set {in_words(keys)} in [outputs.{self.shape.name}])" if keys else ""
 
     def count(self, source: Source, written: int) -> int:
         form, content = self.shape.form, source.content().removeprefix(BOM)

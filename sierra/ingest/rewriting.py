@@ -66,6 +66,10 @@ class Rewriter:
         """
         raise NotImplementedError
 
+    def advice(self, source: Source) -> str:
+        """Return the keys that would read a file that cannot be read, in brackets; "" if none are known."""
+        return ""
+
     def place(self, source: Source, line: int) -> str:
         """Return the words for the place in the original file that became this line of the plain file."""
         return f"line {line}"
@@ -172,7 +176,7 @@ class _Rewriting:
                 written = self._rewriter.rewrite(source, stream)
             counted = self._rewriter.count(source, written)
         except UnreadableError as error:
-            fault = " ".join(str(error).split())
+            fault = " ".join(f"{error}{self._rewriter.advice(source)}".split())
         except OSError:
             raise
         except Exception as error:

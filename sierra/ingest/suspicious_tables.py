@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from sierra.ingest.consistency import GOOD, many, parameters
-from sierra.ingest.csv import delimiter_of
+from sierra.ingest.delimiters import delimiter_of
 from sierra.ingest.event_tables import TableSize, is_uneven, of_events, short
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.json_rows import DOT
