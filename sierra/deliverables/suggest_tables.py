@@ -56,8 +56,12 @@ def _example(frame: Frame, table: str, others: Mapping[str, str]) -> tuple[str, 
     """Return a column, an SQL expression that makes a number of it for each run, and a name of this number."""
     for column, kind in others.items():
         name = _name(frame, column)
-        if kind == "VARCHAR" and (value := frame.most_frequent(table, column)) is not None and len(value) < 40:
-            return column, f"avg(({name} = {quote(value)})::INT)", "rate"
+        if kind == "VARCHAR" and frame.has_words(table, column):
+            value = frame.most_frequent(table, column)
+            if value is not None and len(value) < 40:
+                return column, f"avg(({name} = {quote(value)})::INT)", "rate"
+        if kind == "VARCHAR" and frame.has_flags(table, column):
+            return column, f"avg((lower(trim({name})) IN ('true', '1'))::INT)", "rate"
         if kind.endswith("[]"):
             return column, f"avg(len({name}))", "length"
         if kind.startswith(("DATE", "TIMESTAMP")):

@@ -345,4 +345,3 @@ def _end(ends: list[str]) -> str:
     """Return the ending of the last line that was read; a last line without one gets that of the line before."""
     end = ends[-1]
     return end if end in ("\n", "\r", "\r\n") else (ends[-2] if len(ends) > 1 else "\n")
-

@@ -124,7 +124,9 @@ class CsvAsFound(Rewriter):
             keys = keys_of(next(source.pieces(), b"")) or {}
         except UnreadableError:
             return ""
-        keys = {name: value for name, value in keys.items() if (tuple(value) if isinstance(value, list) else value) != now[name]}
+        keys = {
+            name: value for name, value in keys.items() if (tuple(value) if isinstance(value, list) else value) != now[name]
+        }
         return f" (set {in_words(keys)} in [outputs.{self.shape.name}])" if keys else ""
 
     def count(self, source: Source, written: int) -> int:

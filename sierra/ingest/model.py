@@ -59,7 +59,6 @@ class Form:
     covariances: bool = False
     min_rate: float = 0.0
 
-
     @property
     def comments(self) -> tuple[str, ...]:
         """The beginnings of lines that are not read."""

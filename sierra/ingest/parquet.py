@@ -227,7 +227,6 @@ class Converted(Parquet):
             else:
                 yield replace(file, path=str(target))
 
-
     def _present(self, columns: Columns) -> Columns:
         """Return the columns without the values that stand for missing ones, which may be of another type than the others."""
         if not self._missing:

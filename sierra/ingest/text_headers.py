@@ -104,4 +104,3 @@ def _first_row(rows: Mapping[int, Sequence[str]]) -> int | None:
 def _are_names(cells: Sequence[str], width: int) -> bool:
     unique = len({cell.lower() for cell in cells}) == len(cells)
     return len(cells) == width and unique and not any(map(reads_as_number, cells)) and all(cells)
-

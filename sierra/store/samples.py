@@ -795,6 +795,17 @@ class Frame:
         )
         return next((str(value) for (value,) in rows), None)
 
+    def has_words(self, table: str, column: str) -> bool:
+        """Check if the texts of a column are words: neither true, false and the like, nor texts with a number at an end."""
+        name = f"lower(trim({identifier(column)}))"
+        number = f"regexp_matches({name}, '^[-+]?[.]?[0-9]|[(\\[] *[-+]?[.]?[0-9]|^(true|false)$')"
+        return not self._snapshot.run(f"SELECT 1 FROM {self._data(table)} WHERE {number} LIMIT 1")
+
+    def has_flags(self, table: str, column: str) -> bool:
+        """Check if all texts of a column are true, false, 0 or 1."""
+        other = f"lower(trim({identifier(column)})) NOT IN ('true', 'false', '0', '1')"
+        return not self._snapshot.run(f"SELECT 1 FROM {self._data(table)} WHERE {other} LIMIT 1")
+
     def numbers_rows(self, table: str, column: str, time: str) -> bool:
         """Check if whole numbers in a column tell rows of one run and time apart, as the number of a robot does."""
         data, of, at = self._data(table), identifier(column), identifier(time)
