@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from sierra.config.output_tables import FILE_FORMAT, Output
+from sierra.config.output_tables import FILE_FORMAT, NEWEST, ROTATION, Output, part_of
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
 from sierra.ingest import robot_files
@@ -300,7 +300,8 @@ def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     tables: dict[str, dict[str, Key]] = {}
     for table in found.tables:
         if not table.declared and table.format != FILE_FORMAT:
-            tables[table.name] = {"file": table.file}
+            older = any((part_of(table.file, one.path) or NEWEST) < NEWEST for one in found.unread)
+            tables[table.name] = {"file": table.file + ROTATION if older else table.file}
             tables[table.name] |= {} if table.runs == found.runs else {"required": False}
             tables[table.name] |= {"rates": list(table.rates)} if table.rates else {}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}

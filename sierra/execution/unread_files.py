@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, Output
+from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, PART, ROTATED_FORMATS, ROTATION, Output
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import text_headers
 from sierra.ingest.base import UnreadableError
@@ -85,6 +85,8 @@ def unread_files(
     taken = {*known, *(name.lower() for name in outputs)}
     found = []
     for one in kinds:
+        if any(output.rotated and output.matches(one.path) for output in outputs.values()):
+            continue  # an older part of a table
         for made in _of_bag(one, outputs, taken, runs) or [_unread(one, outputs, known, _free(one.path, taken), runs)]:
             taken |= {made.name.lower()} if made.keys else set()
             found.append(made)
@@ -127,6 +129,9 @@ def _varying(paths: Iterable[str]) -> set[int]:
 
 def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], name: str, runs: int) -> UnreadFiles:
     declared = next((name for name, output in outputs.items() if output.matches(one.path)), None)
+    if declared is None and (newest := _newest(one, outputs, tables)):
+        message = f"older than {newest!r}, whose table has only the newest rows"
+        return UnreadFiles(one.path, one.files, f'{message}; set file = "{newest}{ROTATION}"', True)
     if declared is not None:
         return UnreadFiles(one.path, one.files, *_declared(declared, outputs[declared]))
     file = pattern(one)
@@ -156,6 +161,18 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
     else:
         why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
     return UnreadFiles(one.path, one.files, why, False)
+
+
+def _newest(one: Alike, outputs: Mapping[str, Output], tables: Collection[str]) -> str | None:
+    """Return the newest part of a rotated file of which these are older ones, if it is a table; else None."""
+    found = re.fullmatch(f"(.+?){PART.pattern}", one.path)
+    base = found[1] if found else one.path
+    if base == one.path:
+        return None
+    declared = next((output for output in outputs.values() if output.matches(base)), None)
+    kind = declared.kind if declared else automatic_format(base)
+    is_table = declared is not None or table_name(base).lower() in tables
+    return base if kind in ROTATED_FORMATS and is_table else None
 
 
 def _text_keys(one: Alike) -> Keys:

@@ -103,6 +103,8 @@ class Shape:
     """The declared time column; "" if none is declared."""
     any_order: bool = False
     """True if the time may go back within a file."""
+    rotated: str = ""
+    """The name of the newest part of a rotated file; "" if the files are not rotated."""
 
 
 Group = Hashable

@@ -69,8 +69,8 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
         keys |= {"skip": first} if blank else {}
         keys |= _comment(mark for place, mark in marks.items() if place > first or not blank)
         return {**keys, **({"delimiter": delimiter} if delimiter == BLANKS else {}), "header": False}
-    if not _are_names(names, width):
-        return None
+    if not _are_names(names, width) or names in [rows[place] for place in above[:-1]]:
+        return None  # with the same names above, a run has appended to its file
     if delimiter == BLANKS or (width > 1 and delimiter_of(lines[head]) != delimiter):
         keys["delimiter"] = delimiter
     return keys

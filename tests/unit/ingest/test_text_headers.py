@@ -27,6 +27,7 @@ TABLES: list[tuple[bytes, dict[str, Any] | None]] = [
     (b"Report of x\n\nt;v\n0;1\n", {"skip": 2}),
     (b"\nt,v\n0,1\n", {"skip": 1}),
     (b"# p,q\n\n0,5\n1,6\n", {"skip": 2, "header": False}),
+    (b"t,v\n0,1\nt,v\n0,1\n", None),
     (b"a b c\n", None),
     (b"", None),
     (b"t,v\n1,2\n3\n", None),
