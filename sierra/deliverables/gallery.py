@@ -26,11 +26,10 @@ from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
-from sierra.store import equal_runs
+from sierra.store import clock_times, equal_runs
+from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, AllFailed, Column, Frame, NoRuns, OutputTable, names_time
-from sierra.store import clock_times
-from sierra.store.clock_times import TimeKind
 from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT

@@ -19,8 +19,8 @@ from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_headers import READ, keys_of
 from sierra.ingest.text_table_reader import Text
 from sierra.store.connections import Database
-from sierra.store.segments import disk_errors
 from sierra.store.duckdb_file_io import csv_given
+from sierra.store.segments import disk_errors
 from sierra.store.sql_names import unmarked
 
 HEAD_BYTES = 4096
@@ -102,7 +102,7 @@ class Csv(Text):
         super().fault(file, what + self._advice(file, what))
 
     def _advice(self, file: Written, what: str) -> str:
-        """Return the keys that read a file whose names are not in its first line; "" if a message names them, or there are none."""
+        """Return the keys that read a file whose names are not in its first line; "" if a message already names them."""
         with Path(file.path).open("rb") as content:
             keys = keys_of(content.read(READ + 1))
         if not self.shape.header:

@@ -97,8 +97,8 @@ class CsvAsFound(Rewriter):
         if form.units_row:
             self._check_units(next(lines, None), len(names), delimiter)
         if self._aligned and names[:1] in (["#"], ["%"]):  # `# t v` above two columns
-            lines, first = _peeked(lines)
-            names = names[1:] if first and len(self._split(first, delimiter)) == len(names) - 1 else names
+            lines, row = _peeked(lines)
+            names = names[1:] if row and len(self._split(row, delimiter)) == len(names) - 1 else names
         if head:
             yield head[0][0], self._header(head, names, delimiter)
         body = lines if head else _both(first, lines)
@@ -211,8 +211,8 @@ class CsvAsFound(Rewriter):
             return ""
         if self.shape.form.decimal == ",":
             if COMMA.fullmatch(bare):
-                number = bare.replace(",", ".")
-                return "" if self._missing.has(number) else number
+                pointed = bare.replace(",", ".")
+                return "" if self._missing.has(pointed) else pointed
             if POINT.fullmatch(bare):
                 raise UnreadableError(f'line {number}: {bare!r} has a decimal point, but decimal = ","')
         return cell

@@ -18,7 +18,6 @@ from sierra.store.duckdb_messages import first_line
 from sierra.store.sql_names import identifier, quote
 from sierra.store.type_inference import VISUAL_C
 
-
 UNBOUNDED = rf"[-+]?(?i:inf|infinity|nan)|{VISUAL_C}"
 """Infinity and nan, which JSON can only write as texts in quotes."""
 

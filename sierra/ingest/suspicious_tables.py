@@ -408,7 +408,7 @@ def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, pl
     cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:g}" for unit in units)
     factor = f"CASE regexp_extract({called}, '[^-+0-9.eE ]+$') {cases} END"
     table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
-    sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"  # noqa: S608 - the user may write it
+    sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"
     key = re.sub(r"\W", "_", f"{output}_{column}")
     shown = f"[tables.{key}] sql = {json.dumps(sql, ensure_ascii=False)}"
     return f"{mixed}; write all in the same unit, or convert them to {base!r}, for example: {shown}"

@@ -1,4 +1,4 @@
-"""The parts of a rotated file are one table, the oldest rows first; without a declaration, a note says that they belong together."""
+"""The parts of a rotated file are one table, the oldest rows first; a note proposes the declaration that makes it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ PARTS = {"data.csv": b"t,v\n4,40\n", "data.csv.1": b"t,v\n3,30\n", "data.csv.2.g
     [
         (PARTS, {}),
         ({"data.csv": b"4,40\n", "data.csv.1": b"3,30\n", "data.csv.2.gz": PARTS["data.csv.2.gz"]}, {}),
-        ({"data.csv": b"3,30\n4,40", "data.csv-20240501": b"t,v\n1,10\n", "data.csv-20240502.gz": gzip.compress(b"2,20\n")}, {}),
+        ({"data.csv": b"3,30\n4,40", "data.csv-20240501": b"t,v\n1,10\n", "data.csv-20240502.gz": gzip.compress(b"2,20\n")},
+         {}),
         ({f"data.csv.{n}": b"t,v\n%d,%d\n" % (4 - n, 40 - 10 * n) for n in range(1, 4)} | {"data.csv": b"t,v\n4,40\n"}, {}),
         ({"data.csv": b"# b\nt,v\ns,m\n4,40\n", "data.csv.10": b"# a\nt,v\ns,m\n1,10\n", "data.csv.9": b"# b\n2,20\n3,30\n"},
          {"comment": "#", "units_row": True}),
@@ -77,7 +78,7 @@ def test_joined_parts_are_the_whole_file(tmp_path: Path, sizes: list[int], repea
     for place, size in enumerate(sizes):
         age = len(sizes) - 1 - place
         head = "t,v\n" if repeated or not place else ""
-        parts["data.csv" + f".{age}" * (age > 0)] = (head + "".join(f"{row},1\n" for _, row in zip(range(size), rows))).encode()
+        parts["data.csv" + f".{age}" * (age > 0)] = (head + "".join(f"{next(rows)},1\n" for _ in range(size))).encode()
     assert [row[0] for row in read_parts(tmp_path, parts)] == list(range(sum(sizes)))
 
 

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from sierra.store.clock_times import TimeKind, kind_of, seconds
 from tests.projects import CONFIG, make, quick
 
-
 CONNECTION = duckdb.connect(config={"threads": 1})
 
 
