@@ -35,6 +35,7 @@ ROTATION = "{rotation}"
 """The end of a name that stands for the parts of a rotated file."""
 PART = re.compile(r"(?:[.]([0-9]{1,6})|[-._]([0-9]{4}-?[0-9]{2}-?[0-9]{2}(?:[-_T]?[0-9]{2}){0,3}))?(?:[.](?:gz|zst))?")
 """What follows the name of a file in the names of its older parts: `.1`, `.2.gz`, `-20240501.gz`, `.2024-05-01_13`."""
+_OLDER = re.compile(f"(.+?){PART.pattern}")
 ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "widths")
@@ -312,6 +313,12 @@ def part_of(base: str, path: str) -> tuple[int, int, str] | None:
         return None
     number, date = found[1], found[2]
     return (0, 0, re.sub("[^0-9]", "", date)) if date else (1, -int(number), "") if number else NEWEST
+
+
+def newest_of(path: str) -> str | None:
+    """Return the name of the newest part of a rotated file, if a path has the name of an older part; else None."""
+    found = _OLDER.fullmatch(path)
+    return found[1] if found and (found[2] or found[3]) else None
 
 
 def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:

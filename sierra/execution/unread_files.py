@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, PART, ROTATED_FORMATS, ROTATION, Output
+from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, ROTATED_FORMATS, ROTATION, Output, newest_of
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import text_headers
 from sierra.ingest.base import UnreadableError
@@ -165,9 +165,8 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
 
 def _newest(one: Alike, outputs: Mapping[str, Output], tables: Collection[str]) -> str | None:
     """Return the newest part of a rotated file of which these are older ones, if it is a table; else None."""
-    found = re.fullmatch(f"(.+?){PART.pattern}", one.path)
-    base = found[1] if found else one.path
-    if base == one.path:
+    base = newest_of(one.path)
+    if base is None:
         return None
     declared = next((output for output in outputs.values() if output.matches(base)), None)
     kind = declared.kind if declared else automatic_format(base)

@@ -18,12 +18,11 @@ from pathlib import PurePosixPath
 from sierra.config.output_tables import (
     FILE_FORMAT,
     NAMED_FORMATS,
-    NEWEST,
     ROTATED_FORMATS,
     SAME_FORMAT,
     SEVERAL_TABLES,
     Output,
-    part_of,
+    newest_of,
 )
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import robot_files
@@ -115,13 +114,12 @@ class OutputMatcher:
 
     def _rotated(self, file: OutputFile, result: Result) -> str | None:
         """Return the newest part of a rotated file of which this is an older one, if it becomes a table; else None."""
-        for newest in result.outputs:
-            if newest.path != file.path and "/" not in newest.path and (age := part_of(newest.path, file.path)):
-                owners = claims(self._outputs, newest.path)
-                kind = self._outputs[owners[0]].kind if owners else automatic_format(newest.path)
-                if age < NEWEST and kind in ROTATED_FORMATS:
-                    return newest.path
-        return None
+        newest = newest_of(file.path)
+        if newest is None or all(other.path != newest for other in result.outputs):
+            return None
+        owners = claims(self._outputs, newest)
+        kind = self._outputs[owners[0]].kind if owners else automatic_format(newest)
+        return newest if kind in ROTATED_FORMATS and (owners or "/" not in newest) else None
 
     def _table_of(self, path: str) -> str:
         owners = claims(self._outputs, path)

@@ -23,6 +23,8 @@ MOMENT = (
 STAMP = re.compile(r"DATE|TIMESTAMP\w*( WITH TIME ZONE)?")
 """DuckDB's types of moments."""
 UNIT = "s"
+SECONDS = "# seconds of "
+"""The beginning of the name of a column with the seconds of another, in tables for statistics."""
 NOTE = "the time {time!r} of output {table!r} is read as seconds since midnight of the day of each run's first row"
 
 

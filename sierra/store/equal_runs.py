@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.store.clock_times import SECONDS
 from sierra.store.samples import MEMBERS, NUMERIC, Frame, names_time
 from sierra.store.sql_names import identifier, stored_name
 from sierra.store.store import Store
@@ -47,7 +48,7 @@ SELECT coalesce(bool_and(contents = 1), true) AS value FROM (
     SELECT experiment, count(DISTINCT content) AS contents FROM (
         SELECT m.experiment, m.run, coalesce(list_sort(list((a.path, a.sha256)))::VARCHAR, '') AS content
         FROM membership m LEFT JOIN all_artifacts a
-            ON a.execution = m.judgement AND a.kind = 'table' AND a.output = $output
+            ON a.execution = m.judgement AND a.kind IN ('table', 'file') AND a.output = $output
         GROUP BY ALL
     ) GROUP BY experiment
 )
@@ -122,7 +123,7 @@ def _same_rows(frame: Frame, output: str, volatile: Collection[str]) -> bool:
     described = frame.sql("DESCRIBE data").to_pylist()
     kinds = {row["column_name"]: row["column_type"] for row in described}
     left_out = {"run", "# experiment", "# number", "# rowid", "# t", *(stored_name(name, kinds) for name in volatile)}
-    columns = [name for name in kinds if name not in left_out]
+    columns = [name for name in kinds if name not in left_out and not name.startswith(SECONDS)]
     numbers = [name for name in columns if re.fullmatch(NUMERIC, kinds[name]) and name != "# place"]
     seeds = _of_seeds(frame, numbers)
     counted = ", ".join(f"d.{identifier(name)}" for name in columns if name not in seeds)

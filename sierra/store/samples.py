@@ -605,7 +605,7 @@ class Frame:
         kind = self.time_kind(table, time)
         if kind is None:
             return identifier(time)
-        rows, name = identifier("rows " + table), identifier(f"# seconds of {time}")
+        rows, name = identifier("rows " + table), identifier(clock_times.SECONDS + time)
         value = clock_times.seconds(time, kind, 'run, "# experiment"')
         self._snapshot.run(f"ALTER TABLE {rows} ADD COLUMN {name} DOUBLE")
         self._snapshot.run(

@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sierra.config.output_tables import Output
+from tests.projects import CONFIG, make, quick
 from tests.readings import read_file
 
 VALUES = [1.5, -1.0, 2.5, -2.0]
@@ -202,3 +203,42 @@ def test_na_needs_a_table() -> None:
     for wrong in (True, math.nan, None):
         with pytest.raises(ValueError, match="na"):
             Output(file="t.csv", na=(wrong,))  # type: ignore[arg-type]
+
+
+SIMULATOR = """\
+import sys
+n = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
+steps = "".join(f'<step time="{i}.00" travel="{"-1.00" if i < 5 else 50.0 * n}"/>' for i in range(8))
+open("summary.xml", "w").write(f"<summary>{steps}</summary>")
+values = ['"Infinity"' if i == 3 else '"NaN"' if i == 4 else n * i + 0.5 for i in range(8)]
+open("out.jsonl", "w").write("".join('{"t": %d, "v": %s}\\n' % pair for pair in enumerate(values)))
+open("saved.csv", "w").write("# t,v\\n" + "".join(f"{i / 2:e},{n * i:e}\\n" for i in range(4)))
+flags = ["true", "1"] * 3
+open("flags.csv", "w").write("t,done\\n" + "".join(f"{i},{flag}\\n" for i, flag in enumerate(flags)))
+"""
+SUMMARY = """
+[outputs.summary]
+file = "summary.xml"
+format = "xml"
+rows = "//step"
+time = "time"
+"""
+
+
+@pytest.mark.integration
+def test_statistics_count_no_missing_values_and_notes_propose_no_wrong_rates(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", CONFIG + SUMMARY, simulator=SIMULATOR)
+    done = quick(folder, "run", "population_size=1", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    with (folder / "sierra.toml").open("a") as file:
+        file.write("na = [-1]\n")
+    assert "2 evaluated again" in quick(folder, "run", "population_size=1", "--no-figures").stdout
+    travel = quick(folder, "stats", "summary", "travel", "--measure", "mean", "--statistic", "mean", "--format", "csv").stdout
+    assert travel.splitlines()[1].split(",")[6] == "50.0"
+    kind = quick(folder, "sql", "SELECT DISTINCT typeof(v) AS kind FROM out", "--format", "csv").stdout
+    assert kind.split() == ["kind", "DOUBLE"]
+    final = quick(folder, "stats", "saved", "v", "--times", "own", "--statistic", "mean", "--format", "csv")
+    assert (final.returncode, len(final.stdout.splitlines())) == (0, 5)
+    said = quick(folder, "figures").stderr
+    assert "avg((lower(trim(done)) IN ('true', '1'))::INT) AS rate" in said
+    assert "done = '1'" not in said

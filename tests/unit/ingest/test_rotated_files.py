@@ -106,7 +106,8 @@ import gzip, sys
 n = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
 head = "step,v\\n"
 open("data.csv", "w").write(head + f"4,{n}\\n")
-open("data.csv.1", "w").write(head + f"2,{n}\\n3,{n}\\n")
+seed = open(sys.argv[1]).read().split('<random seed="')[1].split('"')[0]
+open("data.csv.1", "w").write(head + f"2,{seed}\\n3,{n}\\n")
 gzip.open("data.csv.2.gz", "wt").write(head + f"0,{n}\\n1,{n}\\n")
 """
 
@@ -124,7 +125,7 @@ def test_note_proposes_the_pattern_that_makes_one_table(tmp_path: Path) -> None:
     written = tomllib.loads((folder / "sierra.toml").read_text())["outputs"]
     assert written == {"data": {"file": "data.csv{rotation}"}}
     done = quick(folder, "run", "population_size=1", "--no-figures")
-    assert (done.returncode, "kept as" in done.stderr) == (0, False), done.stderr
+    assert (done.returncode, "kept as" in done.stderr, "seeds" in done.stderr) == (0, False, False), done.stderr
     assert quick(folder, *rows).stdout.split() == ["step", "0", "1", "2", "3", "4"]
     assert "data.csv.1" not in quick(folder, "outputs").stdout
     assert quick(folder, "run", "population_size=1", "--no-figures", "--runs", "3").returncode == 0
