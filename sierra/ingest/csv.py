@@ -107,7 +107,7 @@ class Csv(Text):
             keys = keys_of(content.read(READ + 1))
         if not self.shape.header:
             keys = {name: value for name, value in (keys or {}).items() if name != "header"}
-        if not keys or all(f"{key} = " in what for key in keys):
+        if not keys or not self.shape.name or all(f"{key} = " in what for key in keys):
             return ""
         named = keys if self.shape.declared else {"file": file.name, **keys}
         return f" (set {in_words(named)} in [outputs.{self.shape.name}])"
