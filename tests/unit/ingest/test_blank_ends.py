@@ -53,6 +53,7 @@ def test_fault_before_a_blank_end_is_reported_with_the_name_of_the_file(tmp_path
     assert reading.faults == {"e0": "t.csv: line 3: too many fields (2, not 1): '2,3'"}
 
 
+@pytest.mark.integration
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=12)
 @given(st.lists(st.sampled_from(["1", "", '""', "x"]), max_size=5), st.booleans())
 def test_last_row_has_a_value_or_quotes(tmp_path: Path, cells: list[str], ended: bool) -> None:

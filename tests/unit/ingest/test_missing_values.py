@@ -188,6 +188,7 @@ def test_whole_numbers_stay_whole_beside_nan_of_windows(tmp_path: Path) -> None:
     assert [row["v"] for row in rows] == [2**62 + 1, None]
 
 
+@pytest.mark.integration
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=10)
 @given(st.lists(st.sampled_from(["1", "-1", "-1.0", "1.#INF", "1.#QNAN", "NaN", "7", "abc", "-1_0"]), min_size=1, max_size=5))
 def test_same_cells_are_the_same_values_in_all_text_formats(tmp_path: Path, cells: list[str]) -> None:

@@ -54,6 +54,7 @@ def test_times_of_parquet_are_read_as_seconds(kind: str) -> None:
     assert read(texts, kind)[1] == ([0, None, 86_400] if kind == "DATE" else [36_000.25, None, 86_400])
 
 
+@pytest.mark.integration
 @settings(deadline=None, max_examples=10)
 @given(
     st.datetimes(datetime(1970, 1, 2), datetime(2200, 1, 1)),  # noqa: DTZ001 - hypothesis adds the zone
