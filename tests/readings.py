@@ -39,14 +39,14 @@ def read_files(
     target.parent.mkdir(parents=True, exist_ok=True)
     for old in target.parent.iterdir():
         old.unlink()
-    files = [_written(path, place, content) for place, (path, content) in enumerate(zip(paths, contents, strict=True))]
+    files = [written(path, place, content) for place, (path, content) in enumerate(zip(paths, contents, strict=True))]
     reading = read(samples.database(2), files, shape_of(paths[0], keys), target)
     assert [path.read_bytes() for path in paths] == list(contents)
     rows = [row for part in sorted(target.parent.iterdir()) for row in pq.ParquetFile(part).read().to_pylist()]
     return reading, [{name: row[name] for name in row if name not in ("run", "execution", "file")} for row in rows]
 
 
-def _written(path: Path, place: int, content: bytes) -> Written:
+def written(path: Path, place: int, content: bytes) -> Written:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     seen = OutputFile(**worker.describe(str(path), path.name))

@@ -138,6 +138,12 @@ def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> tuple[Guess
         again = _attempt(folder, more, quiet=quiet)
         if not isinstance(again, str) and again is not None and again.status is not Status.FAILED:
             guess, found = more, again
+    if found.status is Status.MISMATCH and (more := wizard.with_outputs(guess, found)):
+        if not quiet:
+            print(f"a table has no names in its first line; trying again with [outputs.{'], [outputs.'.join(more.outputs)}]")
+        again = _attempt(folder, more, quiet=quiet)
+        if not isinstance(again, str) and again is not None and again.status is Status.OK:
+            guess, found = more, again
     _check_tried(guess, found, ask=ask)
     return _tried_again(folder, guess, found, quiet=quiet), found
 

@@ -8,7 +8,17 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, PositiveInt, StringConstraints, WithJsonSchema, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PositiveInt,
+    Strict,
+    StrictInt,
+    StrictStr,
+    StringConstraints,
+    WithJsonSchema,
+    model_validator,
+)
 
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
 from sierra.model import Measure
@@ -21,9 +31,14 @@ NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite", "hdf5", "ne
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
 PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
+ROTATION = "{rotation}"
+"""The end of a name that stands for the parts of a rotated file."""
+PART = re.compile(r"(?:[.]([0-9]{1,6})|[-._]([0-9]{4}-?[0-9]{2}-?[0-9]{2}(?:[-_T]?[0-9]{2}){0,3}))?(?:[.](?:gz|zst))?")
+"""What follows the name of a file in the names of its older parts: `.1`, `.2.gz`, `-20240501.gz`, `.2024-05-01_13`."""
+_OLDER = re.compile(f"(.+?){PART.pattern}")
 ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
-CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
+CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
     "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
@@ -31,6 +46,7 @@ KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("topics", "ros", "covariances", "min_rate"), ("bag",)),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
+ROTATED_FORMATS = ("csv", "jsonl")
 SEVERAL_TABLES = ("bag",)
 """Formats whose files may belong to several outputs, each of which makes a table of another part."""
 BAG_ENDINGS = ("bag", "mcap", "db3")
@@ -38,8 +54,9 @@ BAG_ENDINGS = ("bag", "mcap", "db3")
 BAG_COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 ROS_VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
-LATER_KEYS = (*KEYS_OF_FORMATS, "time_order")
+LATER_KEYS = (*KEYS_OF_FORMATS, "na", "time_order")
 """Keys of `[outputs.NAME]` that were added after rules had been recorded."""
+Comment = str | Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
 Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
 
 
@@ -69,7 +86,8 @@ class Output(Table):
 
     file: Inside = Field(
         min_length=1,
-        description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column",
+        description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column; "
+        "`data.csv{rotation}` is a file with its older parts, such as `data.csv.1` and `data.csv.2.gz`, as one table",
     )
     format: (
         Annotated[
@@ -110,13 +128,19 @@ class Output(Table):
         (), description="column names of a CSV file without a header"
     )
     skip: int = Field(0, ge=0, description="number of lines at the beginning of a CSV file that are not read")
-    comment: str = Field("", description="beginning of lines of a CSV file that are not read, such as `#`")
+    comment: Comment = Field(
+        "", description="beginning of lines of a CSV file that are not read, such as `#`, or a list of several"
+    )
     header_lines: int = Field(
         1, ge=1, description="number of lines of a CSV file that make up the column names; their texts are joined by a dot"
     )
     units_row: bool = Field(False, description="whether a line with units follows the column names of a CSV file")
     decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
-    na: tuple[str, ...] = Field((), description="texts that stand for a missing value in a CSV file, such as `NA`")
+    na: tuple[StrictStr | StrictInt | Annotated[Finite, Strict()], ...] = Field(
+        (),
+        description="what stands for a missing value: texts such as `NA`, and numbers such as `-1`, however they are written; "
+        "in a CSV file, a text that is a number matches only cells that are written in the same way",
+    )
     widths: tuple[PositiveInt, ...] = Field(
         (), description="number of characters of each column of a text file without separators (fixed width)"
     )
@@ -183,6 +207,8 @@ class Output(Table):
             if getattr(self, key) and key not in self.unused_later_keys and self.kind not in known:
                 formats = " or ".join(f'format = "{name}"' for name in known)
                 raise ValueError(f"{key} needs {formats}, but the format is {self.kind!r}")
+        if self.na and self.kind == FILE_FORMAT:
+            raise ValueError(f'na needs a format that makes a table, but the format is "{FILE_FORMAT}"')
         if not self.header and (self.units_row or self.header_lines > 1):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
@@ -196,6 +222,13 @@ class Output(Table):
             raise ValueError(f'format = "{self.kind}" needs rows, {what}')
         if self.kind == "bag":
             _check_topics(self.topics, self.ros, self.ticks)
+        if self.rotated:
+            if self.kind not in ROTATED_FORMATS:
+                raise ValueError(f"file: {ROTATION} needs one of the formats {', '.join(ROTATED_FORMATS)}, not {self.kind!r}")
+            if any(character in self.base for character in "*?[") or PLACEHOLDER.search(self.base):
+                raise ValueError(f"file: {ROTATION} excludes other names in braces and * ? [: {self.file!r}")
+        elif ROTATION in self.file:
+            raise ValueError(f"file: {ROTATION} must be the end, as in data.csv{ROTATION}: {self.file!r}")
         if self.ticks and any(character in self.file for character in "*?["):
             raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
         if len(set(map(str.lower, self.ticks))) < len(self.ticks):
@@ -214,23 +247,33 @@ class Output(Table):
         return frozenset(key for key in LATER_KEYS if getattr(self, key) == type(self).model_fields[key].default)
 
     @property
+    def rotated(self) -> bool:
+        """Return True if the table is made of a file and its older parts."""
+        return self.file.endswith(ROTATION)
+
+    @property
+    def base(self) -> str:
+        """Return the name of its file; of a rotated file, that of the newest part."""
+        return self.file.removeprefix("./").removesuffix(ROTATION)
+
+    @property
     def ticks(self) -> tuple[str, ...]:
         """Return the names of the numbers in the names of its files, such as `tick` in `floor-{tick}.csv`."""
-        return tuple(PLACEHOLDER.findall(self.file))
+        return tuple(PLACEHOLDER.findall(self.file.removesuffix(ROTATION)))
 
     @property
     def numbered(self) -> re.Pattern[str]:
         """The regular expression for the paths of its files, in which names in braces stand for whole numbers."""
-        return _numbered(self.file.removeprefix("./"))
+        return re.compile(re.escape(self.base) + PART.pattern) if self.rotated else _numbered(self.base)
 
     def ticks_of(self, path: str) -> tuple[int, ...] | None:
         """Return the numbers in the name of a file; None if the file does not belong to this output."""
         found = self.numbered.fullmatch(path)
-        return None if found is None else tuple(map(int, found.groups()))
+        return None if found is None else () if self.rotated else tuple(map(int, found.groups()))
 
     def matches(self, path: str) -> bool:
         """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes."""
-        if self.ticks:
+        if self.ticks or self.rotated:
             return self.ticks_of(path) is not None
         file = self.file.removeprefix("./")
         return path == file or fnmatch.fnmatchcase(path, file)
@@ -238,7 +281,7 @@ class Output(Table):
     @property
     def kind(self) -> str:
         """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name."""
-        ending = self.file.rsplit(".", 1)[-1].lower()
+        ending = self.base.rsplit(".", 1)[-1].lower()
         return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
 
 
@@ -254,6 +297,28 @@ def _check_topics(topics: tuple[str, ...], ros: str, ticks: tuple[str, ...]) -> 
         raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(taken)}")
     if ros not in ("", *ROS_VERSIONS):
         raise ValueError(f"ros: unknown version {ros!r}; known are {', '.join(ROS_VERSIONS)}")
+
+
+NEWEST = (2, 0, "")
+"""The place of the newest part, as `part_of` returns it."""
+
+
+def part_of(base: str, path: str) -> tuple[int, int, str] | None:
+    """Return the place of a part of a rotated file by its age, the oldest first; None if the path is no part of it.
+
+    A higher number is older, and so is an earlier date. The file itself is the newest part.
+    """
+    found = PART.fullmatch(path.removeprefix(base)) if path.startswith(base) else None
+    if found is None:
+        return None
+    number, date = found[1], found[2]
+    return (0, 0, re.sub("[^0-9]", "", date)) if date else (1, -int(number), "") if number else NEWEST
+
+
+def newest_of(path: str) -> str | None:
+    """Return the name of the newest part of a rotated file, if a path has the name of an older part; else None."""
+    found = _OLDER.fullmatch(path)
+    return found[1] if found and (found[2] or found[3]) else None
 
 
 def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:

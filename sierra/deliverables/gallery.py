@@ -26,7 +26,8 @@ from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
-from sierra.store import equal_runs
+from sierra.store import clock_times, equal_runs
+from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import Definition
 from sierra.store.samples import MIXED, AllFailed, Column, Frame, NoRuns, OutputTable, names_time
 from sierra.store.sql_names import stored_name
@@ -203,7 +204,7 @@ class Gallery:
             columns = [column for column in output.columns if column != time]
             if output.name not in filmed:
                 notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
-                notes += suggest_tables.notes(self.frame, output)
+                notes += suggest_tables.notes(self.frame, output, time)
             try:
                 self._coverage(output)
             except DamagedFile:
@@ -211,10 +212,7 @@ class Gallery:
             except SierraError as error:
                 if output.name in filmed:
                     continue
-                doubled = output.name in self._seen and self._seen[output.name].doubled
-                doubled = doubled and output.files < 2 and self._topics(output) < 2
-                hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
-                notes.append(f"no figure of output {output.name!r}: {error}{hint}")
+                notes.append(f"no figure of output {output.name!r}: {error}")
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
             proposed = stats.default_figures(output.name, columns, varied(self._axes), series=series)
@@ -256,7 +254,9 @@ class Gallery:
         """Return the units of columns: those that are declared, and that of durations."""
         declared = self._config.declared(output.name)
         units = {stored_name(name, output.all_columns): unit for name, unit in (declared.units if declared else {}).items()}
-        return {**units, **dict.fromkeys(self.frame.durations(output.name), "ns")}
+        time = self.time(output)
+        read = {time: clock_times.UNIT} if self._time_kind(output, time) else {}
+        return {**read, **units, **dict.fromkeys(self.frame.durations(output.name), "ns")}
 
     def declared_output(self, name: str) -> Output:
         """Return the declaration of an output. Raises NotFound."""
@@ -286,7 +286,7 @@ class Gallery:
         seen = self._coverage(output, several=bool(figure.where))
         if figure.where:
             seen = self._in_order(output, source.coverage(column))
-            stats.check_times(seen)
+            self.check_times(output, seen)
         return stats.Samples(source.samples(column, offset), seen, column in self.rates(output))
 
     def rates(self, output: OutputTable) -> tuple[str, ...]:
@@ -421,11 +421,12 @@ class Gallery:
 
     def _time(self, output: OutputTable) -> str:
         declared = self._config.declared(output.name)
-        if declared and declared.time:
-            return stored_name(declared.time, output.all_columns)
+        named = stored_name(declared.time, output.all_columns) if declared and declared.time else ""
         first = output.all_columns[0] if output.all_columns else ""
-        if names_time(first) and first in output.columns:
-            return first
+        if named or (names_time(first) and (first in output.columns or self._time_kind(output, first) is TimeKind.CLOCK)):
+            if self._time_kind(output, named or first):
+                self.time_notes[output.name] = clock_times.NOTE.format(time=named or first, table=output.name)
+            return named or first
         found = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
             if declared is None and output.rows > 1:
@@ -439,6 +440,15 @@ class Gallery:
             f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
         )
         return found
+
+    def _time_kind(self, output: OutputTable, column: str) -> TimeKind | None:
+        """Return the form of the times in a column, if they are no numbers; None for numbers, and for other values."""
+        if column not in output.others:
+            return None
+        try:
+            return self.frame.time_kind(output.name, column)
+        except NotFound:
+            return None
 
     def _coverage(self, output: OutputTable, *, several: bool = False) -> stats.Coverage:
         """Return the amount of data. Raises UsageError for several rows at the same time of a run, unless `several`."""
@@ -461,15 +471,21 @@ class Gallery:
                 "choose one topic by `where`, or make one row for each time by a derived table"
             )
         if not several:
-            try:
-                stats.check_times(self._seen[output.name])
-            except UsageError as error:
-                if output.files < 2:
-                    raise
-                raise UsageError(
-                    f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
-                ) from error
+            self.check_times(output, self._seen[output.name])
         return self._seen[output.name]
+
+    def check_times(self, output: OutputTable, seen: stats.Coverage) -> None:
+        """Raise UsageError for several rows at the same time of a run, with a proposal, and for a time that goes back."""
+        try:
+            stats.check_times(seen)
+        except UsageError as error:
+            if output.files > 1:
+                hint = f". A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
+            else:
+                hint = suggest_tables.of_single_rows(self.frame, output, self.time(output)) if seen.doubled else ""
+            if not hint:
+                raise
+            raise UsageError(f"{error}{hint}") from error
 
     def _any_order(self, output: OutputTable) -> bool:
         """Return whether the time of an output may go back within a run."""

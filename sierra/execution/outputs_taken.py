@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from sierra.config.output_tables import FILE_FORMAT, Output
+from sierra.config.output_tables import FILE_FORMAT, NEWEST, ROTATION, Output, part_of
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
 from sierra.ingest import robot_files
@@ -119,6 +119,11 @@ SELECT * FROM (
 """The files with the names that they have in the folder of each robot, as `[outputs]` declares them; a file that several robots
 wrote is there once, unless it is a part of a table. Those of the base station keep their folder.
 """
+MINE_UNREAD = """
+CREATE OR REPLACE TEMP TABLE mine AS SELECT arg_max(judgement, lamport) AS judgement FROM all_judgements
+WHERE purpose = 'run' AND status = 'mismatch' AND run IN (SELECT run FROM batch_runs WHERE batch = $batch) GROUP BY run
+"""
+"""If no run was successful: those whose tables could not be read."""
 COUNT = "SELECT count(*) FROM mine"
 LAYOUTS = """
 SELECT output, table_layout, arg_min(path, (starts_with(path, '0/'), path)) AS path
@@ -161,13 +166,15 @@ WHERE a.kind = 'file' AND (e.session = $session) = $own
 def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutputs:
     """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones."""
     with store.snapshot(batch) as snapshot:
-        snapshot.views.make(("effective", "all_artifacts", "batches", "specs"))
+        snapshot.views.make(("effective", "all_artifacts", "all_judgements", "batch_runs", "batches", "specs"))
         snapshot.run(MINE, {"batch": batch})
+        if failed := not snapshot.values(int, COUNT)[0]:
+            snapshot.run(MINE_UNREAD, {"batch": batch})
         on_robots = bool(snapshot.run(ON_ROBOTS, {"b": batch}))
         snapshot.run(OWN_FILES_OF_ROBOTS if on_robots else OWN_FILES)
         [runs] = snapshot.values(int, COUNT)
         layouts: dict[str, list[_Layout]] = {}
-        for row in snapshot.select(_Layout, LAYOUTS):
+        for row in snapshot.select(_Layout, LAYOUTS) if not failed else ():
             layouts.setdefault(row.output, []).append(row)
         sizes = {row.output: row for row in snapshot.select(_Rows, ROWS)}
         tables = tuple(
@@ -293,7 +300,8 @@ def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     tables: dict[str, dict[str, Key]] = {}
     for table in found.tables:
         if not table.declared and table.format != FILE_FORMAT:
-            tables[table.name] = {"file": table.file}
+            older = any((part_of(table.file, one.path) or NEWEST) < NEWEST for one in found.unread)
+            tables[table.name] = {"file": table.file + ROTATION if older else table.file}
             tables[table.name] |= {} if table.runs == found.runs else {"required": False}
             tables[table.name] |= {"rates": list(table.rates)} if table.rates else {}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}

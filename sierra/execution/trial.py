@@ -168,6 +168,7 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
             notes = (*notes, same)
     if found.status is not Status.OK:
         notes += tuple(out_of_reach(plan, None))
+    if found.status not in (Status.OK, Status.MISMATCH):
         return replace(found, notes=tuple(dict.fromkeys(notes)))
     tables = {one.table for one in found.files if one.table}
     written = folder and folder / RUN_OUTPUT

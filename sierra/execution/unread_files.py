@@ -10,8 +10,9 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, Output
+from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, ROTATED_FORMATS, ROTATION, Output, newest_of
 from sierra.config.plugin_registry import READERS
+from sierra.ingest import text_headers
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
@@ -34,13 +35,15 @@ NAMED = {
     **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
 }
 """The keys that make tables of files with these endings, which no reader takes by itself."""
+TEXTS = ("dat", "txt", "out", "xvg", "log", "thermo", "prn")
+"""The endings of texts that may be tables."""
 COMPRESSED = ("gz", "zst")
 MAX_SIZE = 1 << 24
 """The largest number of bytes of a document that is searched for its rows."""
 MAX_BAG = 1 << 28
 """The largest number of bytes of a bag that is searched for its topics."""
 
-Key = str | bool | Sequence[str] | Mapping[str, str]
+Key = str | bool | int | Sequence[str] | Mapping[str, str]
 Keys = Mapping[str, Key]
 """Keys of `[outputs.NAME]`."""
 
@@ -82,6 +85,8 @@ def unread_files(
     taken = {*known, *(name.lower() for name in outputs)}
     found = []
     for one in kinds:
+        if any(output.rotated and output.matches(one.path) for output in outputs.values()):
+            continue  # an older part of a table
         for made in _of_bag(one, outputs, taken, runs) or [_unread(one, outputs, known, _free(one.path, taken), runs)]:
             taken |= {made.name.lower()} if made.keys else set()
             found.append(made)
@@ -124,11 +129,17 @@ def _varying(paths: Iterable[str]) -> set[int]:
 
 def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], name: str, runs: int) -> UnreadFiles:
     declared = next((name for name, output in outputs.items() if output.matches(one.path)), None)
+    if declared is None and (newest := _newest(one, outputs, tables)):
+        message = f"older than {newest!r}, whose table has only the newest rows"
+        return UnreadFiles(one.path, one.files, f'{message}; set file = "{newest}{ROTATION}"', True)
     if declared is not None:
         return UnreadFiles(one.path, one.files, *_declared(declared, outputs[declared]))
     file = pattern(one)
     place = f"[outputs.{name}] file = {json.dumps(file, ensure_ascii=False)}"
     keys: Keys = {"file": file} | ({} if one.runs == runs else {"required": False})
+    if read := _text_keys(one):
+        why = f"its names are not in its first line; declare {place}, {in_words(read)}"
+        return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
     if automatic_format(one.path):
         return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", True, name, keys)
     ending = _ending(one.path)
@@ -150,6 +161,29 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
     else:
         why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
     return UnreadFiles(one.path, one.files, why, False)
+
+
+def _newest(one: Alike, outputs: Mapping[str, Output], tables: Collection[str]) -> str | None:
+    """Return the newest part of a rotated file of which these are older ones, if it is a table; else None."""
+    base = newest_of(one.path)
+    if base is None:
+        return None
+    declared = next((output for output in outputs.values() if output.matches(base)), None)
+    kind = declared.kind if declared else automatic_format(base)
+    is_table = declared is not None or table_name(base).lower() in tables
+    return base if kind in ROTATED_FORMATS and is_table else None
+
+
+def _text_keys(one: Alike) -> Keys:
+    """Return the keys that read a text table that needs some; nothing for other files."""
+    is_csv = automatic_format(one.path) == "csv"
+    if not is_csv and _ending(one.path) not in TEXTS:
+        return {}
+    content = one.content()
+    keys = text_headers.keys_of(content) if content else None
+    if keys is None or (is_csv and not keys):
+        return {}
+    return keys if is_csv else {"format": "csv", **keys}
 
 
 def _of_bag(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
@@ -190,6 +224,8 @@ def _rows_of(one: Alike) -> Mapping[str, str] | None:
 def _declared(name: str, output: Output) -> tuple[str, bool]:
     """Return why files of a declared output became no table, and whether each session notes it."""
     ending = unnamed_format(output)
+    if ending is None and output.kind != FILE_FORMAT:
+        return f"declared, but it could not be read with the keys of [outputs.{name}]", False
     if ending is None:
         return f'kept as a file, as declared (format = "{FILE_FORMAT}")', False
     keys = NAMED.get(ending, f"format = {json.dumps(ending)}")

@@ -6,6 +6,7 @@ second time by other means than it reads them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -14,6 +15,7 @@ from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.parquet import Parquet, write_parquet
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
+from sierra.store.type_inference import as_float
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -27,7 +29,7 @@ class Columnar(Rewriter):
         return Parquet
 
     def plain(self) -> Shape:
-        return replace(self.shape, format="parquet", form=PLAIN)
+        return replace(self.shape, format="parquet", form=replace(PLAIN, na=self.shape.form.na))
 
     def rewrite(self, source: Source, target: BinaryIO) -> int:
         import pyarrow as pa
@@ -44,11 +46,20 @@ class Columnar(Rewriter):
         raise NotImplementedError
 
 
+def _unbounded(text: str) -> object:
+    """Return infinity or nan for a text that says so, as programs write them among numbers; any other text stays."""
+    number = as_float(text)
+    return text if number is None or math.isfinite(number) else number
+
+
 def column_of(name: str, values: list[object]) -> pa.Array:
     """Return a column of Python values, which must be of one kind. Raises UnreadableError."""
     import pyarrow as pa
 
     kinds = {type(value) for value in values} - {type(None)}
+    if str in kinds and kinds & {int, float}:
+        values = [_unbounded(value) if isinstance(value, str) else value for value in values]
+        kinds = {type(value) for value in values} - {type(None)}
     if kinds == {int, float}:
         if any(isinstance(value, int) and int(float(value)) != value for value in values):
             raise UnreadableError(f"the column {name!r} has fractions and whole numbers that DOUBLE cannot hold")

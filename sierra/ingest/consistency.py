@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections import Counter
@@ -11,6 +12,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output
+from sierra.errors import SierraError
 from sierra.ingest import shared_use
 from sierra.ingest.event_tables import of_events
 from sierra.ingest.messages import difference
@@ -267,12 +269,26 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
         wanted = set(runs)
         return {row.run: row.ordinal for row in places if row.run in wanted}, votes
 
-    return Siblings(frozenset(mixed), ask)
+    def names() -> set[str]:
+        return {column for form in store.values(str, RECORDED_FORMS, output=name) for column in TableLayout.load(form).columns}
+
+    def example() -> tuple[bytes, int] | None:
+        for row in store.select(_Example, SIBLINGS + SIBLINGS_EXAMPLE, **alike):
+            with contextlib.suppress(SierraError):  # the store does not have its bytes any more
+                return store.object(row.sha256), row.rows
+        return None
+
+    return Siblings(frozenset(mixed), ask, names, example)
 
 
 class _Place(NamedTuple):
     run: str
     ordinal: int
+
+
+class _Example(NamedTuple):
+    sha256: str
+    rows: int
 
 
 class _Vote(NamedTuple):
@@ -300,6 +316,11 @@ SIBLINGS_FORMS = """
 SELECT DISTINCT a.table_layout FROM all_artifacts a
 WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)
 """
+SIBLINGS_EXAMPLE = """
+SELECT a.sha256, a.rows FROM all_artifacts a
+WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good) ORDER BY ALL LIMIT 1
+"""
+RECORDED_FORMS = "SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND output = $output"
 SIBLINGS_VOTES = """
 SELECT g.ordinal, a.table_layout, count(DISTINCT a.execution) AS executions
 FROM all_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output

@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
+import tempfile
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, lines_of
+from sierra.ingest.delimiters import delimiter_of, reads_as_number, split
+from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, described, lines_of
+from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
-from sierra.ingest.model import Found, Part, Shape, Siblings, Written
+from sierra.ingest.model import Found, Part, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE
+from sierra.ingest.text_headers import READ, keys_of
 from sierra.ingest.text_table_reader import Text
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import csv_given
+from sierra.store.segments import disk_errors
+from sierra.store.sql_names import unmarked
 
-DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""
 SMALL = 1 << 20
 """The size in bytes of files that are read at once."""
 COMMENTS = 'if such lines are comments, set comment = "#" in [outputs.…]'
 QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
+BLANK_END = re.compile(rb"(?<=\n)((\r?\n)+\r?|\r)\Z|(?<=\r)\r+\Z")
+"""Lines without a character at the end of a file."""
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Control characters that are not allowed in column names."""
 
@@ -40,6 +46,45 @@ class Csv(Text):
         self._records: dict[str, int | str] = {}
         """The number of records in each file, or an error message, by path."""
 
+    def read(self, files: Sequence[Written]) -> Reading:
+        with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
+            return super().read(list(self._without_blank_ends(files, Path(folder))))
+
+    def _without_blank_ends(self, files: Sequence[Written], folder: Path) -> Iterator[Written]:
+        """Yield the files; of one with a single column and blank lines at its end, a copy without these lines.
+
+        Other blank lines in such a file are rows without a value. Files are read as before if the store has a sibling whose
+        blank lines at the end were recorded as rows.
+        """
+        counted = None
+        for number, file in enumerate(files):
+            sound = file.lines and not (file.quotes or 0) % 2
+            if (file.blank == 0 and file.ended) or not sound or not self._is_single_column(file):
+                yield file
+                continue
+            content = Path(file.path).read_bytes()
+            whole = BLANK_END.sub(b"", content)
+            if len(whole) < len(content):
+                counted = self._counts_blank_ends() if counted is None else counted
+            if len(whole) == len(content) or counted:
+                yield file
+                continue
+            copy = folder / str(number)
+            copy.write_bytes(whole)
+            yield described(file, copy)
+
+    def _is_single_column(self, file: Written) -> bool:
+        if self.shape.names:
+            return len(self.shape.names) == 1
+        head = _first_record(file)
+        return len(split(head, self.shape.delimiter or delimiter_of(head))) == 1
+
+    def _counts_blank_ends(self) -> bool:
+        """Check if blank lines at the end of a sibling were recorded as rows, by an earlier version."""
+        content, rows = self.siblings.example() or (b"", 0)
+        whole = BLANK_END.sub(b"", content)
+        return len(whole) < len(content) and rows > whole.count(b"\n") - self.shape.header
+
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         for file in files:
             if file.bytes == 0 and self.shape.header:
@@ -53,6 +98,20 @@ class Csv(Text):
                 self.fault(file, f"line 1: {part}")
         return {path: part for path, head in heads.items() if not isinstance(part := described[head], str)}
 
+    def fault(self, file: Written, what: str) -> None:
+        super().fault(file, what + self._advice(file, what))
+
+    def _advice(self, file: Written, what: str) -> str:
+        """Return the keys that read a file whose names are not in its first line; "" if a message already names them."""
+        with Path(file.path).open("rb") as content:
+            keys = keys_of(content.read(READ + 1))
+        if not self.shape.header:
+            keys = {name: value for name, value in (keys or {}).items() if name != "header"}
+        if not keys or not self.shape.name or all(f"{key} = " in what for key in keys):
+            return ""
+        named = keys if self.shape.declared else {"file": file.name, **keys}
+        return f" (set {in_words(named)} in [outputs.{self.shape.name}])"
+
     def key(self, part: Part) -> Hashable:
         return part.names, part.delimiter
 
@@ -65,7 +124,7 @@ class Csv(Text):
 
     def _named(self, head: str) -> Part | str:
         delimiter = self.shape.delimiter or delimiter_of(head)
-        names = split(head, delimiter)
+        names = self._unmarked(split(head, delimiter))
         if not any(names):
             return "is empty, but must contain the column names"
         if "\ufffd" in head or CONTROL.search(head):
@@ -79,6 +138,15 @@ class Csv(Text):
         if doubled:
             return f"the column {doubled[0]!r} occurs twice"
         return Part(names, delimiter)
+
+    def _unmarked(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names without the mark of a comment before the first one, unless the table has been recorded with it."""
+        first = unmarked(names[0]) if names else ""
+        is_sentence = len(names) == 1 and len(first.split()) > 1
+        taken = {name.lower() for name in names[1:]}
+        if not names or first == names[0] or is_sentence or first.lower() in taken or names[0] in self.siblings.names():
+            return names
+        return (first, *names[1:])
 
     def _numbered(self, head: str, delimiter: str) -> Part | None:
         """Return the columns of a file without header: as declared, or one for each field of its first line."""
@@ -236,20 +304,6 @@ class Csv(Text):
         return None
 
 
-def delimiter_of(head: str) -> str:
-    """Return the delimiter that occurs most often in a header line, outside quotes; a comma if there is none."""
-    bare = re.sub(r'"[^"]*"', "", head)
-    return max(DELIMITERS, key=lambda d: (bare.count(d), d == ","))
-
-
-def split(head: str, delimiter: str) -> tuple[str, ...]:
-    """Return the fields of a header line."""
-    if len(delimiter) != 1:
-        return tuple(field.strip() for field in head.split(delimiter))
-    reader = csv.reader(io.StringIO(head, newline=""), delimiter=delimiter, skipinitialspace=True)
-    return tuple(field.strip() for field in next(reader, []))
-
-
 def _first_record(file: Written) -> str:
     """Return the whole header of a CSV. A worker reports only its beginning, and a quoted name may contain a line feed."""
     head = file.head
@@ -291,11 +345,3 @@ def _end(ends: list[str]) -> str:
     """Return the ending of the last line that was read; a last line without one gets that of the line before."""
     end = ends[-1]
     return end if end in ("\n", "\r", "\r\n") else (ends[-2] if len(ends) > 1 else "\n")
-
-
-def reads_as_number(field: str) -> bool:
-    try:
-        number = float(field)
-    except ValueError:
-        return False
-    return "_" not in field and not (math.isinf(number) and any(map(str.isdigit, field)))

@@ -18,12 +18,17 @@ from itertools import islice
 from typing import BinaryIO
 
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.csv import Csv, delimiter_of, reads_as_number, split
+from sierra.ingest.csv import Csv
+from sierra.ingest.delimiters import delimiter_of, reads_as_number, split
 from sierra.ingest.independent_row_count import any_size, csv_reader
+from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
+from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
+from sierra.ingest.text_headers import keys_of
+from sierra.store.connections import Database
 
 BLANKS = "blanks"
 """The delimiter that stands for one or more blanks or tabs."""
@@ -39,6 +44,10 @@ Row = tuple[int, bool, Sequence[str]]
 
 class CsvAsFound(Rewriter):
     """The reader of text tables as programs write them."""
+
+    def __init__(self, shape: Shape, connection: Database) -> None:
+        super().__init__(shape, connection)
+        self._missing = MissingValues(shape.form.na, as_written=True)
 
     @classmethod
     def reader(cls) -> type[TableReader]:
@@ -87,6 +96,9 @@ class CsvAsFound(Rewriter):
         names = self._names(head, delimiter)
         if form.units_row:
             self._check_units(next(lines, None), len(names), delimiter)
+        if self._aligned and names[:1] in (["#"], ["%"]):  # `# t v` above two columns
+            lines, row = _peeked(lines)
+            names = names[1:] if row and len(self._split(row, delimiter)) == len(names) - 1 else names
         if head:
             yield head[0][0], self._header(head, names, delimiter)
         body = lines if head else _both(first, lines)
@@ -95,21 +107,34 @@ class CsvAsFound(Rewriter):
     def _kept(self, source: Source) -> Iterator[Line]:
         """Yield the lines that are neither skipped nor comments; texts in quotes are never comments."""
         form, quoted, begun = self.shape.form, False, not self.shape.header
-        comment = form.comment.encode()
+        comments = tuple(comment.encode() for comment in form.comments)
         for number, line in enumerate(source.lines(), 1):
             text = line.removeprefix(BOM) if number == 1 else line
-            is_comment = comment and not quoted and text.lstrip(b" \t").startswith(comment)
+            is_comment = not quoted and text.lstrip(b" \t").startswith(comments)
             is_blank = not text.strip(b" \t\r\n") and (self._aligned or not begun)
             if number > form.skip and not is_comment and not is_blank:
                 begun = True
                 quoted ^= not self._aligned and text.count(b'"') % 2 == 1
                 yield number, text
 
+    def advice(self, source: Source) -> str:
+        form = self.shape.form
+        now = {"comment": form.comment, "skip": form.skip, "delimiter": self.shape.delimiter, "header": self.shape.header}
+        try:
+            keys = keys_of(next(source.pieces(), b"")) or {}
+        except UnreadableError:
+            return ""
+        keys = {
+            name: value for name, value in keys.items() if (tuple(value) if isinstance(value, list) else value) != now[name]
+        }
+        return f" (set {in_words(keys)} in [outputs.{self.shape.name}])" if keys else ""
+
     def count(self, source: Source, written: int) -> int:
         form, content = self.shape.form, source.content().removeprefix(BOM)
         for _ in range(form.skip):
             content = content.partition(b"\n")[2]
-        comment = rb"[ \t]*" + re.escape(form.comment.encode()) + rb"[^\n]*" if form.comment else rb"(?!)"
+        begins = b"|".join(re.escape(comment.encode()) for comment in form.comments)
+        comment = rb"[ \t]*(?:" + begins + rb")[^\n]*" if begins else rb"(?!)"
         blank = rb"[ \t\r]*"
         left_out = 0
         if self.shape.header:
@@ -149,7 +174,7 @@ class CsvAsFound(Rewriter):
         for (number, _), row in zip(head, rows, strict=True):
             if len(row) != len(rows[0]):
                 raise UnreadableError(f"line {number}: {len(row)} column names, but the first header line has {len(rows[0])}")
-            if self.shape.form.comment and (numbers := [name for name in row if reads_as_number(name)]):
+            if self.shape.form.comments and (numbers := [name for name in row if reads_as_number(name)]):
                 message = f"line {number}: the number {numbers[0]!r} among the column names"
                 raise UnreadableError(f"{message} (if a comment has the names, set header = false, and columns)")
         return [".".join(filter(None, texts)) for texts in zip(*rows, strict=True)]
@@ -182,11 +207,12 @@ class CsvAsFound(Rewriter):
     def _changed(self, cell: str, number: int) -> str:
         """Return a cell with a decimal point, or empty if it stands for a missing value."""
         bare = cell.strip()
-        if bare in self.shape.form.na:
+        if self._missing.has(bare):
             return ""
         if self.shape.form.decimal == ",":
             if COMMA.fullmatch(bare):
-                return bare.replace(",", ".")
+                pointed = bare.replace(",", ".")
+                return "" if self._missing.has(pointed) else pointed
             if POINT.fullmatch(bare):
                 raise UnreadableError(f'line {number}: {bare!r} has a decimal point, but decimal = ","')
         return cell
@@ -234,6 +260,12 @@ def _text(line: bytes) -> str:
 def _size(text: bytes) -> int:
     """Return the number of lines in a text."""
     return text.count(b"\n") + (not text.endswith(b"\n"))
+
+
+def _peeked(lines: Iterator[Line]) -> tuple[Iterator[Line], Line | None]:
+    """Return the lines, and the first of them."""
+    first = next(lines, None)
+    return (lines, None) if first is None else (_both([first], lines), first)
 
 
 def _both(first: Iterable[Line], others: Iterable[Line]) -> Iterator[Line]:

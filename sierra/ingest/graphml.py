@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.columnar import Columnar, column_of
+from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
 from sierra.ingest.xml_rows import count_tags, parse, pattern
+from sierra.store.type_inference import as_float
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -28,7 +30,7 @@ class GraphMl(Columnar):
     def table(self, source: Source) -> pa.Table:
         import pyarrow as pa
 
-        graph = _Graph(ELEMENTS[self.shape.form.rows])
+        graph = _Graph(ELEMENTS[self.shape.form.rows], MissingValues(self.shape.form.na))
         for _ in parse(source, graph):
             pass
         names = dict.fromkeys(name for row in graph.rows for name in row)
@@ -66,6 +68,7 @@ class _Graph:
     """The rows of a file, filled by a parser's events."""
 
     elements: tuple[str, ...]
+    missing: MissingValues
     rows: list[dict[str, object]] = field(default_factory=list)
     _open: list[dict[str, object]] = field(default_factory=list)
     """The nodes or edges that have begun; a node may contain a graph."""
@@ -105,12 +108,15 @@ class _Graph:
             case "node" | "edge":
                 self._open.pop()
             case "default" if self._key is not None:
-                self._defaults[self._key.name + "/" + self._key.whose] = self._key.value(text, self._line)
+                self._defaults[self._key.name + "/" + self._key.whose] = self._value(self._key, text)
             case "data" if self._key is not None and self._open:
-                self._open[-1][self._key.name] = self._key.value(text, self._line)
+                self._open[-1][self._key.name] = self._value(self._key, text)
                 self._key = None
             case "key":
                 self._key = None
+
+    def _value(self, key: _Key, text: str) -> object:
+        return None if self.missing.has(text) else key.value(text, self._line)
 
     def _declare(self, attributes: Mapping[str, str], line: int) -> None:
         key = _Key(
@@ -139,12 +145,17 @@ def _flag(text: str) -> bool:
     return {"true": True, "1": True, "false": False, "0": False}[text.strip().lower()]
 
 
+def _number(text: str) -> float:
+    number = as_float(text)
+    return float(text) if number is None else number
+
+
 TYPES: Mapping[str, Callable[[str], object]] = {
     "boolean": _flag,
     "int": int,
     "long": int,
-    "float": float,
-    "double": float,
+    "float": _number,
+    "double": _number,
     "string": str,
 }
 """The function that reads texts of a type, by the type."""

@@ -16,11 +16,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.ingest.model import Written
+from sierra.model import OutputFile
+from sierra.worker import worker
 
 if TYPE_CHECKING:
     import _csv
 
 FILLED = re.compile(rb"^[ \t\r\f\v]*[^\s][^\n]*", re.MULTILINE)
+
+
+def described(file: Written, path: Path) -> Written:
+    """Return the file that a file became, at `path`, with the counts of its lines and quotes."""
+    seen = OutputFile(**worker.describe(str(path), file.name))
+    counts = (seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
+    return Written(str(path), file.run, file.execution, file.name, *counts, file.ticks)
 
 
 def lines_of(file: Written, *, empty: bool = False) -> int | None:

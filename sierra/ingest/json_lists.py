@@ -31,7 +31,7 @@ def keys_of(content: bytes) -> Mapping[str, str] | None:
     return rows | ({"unnest": within[0]} if len(within) == 1 else {})
 
 
-def in_words(keys: Mapping[str, str | bool]) -> str:
+def in_words(keys: Mapping[str, object]) -> str:
     """Return keys as they are written in `sierra.toml`."""
     return ", ".join(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in keys.items())
 

@@ -18,9 +18,11 @@ from typing import BinaryIO
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.independent_row_count import count_filled
 from sierra.ingest.jsonl import Jsonl
+from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
+from sierra.store.connections import Database
 
 DOT = "."
 Object = Mapping[str, object]
@@ -32,6 +34,10 @@ class JsonDocument(Rewriter):
     """The reader of JSON documents."""
 
     word = "row"
+
+    def __init__(self, shape: Shape, connection: Database) -> None:
+        super().__init__(shape, connection)
+        self._missing = MissingValues(shape.form.na)
 
     @classmethod
     def reader(cls) -> type[TableReader]:
@@ -97,7 +103,10 @@ class JsonDocument(Rewriter):
         """Yield the rows, each with the number of its object."""
         nested = self._nested(source) if self._flat else frozenset()
         for number, one in self._split(source):
-            yield number, {name: value for name, value in one.items() if value is not None or name not in nested}
+            row = {name: value for name, value in one.items() if value is not None or name not in nested}
+            if self._missing:
+                row = {name: None if self._missing.has_value(value) else value for name, value in row.items()}
+            yield number, row
 
     def _nested(self, source: Source) -> frozenset[str]:
         """Return the names of the objects that became columns. Where such an object is null, it is no column itself."""

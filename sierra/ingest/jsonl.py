@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,10 @@ from sierra.ingest.text_table_reader import Text
 from sierra.store.duckdb_file_io import objects_given
 from sierra.store.duckdb_messages import first_line
 from sierra.store.sql_names import identifier, quote
+from sierra.store.type_inference import VISUAL_C
+
+UNBOUNDED = rf"[-+]?(?i:inf|infinity|nan)|{VISUAL_C}"
+"""Infinity and nan, which JSON can only write as texts in quotes."""
 
 
 class Jsonl(Text):
@@ -48,10 +53,8 @@ class Jsonl(Text):
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         pointers = ("/" + name.replace("~", "~0").replace("/", "~1") for name in names)
-        cells = "".join(
-            f"nullif(json_extract(json, {quote(pointer)})::VARCHAR, 'null') AS c{place}, "
-            for place, pointer in enumerate(pointers)
-        )
+        values = (f"nullif(json_extract(json, {quote(pointer)})::VARCHAR, 'null')" for pointer in pointers)
+        cells = "".join(f"{_bare(value)} AS c{place}, " for place, value in enumerate(values))
         return f"(SELECT {cells}{identifier(FILE)} FROM {self._objects()})"
 
     def text(self, cell: str) -> str:
@@ -76,9 +79,17 @@ class Jsonl(Text):
                     return f"line {line}: the key {doubled[0]!r} occurs twice"
                 for key, value in pairs:
                     number = value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+                    number = number or (isinstance(value, str) and re.fullmatch(UNBOUNDED, value) is not None)
                     if types.get(key) == "DOUBLE" and not number:
                         return f"line {line}: text in the numeric column {key!r}: {str(value)[:80]!r}"
         return None
+
+
+def _bare(cell: str) -> str:
+    """Return the SQL expression for a cell without the quotes around infinity or nan."""
+    pattern = quote(f'"({UNBOUNDED})"')
+    is_quoted = f"starts_with({cell}, '\"') AND regexp_full_match({cell}, {pattern})"
+    return f"CASE WHEN {is_quoted} THEN trim({cell}, '\"') ELSE {cell} END"
 
 
 class _Pairs(list[tuple[str, object]]):

@@ -15,7 +15,15 @@ from dataclasses import fields
 from itertools import chain, count
 from pathlib import PurePosixPath
 
-from sierra.config.output_tables import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, SEVERAL_TABLES, Output
+from sierra.config.output_tables import (
+    FILE_FORMAT,
+    NAMED_FORMATS,
+    ROTATED_FORMATS,
+    SAME_FORMAT,
+    SEVERAL_TABLES,
+    Output,
+    newest_of,
+)
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import robot_files
 from sierra.ingest.base import Used
@@ -32,6 +40,10 @@ IN_FOLDERS = 'undeclared and in a subfolder ([outputs.NAME] file = "{glob}" make
 TOO_MANY = f'undeclared, and more than {AUTOMATIC_AT_MOST} in a run ([outputs.NAME] file = "{{glob}}" makes a table of them)'
 TAKEN = 'undeclared, and another file already makes the table of that name ([outputs.NAME] file = "{file}" makes it a table)'
 UNNAMED = 'declared without a format ([outputs.{output}] format = "{format}" makes a table, and format = "file" keeps the file)'
+ROTATED = (
+    "older than {newest!r}, whose table has only the newest rows "
+    '([outputs.{output}] file = "{newest}{{rotation}}" makes one table of all parts, the oldest first)'
+)
 NOT_UTF8 = "with a name that is not UTF-8"
 """The reasons why files that look like tables are recorded as files."""
 
@@ -68,6 +80,9 @@ class OutputMatcher:
             kind = self._outputs[declared].kind if declared else automatic_format(file.path)
             if declared is not None and (named := unnamed_format(self._outputs[declared])):
                 self._keep(UNNAMED.format(output=declared, format=named), file)
+            if declared is None and (base := self._rotated(file, result)):
+                self._keep(ROTATED.format(newest=base, output=self._table_of(base)), file)
+                continue
             if kind not in READERS.shipped and kind not in self._readers:
                 continue
             if shown(file.path) != file.path:
@@ -96,6 +111,19 @@ class OutputMatcher:
             ticks = (robot_files.COLUMN,) if several else ()
             shape = Shape(kind, many=several, ticks=ticks, name=table)
             yield from ((table, shape, file) for file in files)
+
+    def _rotated(self, file: OutputFile, result: Result) -> str | None:
+        """Return the newest part of a rotated file of which this is an older one, if it becomes a table; else None."""
+        newest = newest_of(file.path)
+        if newest is None or all(other.path != newest for other in result.outputs):
+            return None
+        owners = claims(self._outputs, newest)
+        kind = self._outputs[owners[0]].kind if owners else automatic_format(newest)
+        return newest if kind in ROTATED_FORMATS and (owners or "/" not in newest) else None
+
+    def _table_of(self, path: str) -> str:
+        owners = claims(self._outputs, path)
+        return owners[0] if owners else table_name(path)
 
     def _name(self, path: str) -> str | None:
         """Return the name of the table of an undeclared file; None if it is another file's, and this one was kept as a file."""
@@ -141,6 +169,7 @@ class OutputMatcher:
             declared=True,
             time=output.time,
             any_order=output.time_order == "any",
+            rotated=output.base if output.rotated else "",
         )
 
     def _keep(self, why: str, file: OutputFile) -> None:
@@ -173,7 +202,7 @@ def _stem(path: str) -> str:
 def claims(outputs: Mapping[str, Output], path: str) -> list[str]:
     """Return the outputs that a file belongs to: those that name it, or else those whose pattern it matches."""
     found = [name for name, output in outputs.items() if output.matches(path)]
-    return [name for name in found if outputs[name].file.removeprefix("./") == path] or found
+    return [name for name in found if outputs[name].base == path] or found
 
 
 def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:

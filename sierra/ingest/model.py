@@ -45,11 +45,11 @@ class Form:
     """The differences of a file from a plain one that shipped readers read; keys of the same names in `[outputs.NAME]`."""
 
     skip: int = 0
-    comment: str = ""
+    comment: str | tuple[str, ...] = ""
     header_lines: int = 1
     units_row: bool = False
     decimal: str = "."
-    na: tuple[str, ...] = ()
+    na: tuple[str | float, ...] = ()
     widths: tuple[int, ...] = ()
     rows: str = ""
     unnest: str = ""
@@ -58,6 +58,11 @@ class Form:
     ros: str = ""
     covariances: bool = False
     min_rate: float = 0.0
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """The beginnings of lines that are not read."""
+        return self.comment if isinstance(self.comment, tuple) else (self.comment,) if self.comment else ()
 
 
 PLAIN = Form()
@@ -98,6 +103,8 @@ class Shape:
     """The declared time column; "" if none is declared."""
     any_order: bool = False
     """True if the time may go back within a file."""
+    rotated: str = ""
+    """The name of the newest part of a rotated file; "" if the files are not rotated."""
 
 
 Group = Hashable
@@ -114,6 +121,10 @@ class Siblings:
     """The columns in which some of these files have values that are not numbers."""
     ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Votes]] = lambda runs: ({}, {})
     """A function of runs. It returns each run's experiment, and the votes of the files that were read before."""
+    names: Callable[[], AbstractSet[str]] = frozenset
+    """A function that returns all names of columns with which the table was ever recorded."""
+    example: Callable[[], tuple[bytes, int] | None] = lambda: None
+    """A function that returns the content of one of these files, and the number of its rows that were recorded."""
 
 
 @dataclass(frozen=True, slots=True)

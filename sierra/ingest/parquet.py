@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from sierra.errors import Damaged
 from sierra.ingest import base
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
+from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader
 from sierra.ingest.text_table_reader import alike
@@ -45,6 +46,7 @@ class Parquet(TableReader):
         self._found: dict[str, dict[str, str]] = {}
         self._wide: dict[str, str] = {}
         """By path, a column with decimals that DuckDB would turn into DOUBLE."""
+        self._missing = MissingValues(shape.form.na)
         self._called: dict[str, Mapping[str, str]] = {}
         """By path, DuckDB's names of the columns: it changes those that differ from others only in upper and lower case."""
 
@@ -94,13 +96,22 @@ class Parquet(TableReader):
             for target, some in written:
                 types = {name: self._type(name, some) for name in self.part.names}
                 called = self._called[some[0].path]
-                columns = {name: _cast(f"t.{identifier(called[name])}", types[name]) for name in self.part.names}
+                columns = {n: self._valued(some, n, f"t.{identifier(called[n])}", types[n]) for n in self.part.names}
                 self.write(target, some, self._source(), columns)
         except (self.error, AtFaultError):
             for target, _ in written:
                 target.unlink(missing_ok=True)
             raise
         return written
+
+    def _valued(self, files: Sequence[Written], name: str, column: str, kind: str) -> str:
+        """Return the SQL expression for a column in its type, in which values that stand for missing ones are NULL."""
+        value = _cast(column, kind)
+        if not self._missing or kind.startswith(DURATION):
+            return value
+        own = {self._found[file.path][name] for file in files} - {EMPTY}
+        missing = self._missing.condition(column, next(iter(own)) if len(own) == 1 else kind) if own else ""
+        return f"CASE WHEN {missing} THEN NULL ELSE {value} END" if missing else value
 
     def _inexact(self, files: Sequence[Written]) -> set[str]:
         """Return the columns that would become DOUBLE, of which some have numbers that DOUBLE cannot hold."""
@@ -203,7 +214,7 @@ class Converted(Parquet):
             target = folder / f"{number}.parquet"
             try:
                 with target.open("wb") as stream:
-                    write_parquet(self._reader.read(Path(file.path)), stream)
+                    write_parquet(self._present(self._reader.read(Path(file.path))), stream)
             except UnreadableError as error:
                 if lacking(error) in PASSING:
                     check_shortage(error)
@@ -215,6 +226,16 @@ class Converted(Parquet):
                 self.fault(file, _one_line(message))
             else:
                 yield replace(file, path=str(target))
+
+    def _present(self, columns: Columns) -> Columns:
+        """Return the columns without the values that stand for missing ones, which may be of another type than the others."""
+        if not self._missing:
+            return columns
+        has = self._missing.has_value
+        return {
+            name: [None if has(value) else value for value in values] if isinstance(values, list) else values
+            for name, values in columns.items()
+        }
 
 
 def write_parquet(columns: Columns | pa.Table, target: BinaryIO) -> None:

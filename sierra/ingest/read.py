@@ -20,18 +20,23 @@ differs from another only in case, gets a trailing underscore.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.plugin_registry import READERS
+from sierra.ingest import rotated_files
+from sierra.ingest.base import UnreadableError
 from sierra.ingest.csv_as_found import BLANKS, CsvAsFound
 from sierra.ingest.json_rows import JsonLines
+from sierra.ingest.messages import shown
 from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written
 from sierra.ingest.rewriting import Rewriter, is_compressed, read_rewritten
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import Aliases
+from sierra.store.segments import disk_errors
 
 AS_FOUND: Mapping[str, type[Rewriter]] = {"csv": CsvAsFound, "jsonl": JsonLines}
 """The rewriters of files that are not as a shipped reader needs them, by format."""
@@ -45,6 +50,8 @@ def read(
     The first Parquet file is `target`. If columns or kinds differ, there are others beside it (`target~2`, …).
     Raises Missing if valid rows cannot be written.
     """
+    if shape.rotated:
+        return _read_rotated(connection, files, shape, target, siblings)
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     found = _reader(shape, files)
     with Aliases() as aliases:
@@ -52,6 +59,29 @@ def read(
         if issubclass(found, Rewriter):
             return read_rewritten(found(shape, connection), connection, named, target, siblings or Siblings())
         return found(connection, shape, target, siblings or Siblings()).read(named)
+
+
+def _read_rotated(
+    connection: Database, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None
+) -> Reading:
+    """Read the parts of each run's rotated file as one file, under the name of the newest part."""
+    parts: dict[str, list[Written]] = {}
+    for file in files:
+        parts.setdefault(file.execution, []).append(file)
+    faults: dict[str, str] = {}
+    joined: list[Written] = []
+    with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
+        for number, some in enumerate(parts.values()):
+            aged = rotated_files.by_age(some, shape.rotated)
+            try:
+                joined.append(rotated_files.join(aged, shape, Path(folder, str(number))))
+            except UnreadableError as error:
+                faults[aged[-1].execution] = f"{shown(aged[-1].name)}: {error}"
+        found = read(connection, joined, replace(shape, rotated=""), target, siblings)
+    for execution, fault in found.faults.items():
+        lines = "" if len(parts[execution]) < 2 else " (lines are counted from the oldest part on)"
+        faults[execution] = fault + lines
+    return replace(found, faults=faults, shape=replace(found.shape, rotated=shape.rotated))
 
 
 def _reader(shape: Shape, files: Sequence[Written]) -> type[TableReader] | type[Rewriter]:

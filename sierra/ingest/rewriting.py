@@ -20,13 +20,12 @@ from typing import BinaryIO, ClassVar, TypeVar
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.ingest.base import UnreadableError
+from sierra.ingest.independent_row_count import described
 from sierra.ingest.messages import shown
 from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
-from sierra.model import OutputFile
 from sierra.store.connections import Database
 from sierra.store.segments import disk_errors
-from sierra.worker import worker
 
 LINE = re.compile(r"\bline (\d+): ")
 COMPRESSED = (".gz", ".zst")
@@ -66,6 +65,10 @@ class Rewriter:
         `written` is what it has returned. Raises UnreadableError.
         """
         raise NotImplementedError
+
+    def advice(self, source: Source) -> str:
+        """Return the keys that would read a file that cannot be read, in brackets; "" if none are known."""
+        return ""
 
     def place(self, source: Source, line: int) -> str:
         """Return the words for the place in the original file that became this line of the plain file."""
@@ -173,14 +176,14 @@ class _Rewriting:
                 written = self._rewriter.rewrite(source, stream)
             counted = self._rewriter.count(source, written)
         except UnreadableError as error:
-            fault = " ".join(str(error).split())
+            fault = " ".join(f"{error}{self._rewriter.advice(source)}".split())
         except OSError:
             raise
         except Exception as error:
             fault = " ".join(f"the reader {self._rewriter.shape.format!r} failed: {type(error).__name__}: {error}".split())
         else:
             if counted == written:
-                return _described(file, path)
+                return described(file, path)
             fault = f"it contains {counted} rows, but {written} were found: it can be understood in more than one way"
         self._faults.setdefault(file.execution, f"{shown(file.name)}: {fault}")
         return None
@@ -197,22 +200,3 @@ class _Rewriting:
             return message
         place = self._rewriter.place(self._sources[execution, name], int(found[1]))
         return f"{name}: {place}: {message[found.end() :]}"
-
-
-def _described(file: Written, path: Path) -> Written:
-    """Return the plain file that a file became."""
-    seen = OutputFile(**worker.describe(str(path), file.name))
-    return Written(
-        str(path),
-        file.run,
-        file.execution,
-        file.name,
-        seen.head,
-        seen.lines,
-        seen.ended,
-        seen.bytes,
-        seen.quotes,
-        seen.blank,
-        seen.alike,
-        file.ticks,
-    )

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.columnar import Columnar, column_of
+from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
 from sierra.store.sql_names import identifier
 
@@ -43,6 +44,8 @@ class SqliteTables(Columnar):
             cursor = database.execute(self._statement)
             names = [name for name, *_ in cursor.description]
             rows: Sequence[Sequence[object]] = cursor.fetchall()
+        if missing := MissingValues(self.shape.form.na):
+            rows = [[None if missing.has_value(value) else value for value in row] for row in rows]
         if len(set(names)) < len(names):
             raise UnreadableError("the statement gives two columns of the same name")
         columns = zip(*rows, strict=True) if rows else ((),) * len(names)

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.errors import SierraError
+from sierra.ingest import text_headers
 from sierra.ingest.consistency import GOOD, many, parameters
-from sierra.ingest.csv import delimiter_of
+from sierra.ingest.delimiters import delimiter_of
 from sierra.ingest.event_tables import TableSize, is_uneven, of_events, short
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.json_rows import DOT
 from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
-from sierra.ingest.model import Shape
+from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.recording_context import Context
 from sierra.store import endings
-from sierra.store.sql_names import differing_by_case, identifier, stored_name, stored_names
+from sierra.store.samples import names_time
+from sierra.store.sql_names import differing_by_case, identifier, quote, stored_name, stored_names
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, DURATION
@@ -28,7 +32,10 @@ from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
 from sierra.util.text import counted, few, verb
 
-COMMENT = """the first line is a comment; begin with the column names, without '#' (comment = "#" leaves comments out)"""
+COMMENT = "the first line is a comment; begin with the column names, without {mark!r} ({keys} leaves comments out)"
+HEADER = "its names are not in its first line ({keys} reads it)"
+TEXTS = 4
+"""The largest number of texts that a proposal for `na` lists."""
 NOTED_DOUBTS = 3
 LENGTHS = 8
 """The number of columns that the note on lists names."""
@@ -38,6 +45,34 @@ SELECT coalesce(bool_and(lists), false), max(rows) FROM (
 )
 """
 SEVERAL = "are these several columns? (set delimiter = {delimiter} in [outputs.{output}])"
+
+
+FACTORS: Mapping[str, tuple[str, float]] = {
+    **{
+        name: ("s", factor) for name, factor in (("s", 1), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("μs", 1e-6), ("ns", 1e-9))
+    },
+    **{name: ("s", factor) for name, factor in (("ps", 1e-12), ("fs", 1e-15), ("min", 60), ("h", 3600), ("d", 86_400))},
+    **{name: ("m", factor) for name, factor in (("m", 1), ("mm", 1e-3), ("cm", 1e-2), ("km", 1e3), ("um", 1e-6), ("nm", 1e-9))},
+    **{name: ("g", factor) for name, factor in (("g", 1), ("mg", 1e-3), ("kg", 1e3))},
+    **{name: ("bps", factor) for name, factor in (("bps", 1), ("kbps", 1e3), ("Mbps", 1e6), ("Gbps", 1e9))},
+    **{name: ("B", factor) for name, factor in (("B", 1), ("kB", 1e3), ("KB", 1e3), ("MB", 1e6), ("GB", 1e9))},
+    **{name: ("B", factor) for name, factor in (("KiB", 2**10), ("MiB", 2**20), ("GiB", 2**30))},
+    **{name: ("Hz", factor) for name, factor in (("Hz", 1), ("kHz", 1e3), ("MHz", 1e6), ("GHz", 1e9))},
+    **{name: ("W", factor) for name, factor in (("W", 1), ("mW", 1e-3), ("kW", 1e3), ("MW", 1e6))},
+    **{name: ("J", factor) for name, factor in (("J", 1), ("mJ", 1e-3), ("kJ", 1e3), ("MJ", 1e6))},
+    **{name: ("V", factor) for name, factor in (("V", 1), ("mV", 1e-3), ("uV", 1e-6), ("kV", 1e3))},
+}
+"""Units that cells may have, each with the unit that it is converted to, and by which factor."""
+
+
+class _Look(NamedTuple):
+    """The form of some cells of a column."""
+
+    look: str
+    cells: int
+    example: str
+    texts: list[str]
+    """A few of the different texts, if the form is `other` or `missing`."""
 
 
 class _Form(NamedTuple):
@@ -64,6 +99,9 @@ class TableWarnings:
         self._shapes = shapes
         self._paths: Mapping[str, str] = {}
         """The paths of the files of tables, each of one run."""
+        self._headers: dict[str, Mapping[str, object]] = {}
+        """The keys that read tables whose names are not in their first line, by output."""
+        self._contents: dict[str, bytes] = {}
 
     def all(self) -> list[str]:
         """Return the warnings, one line each.
@@ -217,17 +255,47 @@ class TableWarnings:
         texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
         for output, name in texts[:NOTED_AT_MOST]:
             if message := (
-                self._as_one_column(kinds, output, name) or self._as_list(output, name) or self._numeric(kinds, output, name)
+                self._as_header(output)
+                or self._as_one_column(kinds, output, name)
+                or self._as_list(output, name)
+                or self._numeric(output, name)
             ):
                 runs = kinds[output, name].total()
                 yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, so it has no figure: {message}"
+
+    def _as_header(self, output: str) -> str | None:
+        """Return the keys that read a table whose names are not in its first line, judged by the file of one run."""
+        shape = self._shapes[output]
+        if shape.format != "csv" or shape.form != PLAIN:
+            return None
+        if output not in self._headers:
+            self._headers[output] = text_headers.keys_of(self._content(output)) or {}
+        keys = self._headers[output]
+        if not keys or not (keys.keys() - {"delimiter"} or self._content(output).lstrip().startswith((b"#", b"%"))):
+            return None
+        if keys.keys() == {"delimiter"}:
+            return SEVERAL.format(delimiter=json.dumps(keys["delimiter"]), output=output)
+        declared = output in self._context.outputs
+        named = f"[outputs.{output}] {in_words(keys if declared else {'file': self._paths[output], **keys})}"
+        mark = keys.get("comment")
+        if isinstance(mark, str) and self._content(output).lstrip().startswith(mark.encode()):
+            return COMMENT.format(mark=mark, keys=named)
+        return HEADER.format(keys=named)
+
+    def _content(self, output: str) -> bytes:
+        """Return the content of the file of one run; nothing if the store does not have it."""
+        if output not in self._contents:
+            rows = self._store.values(str, EXAMPLE, output=output, **parameters(self._context))
+            try:
+                self._contents[output] = self._store.object(rows[0]) if rows else b""
+            except SierraError:
+                self._contents[output] = b""
+        return self._contents[output]
 
     def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return advice for a table that has one column because its delimiter or its header was not recognized."""
         if self._shapes[output].format != "csv" or [key for key in kinds if key[0] == output] != [(output, name)]:
             return None
-        if name.startswith("#"):
-            return COMMENT
         if self._shapes[output].delimiter and (other := delimiter_of(name)) in name:
             return SEVERAL.format(delimiter=json.dumps(other), output=output)
         return SEVERAL.format(delimiter='" "', output=output) if len(name.split()) > 1 else None
@@ -252,27 +320,29 @@ class TableWarnings:
             keys |= {"unnest": name} | ({"flatten": True} if self._shapes[output].format == "jsonl" else {})
         return f"it is a list of objects ([outputs.{output}] {in_words(keys)} makes a row of each)"
 
-    def _numeric(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
-        """Return advice for a column of texts that mostly look like numbers, judged by the first rows."""
+    def _numeric(self, output: str, name: str) -> str | None:
+        """Return advice for a column of texts that mostly look like numbers, judged by the first rows.
+
+        A value or key is proposed only if it fits all cells.
+        """
         with self._store.snapshot(self._context.batch) as snapshot:
             column = _in_sql(snapshot, output, name)
             if column is None:
                 return None
-            rows = snapshot.run(
-                LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
-            )
-        looks = [(look, count, example) for look, count, example in rows if look != "number"]
-        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "thousands?", "grouped"))
-        united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
-        if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
+            rows = [
+                _Look(*row)
+                for row in snapshot.run(
+                    LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
+                )
+            ]
+            names = [row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")]
+        looks = [one for one in rows if one.look != "number"]
+        numbers = sum(one.cells for one in rows if one.look in ("number", "comma", "thousands?", "grouped", "wrapped"))
+        units = [one for one in looks if one.look.startswith("unit ")]
+        united = sum(one.cells for one in units if _unit(one) in FACTORS) or max((one.cells for one in units), default=0)
+        if 2 * (numbers + united) <= sum(one.cells for one in rows if one.look != "missing"):
             return None
-        first = next(column for table, column in kinds if table == output)
-        if first.startswith("#") and looks and looks[0][0] == "other":
-            return COMMENT
-        first_look = looks[0] if looks else ("", 0, "")
-        if first_look[0] == "thousands?":  # the others may say what the comma is
-            first_look = next((look for look in looks if look[0] in ("comma", "grouped")), first_look)
-        return "most of its values look like numbers; " + _instead(output, name, *first_look)
+        return "most of its values look like numbers; " + _instead(output, name, column, looks, len(rows) > len(looks), names)
 
 
 def _words(names: Iterable[str]) -> str:
@@ -288,26 +358,92 @@ def _in_sql(snapshot: Snapshot, output: str, name: str) -> str | None:
     return next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
 
 
-def _instead(output: str, name: str, look: str, cells: int, example: str) -> str:
-    """Return what to write instead of a cell that prevents its column from being numeric."""
-    match look.partition(" "):
-        case ("comma", _, _):
+def _unit(look: _Look) -> str:
+    return look.look.partition(" ")[2]
+
+
+def _instead(output: str, name: str, column: str, looks: Sequence[_Look], plain: bool, names: Sequence[str]) -> str:
+    """Return what to write instead of the cells that prevent a column from being numeric; `plain`: others are numbers."""
+    units = [one for one in looks if one.look.startswith("unit ")]
+    missing = [one for one in looks if one.look in ("other", "missing")]
+    if units:
+        return _of_units(output, name, column, units, plain=plain or len(units) < len(looks), names=names)
+    forms = [one for one in looks if one not in missing]
+    if any(one.look == "flag" for one in forms):
+        return f"it has {_examples(forms)} beside numbers; write the same words everywhere, or only 0 and 1"
+    if forms and (missing or len({one.look for one in forms if one.look != "thousands?"}) > 1):
+        return f"it has {_examples([*forms, *missing])}; write all of them as plain numbers"
+    if forms:
+        first = next((one for one in forms if one.look in ("comma", "grouped")), forms[0])  # they say what the comma is
+        return _in_form(output, first)
+    return _of_missing(output, missing) if missing else "some further down do not"
+
+
+def _in_form(output: str, look: _Look) -> str:
+    """Return what to write instead of a number in another form."""
+    example = look.example
+    match look.look:
+        case "comma":
             message = f"write {example.replace(',', '.')!r} instead of {example!r}, with a decimal point"
             return f'{message} ([outputs.{output}] decimal = "," reads decimal commas)'
-        case ("thousands?", _, _):
+        case "thousands?":
             whole, decimal = example.replace(",", ""), example.replace(",", ".")
             message = f"{example!r} can be {whole}, with a separator of thousands, or {decimal}, with a decimal comma; write"
             return f'{message} {whole!r} or {decimal!r} ([outputs.{output}] decimal = "," reads decimal commas)'
-        case ("grouped", _, _):
-            return f"write {example!r} without separators between digits"
-        case ("unit", _, unit):
-            key = json.dumps(name, ensure_ascii=False)
-            message = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
-            return f"write {example!r} without {unit!r} ({message} declares the unit)"
-        case ("other" | "missing", _, _):
-            message = f"leave cells without a number empty instead of writing {example!r} ({counted(cells, 'such cell')})"
-            return f"{message}, or set na = [{json.dumps(example, ensure_ascii=False)}] in [outputs.{output}]"
-    return "some further down do not"
+        case "wrapped":
+            return f"write the number alone instead of {example!r} (in Python, .item() of a tensor or an array)"
+    return f"write {example!r} without separators between digits"
+
+
+def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, plain: bool, names: Sequence[str]) -> str:
+    """Return what to do with numbers that have units; `plain`: other cells have none."""
+    first, units = looks[0], [_unit(one) for one in looks]
+    if len(units) == 1 and not plain:
+        key = json.dumps(name, ensure_ascii=False)
+        declared = f"[outputs.{output}] units = {{ {key} = {json.dumps(units[0], ensure_ascii=False)} }}"
+        return f"write {first.example!r} without {units[0]!r} ({declared} declares the unit)"
+    mixed = f"some have the unit {' or '.join(map(repr, units[:TEXTS]))}" + " and some have none" * plain
+    known = {FACTORS[unit][0] for unit in units if unit in FACTORS}
+    if plain or len(known) != 1 or not all(unit in FACTORS for unit in units):
+        return f"{mixed}; write all in the same unit, without its name"
+    [base] = known
+    called = _plain(column)
+    number = f"regexp_extract({called}, '^[-+0-9.eE]+')::DOUBLE"
+    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:g}" for unit in units)
+    factor = f"CASE regexp_extract({called}, '[^-+0-9.eE ]+$') {cases} END"
+    table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
+    sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"
+    key = re.sub(r"\W", "_", f"{output}_{column}")
+    shown = f"[tables.{key}] sql = {json.dumps(sql, ensure_ascii=False)}"
+    return f"{mixed}; write all in the same unit, or convert them to {base!r}, for example: {shown}"
+
+
+def _plain(name: str) -> str:
+    """Return a name as SQL, without quotes if it needs none."""
+    return name if re.fullmatch(r"[A-Za-z_]\w*", name) else identifier(name)
+
+
+def _of_missing(output: str, looks: Sequence[_Look]) -> str:
+    """Return what to write instead of texts among numbers."""
+    cells, texts = sum(one.cells for one in looks), [text for one in looks for text in one.texts]
+    first = next((one for one in looks if one.look == "missing"), looks[0])
+    message = f"leave cells without a number empty instead of writing {first.example!r} ({counted(cells, 'such cell')})"
+    if len(texts) > TEXTS:
+        return message
+    return f"{message}, or set na = {json.dumps(texts, ensure_ascii=False)} in [outputs.{output}]"
+
+
+def _examples(looks: Sequence[_Look]) -> str:
+    return " and ".join(repr(one.example) for one in looks[:TEXTS])
+
+
+EXAMPLE = (
+    GOOD
+    + """
+SELECT a.sha256 FROM all_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
+ORDER BY a.path, a.sha256 LIMIT 1
+"""
+)
 
 
 def lost(names: Sequence[str]) -> Iterator[str]:
@@ -361,12 +497,15 @@ WITH cells AS (
         WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
         WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',._][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
         WHEN regexp_full_match(lower(cell), '{missing}') THEN 'missing'
+        WHEN regexp_full_match(lower(cell), 'true|false|yes|no') THEN 'flag'
+        WHEN regexp_full_match(cell, '[A-Za-z_][A-Za-z0-9_.]*[(] *[[]?{number}[]]? *(,.*)?[)]|[[]{number}[]]') THEN 'wrapped'
         WHEN regexp_full_match(cell, '{number} *[^-+0-9eE.,;:_ ][^0-9]*') THEN
             'unit ' || regexp_extract(cell, '^{number} *(.*)$', 3)
         ELSE 'other' END AS look
     FROM cells
 )
-SELECT look, count(*), min(cell) FROM looking GROUP BY look ORDER BY count(*) DESC, look LIMIT 1000
+SELECT look, count(*), min(cell), list_slice(list(DISTINCT cell ORDER BY cell) FILTER (look IN ('other', 'missing')), 1, 6)
+FROM looking GROUP BY look ORDER BY count(*) DESC, look LIMIT 1000
 """
 """The appearances of cells, each with the number of cells and an example."""
 

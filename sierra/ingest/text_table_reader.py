@@ -20,13 +20,13 @@ from sierra.store.type_inference import (
     LOGICAL,
     NAN,
     WHOLE,
+    as_read,
     as_stored,
     bit,
     common,
     is_whole,
     kind_of,
     narrowest,
-    no_nan,
     odd,
     right_kind,
     text_beside,
@@ -240,7 +240,7 @@ class Text(TableReader):
             case "VARCHAR":
                 return self.text(cell)
             case _ if as_stored(kind) == "DOUBLE":
-                text = no_nan(cell) if by_text or kind == EXACT_TEXT else cell
+                text = as_read(cell) if by_text or kind == EXACT_TEXT else cell
                 return f"CAST({text} AS DOUBLE)"  # also checked by `_misread`
             case "BOOLEAN":
                 sound = f"regexp_full_match({cell}, {quote(LOGICAL)})"
@@ -248,7 +248,7 @@ class Text(TableReader):
             case _:
                 sound = f"regexp_full_match({cell}, {quote(WHOLE)})"
                 value = f"CAST({cell} AS {kind})"
-        missing = f"{cell} IS NULL" + f" OR isnan(TRY_CAST({no_nan(cell)} AS DOUBLE))" * nan
+        missing = f"{cell} IS NULL" + f" OR isnan(TRY_CAST({as_read(cell)} AS DOUBLE))" * nan
         return f"CASE WHEN {missing} THEN NULL WHEN {sound} THEN {value} ELSE error('not {kind}') END"
 
     def _try(self, files: Sequence[Written], names: Sequence[str]) -> None:

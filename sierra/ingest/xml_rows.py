@@ -23,6 +23,7 @@ from xml.parsers import expat
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.csv import Csv
+from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Part, Shape, Written
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
@@ -44,6 +45,7 @@ class XmlRows(Rewriter):
     def __init__(self, shape: Shape, connection: Database) -> None:
         super().__init__(shape, connection)
         self._path = pattern(shape.form.rows)
+        self._missing = MissingValues(shape.form.na)
         self._orders: dict[frozenset[str], list[str]] = {}
         """The columns in the order of the first file that has these columns, by their set."""
 
@@ -71,7 +73,10 @@ class XmlRows(Rewriter):
         return f"line {line}"
 
     def _rows(self, source: Source) -> Iterator[tuple[int, Row]]:
-        return elements(source, Elements(self._path))
+        found = elements(source, Elements(self._path))
+        if not self._missing:
+            return found
+        return ((line, {n: "" if self._missing.has(text) else text for n, text in row.items()}) for line, row in found)
 
 
 class _Rows(Csv):

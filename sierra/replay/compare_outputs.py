@@ -19,6 +19,7 @@ from sierra.store.sql_names import stored_name
 from sierra.store.store import Snapshot
 from sierra.store.table_layout import TableLayout
 from sierra.util.chunking import by_weight
+from sierra.util.hashing import merkle
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,7 +46,8 @@ def compare_all(
     snapshot: Snapshot, pairs: Sequence[tuple[str, str]], declared: Mapping[str, Output]
 ) -> Iterator[dict[str | None, Agreement]]:
     """Yield the result of `compare` for each pair of executions, with only a few of them in memory at a time."""
-    left = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
+    artifacts = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
+    left = {execution: _joined(own, declared) for execution, own in artifacts.items()}
     counted = _counted(snapshot, left)
     unlike = ((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs)
     for some in by_weight(unlike, _size, BYTES, lambda group, pair: len(group) < PAIRS):
@@ -66,6 +68,18 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
         several = tables[row.execution, row.path] > 1
         left[row.execution][f"{row.path} ({row.output})" if several else row.path] = row
     return dict(left)
+
+
+def _joined(artifacts: Artifacts, declared: Mapping[str, Output]) -> Artifacts:
+    """Return the artifacts with the parts of each rotated file as one: the newest, whose table has the rows of all."""
+    rotated = {name for name, output in declared.items() if output.rotated}
+    tables = {one.output: path for path, one in artifacts.items() if one.output in rotated and one.kind == "table"}
+    parts: dict[str, list[str]] = {}
+    for path, one in sorted(artifacts.items()):
+        if one.output in tables:
+            parts.setdefault(tables[one.output], []).append(f"{path} {one.sha256}")
+    kept = {path: one for path, one in artifacts.items() if path in parts or one.output not in tables}
+    return kept | {path: kept[path]._replace(sha256=merkle("parts", several)) for path, several in parts.items()}
 
 
 def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple[str, str, str | None]]:

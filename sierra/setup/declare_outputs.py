@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tomlkit import TOMLDocument
     from tomlkit.items import Item, Table
 
-Keys = Mapping[str, str | bool | Sequence[str] | Mapping[str, str]]
+Keys = Mapping[str, str | bool | int | Sequence[str] | Mapping[str, str]]
 
 
 def write(found: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[str, str], target: str | None = None) -> None:

@@ -189,7 +189,7 @@ def check_times(seen: Coverage) -> None:
     if seen.doubled:
         raise UsageError(
             f"{counted(seen.doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
-            " per run and time: name the right column as `time`, or let the run write its own mean"
+            " per run and time: name the right column as `time`, or let the run write one row for each time"
         )
     if seen.backward:
         raise UsageError(

@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.store.clock_times import SECONDS
 from sierra.store.samples import FLAG, MEMBERS, NUMERIC, Frame, names_time
 from sierra.store.sql_names import identifier, stored_name
 from sierra.store.store import Store
@@ -72,7 +73,7 @@ WHERE a.kind = 'table' AND a.rows > 0 AND a.execution IN ({MEMBERS}) GROUP BY a.
 OF_FILES = """
 SELECT m.experiment, m.run, coalesce(list_sort(list((a.path, a.sha256)))::VARCHAR, '') AS content
 FROM membership m LEFT JOIN all_artifacts a
-    ON a.execution = m.judgement AND a.kind = 'table' AND a.output = $output
+    ON a.execution = m.judgement AND a.kind IN ('table', 'file') AND a.output = $output
 GROUP BY ALL
 """
 OF_ROWS = """
@@ -196,8 +197,9 @@ def _shared(frame: Frame, output: str, volatile: Collection[str] | None) -> list
 
 
 def _kinds(frame: Frame) -> dict[str, str]:
-    """Return the types of the columns of the view `data`."""
-    return {row["column_name"]: row["column_type"] for row in frame.sql("DESCRIBE data").to_pylist()}
+    """Return the types of the columns of the view `data`, without the seconds that are computed from other columns."""
+    described = frame.sql("DESCRIBE data").to_pylist()
+    return {row["column_name"]: row["column_type"] for row in described if not row["column_name"].startswith(SECONDS)}
 
 
 def _unlikely(frame: Frame, experiment: int, groups: Groups, left_out: Columns) -> Groups:

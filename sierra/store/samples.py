@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
-from sierra.store import captures, robot_means, rounded_times
+from sierra.store import captures, clock_times, robot_means, rounded_times
+from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
@@ -274,7 +275,8 @@ class Frame:
         """
         if table not in self._files:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
-        source, t = self._relation(table, self._files[table]), f"{identifier(time)}::DOUBLE"
+        source, kind = self._relation(table, self._files[table]), self.time_kind(table, time)
+        t = f"{identifier(time)}::DOUBLE" if kind is None else clock_times.seconds(time, kind, "run")
         if not self._files[table]:
             return f'(SELECT *, {t} AS "# t", 0 AS "# file", rowid AS "# row" FROM {source.sql} WHERE run = {quote(run.run)})'
         mine = f"execution = {quote(run.judgement or '')}"
@@ -394,7 +396,7 @@ class Frame:
         except SierraError as error:
             self.problems[name] = error
             return
-        hidden = {*NO_VALUES, *(axis.lower() for axis in self._axis_names())}
+        hidden = {*NO_VALUES, *(axis.lower() for axis in self.axis_names)}
         columns = {column: kind for column, kind in made.columns.items() if column.lower() not in hidden}
         numeric, flags = (tuple(c for c, kind in columns.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, FLAG))
         sizes = f"SELECT count(*) AS rows FROM {identifier(name)} GROUP BY run"
@@ -428,7 +430,9 @@ class Frame:
             raise UsageError(f"{origin}: it has a row {which}; its column 'run' must be that of the runs")
         return made
 
-    def _axis_names(self) -> list[str]:
+    @property
+    def axis_names(self) -> list[str]:
+        """The names of the batch's independent variables."""
         [(names,)] = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
         return list(names)
 
@@ -568,11 +572,48 @@ class Frame:
         """Return the SQL expression for the time of a row. If `shared`, times that differ by rounding only are one."""
         if not time:
             return '"# place"::DOUBLE'
+        own = f"{identifier(time)}::DOUBLE" if self.time_kind(table, time) is None else self._seconds(table, time)
         if not shared:
-            return f"{identifier(time)}::DOUBLE"
+            return own
         if (table, time) not in self._times:
-            self._times[table, time] = self._one_time(table, f"{identifier(time)}::DOUBLE")
+            self._times[table, time] = self._one_time(table, own)
         return self._times[table, time]
+
+    def time_kind(self, table: str, time: str) -> TimeKind | None:
+        """Return the form of times that are no numbers; None for numbers. Raises NotFound for texts that are no times."""
+        return self.once(("time", table, time), partial(self._time_kind, table, time))
+
+    def _time_kind(self, table: str, time: str) -> TimeKind | None:
+        kind, data = self._type(table, time), self._data(table)
+        if not kind or re.fullmatch(NUMERIC, kind):
+            return None
+        found = clock_times.kind_of(self._snapshot.run, data, time, kind)
+        if found is None:
+            [(example,)] = self._snapshot.run(f"SELECT min({identifier(time)})::VARCHAR FROM {data}")
+            raise NotFound(
+                f"output {table!r}: its time {time!r} has {'no value' if example is None else f'values such as {example!r}'}, "
+                f"which are neither numbers nor times; name another column (time in [outputs.{table}]), or let the run write "
+                "seconds, 00:00:10 or 2024-05-01T10:00:00"
+            )
+        return found
+
+    def _seconds(self, table: str, time: str) -> str:
+        """Return the name of a column of the table's rows that has the seconds of a time that is no number."""
+        return self.once(("seconds", table, time.lower()), partial(self._add_seconds, table, time))
+
+    def _add_seconds(self, table: str, time: str) -> str:
+        kind = self.time_kind(table, time)
+        if kind is None:
+            return identifier(time)
+        rows, name = identifier("rows " + table), identifier(clock_times.SECONDS + time)
+        value = clock_times.seconds(time, kind, 'run, "# experiment"')
+        self._snapshot.run(f"ALTER TABLE {rows} ADD COLUMN {name} DOUBLE")
+        self._snapshot.run(
+            f'UPDATE {rows} SET {name} = s."# value" FROM (SELECT rowid AS "# id", {value} AS "# value" FROM {rows}) s '
+            f'WHERE {rows}.rowid = s."# id"'
+        )
+        self._snapshot.run(SHOWN.format(data=identifier("data " + table), rows=rows))
+        return name
 
     def _one_time(self, table: str, time: str) -> str:
         """Return `time`, or an expression that looks it up in a table of the times that differ by rounding only."""
@@ -727,7 +768,7 @@ class Frame:
     def _load(self, table: str, files: list[str]) -> None:
         source, run = self._relation(table, files), self._snapshot.run
         data, rows = identifier("data " + table), identifier("rows " + table)
-        shown = f'CREATE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run), rowid AS "# rowid" FROM {rows}'
+        shown = SHOWN.format(data=data, rows=rows)
         if not files:
             run(LOAD.format(rows=rows, table=identifier(table)))
             run(shown)
@@ -754,12 +795,28 @@ class Frame:
         )
         return next((str(value) for (value,) in rows), None)
 
+    def has_words(self, table: str, column: str) -> bool:
+        """Check if the texts of a column are words: neither true, false and the like, nor texts with a number at an end."""
+        name = f"lower(trim({identifier(column)}))"
+        number = f"regexp_matches({name}, '^[-+]?[.]?[0-9]|[(\\[] *[-+]?[.]?[0-9]|^(true|false)$')"
+        return not self._snapshot.run(f"SELECT 1 FROM {self._data(table)} WHERE {number} LIMIT 1")
+
+    def has_flags(self, table: str, column: str) -> bool:
+        """Check if all texts of a column are true, false, 0 or 1."""
+        other = f"lower(trim({identifier(column)})) NOT IN ('true', 'false', '0', '1')"
+        return not self._snapshot.run(f"SELECT 1 FROM {self._data(table)} WHERE {other} LIMIT 1")
+
     def numbers_rows(self, table: str, column: str, time: str) -> bool:
         """Check if whole numbers in a column tell rows of one run and time apart, as the number of a robot does."""
         data, of, at = self._data(table), identifier(column), identifier(time)
         fractions = f"SELECT 1 FROM {data} WHERE {of} <> floor({of}) LIMIT 1"
         doubled = f"SELECT 1 FROM {data} GROUP BY run, {at}, {of} HAVING count(*) > 1 LIMIT 1"
         return not self._snapshot.run(fractions) and not self._snapshot.run(doubled)
+
+    def has_single_rows(self, table: str, time: str) -> bool:
+        """Check if some run has a single row at some time."""
+        single = f"SELECT 1 FROM {self._data(table)} GROUP BY run, {identifier(time)} HAVING count(*) = 1 LIMIT 1"
+        return bool(self._snapshot.run(single))
 
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
         """Return the rows of one statement on the tables of the store as instances of a row class. Raises SqlError."""
@@ -776,6 +833,8 @@ SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.ended AS submitted
 FROM batch_runs m JOIN these t ON t.run = m.run JOIN all_judgements e ON e.judgement = t.judgement WHERE m.batch = {batch}
 """
 """The table `effective`, if statistics use given executions instead."""
+
+SHOWN = 'CREATE OR REPLACE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run), rowid AS "# rowid" FROM {rows}'
 
 LOAD = """
 CREATE TEMP TABLE {rows} AS SELECT w.ordinal::INTEGER AS "# experiment", w.number::INTEGER AS "# number",

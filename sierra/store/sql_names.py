@@ -54,8 +54,10 @@ def differing_by_case(names: Iterable[str]) -> list[list[str]]:
 
 def stored_name(name: str, stored: Collection[str]) -> str:
     """Return the name in the store of the column that a file calls `name`, among those of its table; else `name` itself."""
-    called = name + _case(name)
-    return called if called in stored and name not in stored else name
+    if name in stored:
+        return name
+    called = (one for bare in dict.fromkeys((name, unmarked(name))) for one in (bare + _case(bare), bare))
+    return next((one for one in called if one in stored), name)
 
 
 def _case(name: str) -> str:
@@ -64,6 +66,15 @@ def _case(name: str) -> str:
         return LOWER
     places = "_".join(str(place) for place, letter in enumerate(name, 1) if letter != letter.lower())
     return UPPER if name == name.upper() else f"{UPPER}_{places}"
+
+
+def unmarked(name: str) -> str:
+    """Return a name without the mark of a comment before it: `# t` and `%t` are `t`; `# of cars` and `#` stay.
+
+    Programs mark the line of column names as a comment, for example `numpy.savetxt`.
+    """
+    bare = name.lstrip("#%").lstrip()
+    return bare if bare and bare != name and not bare.lower().startswith("of ") else name
 
 
 def row_name(taken: Iterable[str]) -> str:

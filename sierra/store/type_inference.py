@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 
@@ -12,6 +14,8 @@ WHOLE = r" *([+]?[0-9]+|-0*[1-9][0-9]*) *"
 POINTED = r" *[-+]?0*[1-9][0-9]{15,}[.]0* *"
 """The pattern of a whole number of at least 16 digits that is written with a decimal point."""
 LOGICAL = r" *(?i:true|false) *"
+VISUAL_C = r"([-+]?)1\.#(?i:(inf)|ind|qnan|snan)0*([eE][-+]?[0-9]+)?"
+"""Infinity and nan as older C libraries of Windows print them: `1.#INF`, `-1.#IND`, `1.#QNAN0`."""
 HUGE = "DECIMAL(38,0)"
 EMPTY = '"NULL"'
 """DuckDB's name for the type of a Parquet column that is declared to have no values."""
@@ -94,10 +98,10 @@ def bit(cell: str, *, as_written: bool = True) -> str:
     return (
         f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 + {inexact} "
         f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 + {inexact} "
-        f"WHEN TRY_CAST({no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN "
+        f"WHEN TRY_CAST({as_read(cell)} AS DOUBLE) IS NOT NULL AND NOT {odd(cell)} THEN "
         f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} "
         f"{f'WHEN {pointed} THEN {8 + INEXACT} ' if as_written else ''}"
-        f"WHEN regexp_matches({cell}, '[nN] *$') THEN {NAN} ELSE 8 END "
+        f"WHEN regexp_matches({cell}, '[nN] *$|#(?i:ind|qnan|snan)') THEN {NAN} ELSE 8 END "
         f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
     )
 
@@ -107,9 +111,29 @@ def no_nan(cell: str) -> str:
     return f"CASE WHEN regexp_full_match({cell}, ' *[-+](?i:nan) *') THEN 'nan' ELSE {cell} END"
 
 
+def as_read(cell: str) -> str:
+    """Return an SQL expression for the cell's text in which infinity and nan are written as DuckDB requires."""
+    pattern = quote(f" *{VISUAL_C} *")
+    visual_c = f"CASE WHEN regexp_extract({cell}, {pattern}, 2) = '' THEN 'nan' "
+    visual_c += f"ELSE regexp_extract({cell}, {pattern}, 1) || 'inf' END"
+    return f"CASE WHEN contains({cell}, '#') AND regexp_full_match({cell}, {pattern}) THEN {visual_c} ELSE {no_nan(cell)} END"
+
+
+def as_float(text: str) -> float | None:
+    """Return the number that a text is, also infinity and nan; None if it is none."""
+    if found := re.fullmatch(VISUAL_C, text.strip()):
+        return math.nan if found[2] is None else math.copysign(math.inf, -1 if found[1] == "-" else 1)
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return None if "_" in text or (math.isinf(number) and any(map(str.isdigit, text))) else number
+
+
 def odd(cell: str) -> str:
     """Return the SQL condition that DuckDB misreads a text as a number: 12_34 as 1234, or 1e400 as infinity."""
-    return f"(contains({cell}, '_') OR (isinf(TRY_CAST({cell} AS DOUBLE)) AND regexp_matches({cell}, '[0-9]')))"
+    infinite = f"coalesce(isinf(TRY_CAST({cell} AS DOUBLE)), false)"
+    return f"(contains({cell}, '_') OR ({infinite} AND regexp_matches({cell}, '[0-9]')))"
 
 
 def reads_as(cell: str, kind: str) -> str:

@@ -84,7 +84,7 @@ def shown_files(output: Output, batch: str, runs: Sequence[ChosenRun]) -> str:
 
 def _belongs(output: Output) -> str:
     """Return the condition that the files of an output meet, and no others: see `Output.matches`."""
-    if output.ticks:
+    if output.ticks or output.rotated:
         return f"regexp_full_match(path, {quote(output.numbered.pattern)})"
     file = quote(output.file.removeprefix("./"))
     return f"(path = {file} OR path GLOB {file})" if GLOB.search(output.file) else f"path = {file}"

@@ -56,7 +56,7 @@ class BagTopics(Rewriter):
         return Parquet
 
     def plain(self) -> Shape:
-        return replace(self.shape, format="parquet", form=PLAIN)
+        return replace(self.shape, format="parquet", form=replace(PLAIN, na=self.shape.form.na))
 
     def rewrite(self, source: Source, target: BinaryIO) -> int:
         with opened(source) as bag:

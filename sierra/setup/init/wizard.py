@@ -83,6 +83,15 @@ def rates(first: Trial, second: Trial) -> dict[str, tuple[str, ...]]:
     return {table: columns for table, columns in found.items() if columns}
 
 
+def with_outputs(guess: Guess, tried: Trial) -> Guess | None:
+    """Return the guess with the keys that read the tables of a run; None if there are no such tables.
+
+    Without them, the run has failed, because a table has no names in its first line.
+    """
+    found = {one.name: dict(one.keys) for one in tried.unread if one.keys}
+    return replace(guess, outputs={**guess.outputs, **found}) if found else None
+
+
 def with_lacking(root: Path, guess: Guess, tried: Trial) -> Guess | None:
     """Return the guess with the files that a failed run lacked beside its input; None if it names none of the project."""
     log = "\n".join(_end(tried.folder / name) for name in LOGS) if tried.folder else ""

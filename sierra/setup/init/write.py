@@ -23,6 +23,7 @@ from sierra.util.text import counted, few, one_line
 
 if TYPE_CHECKING:
     from sierra.execution.trial import Trial, TriedFile
+    from sierra.execution.unread_files import Keys
 
 SOURCE = (
     "By default, results depend on all files of this folder, including new files: a change to any file makes all runs new,\n"
@@ -66,6 +67,8 @@ class Guess:
     """Several templates by name, with their paths."""
     files: tuple[str, ...] = ()
     """Files that lie beside the inputs of runs."""
+    outputs: Mapping[str, Keys] = field(default_factory=dict)
+    """The keys of tables that are not read without a declaration."""
     rates: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """The columns of 0 and 1 by table, as two runs with different seeds have shown."""
 
@@ -102,7 +105,7 @@ def parsed(root: Path, guess: Guess) -> project_file.Project:
 
 def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, project_file.Project]:
     path = root / CONFIG
-    text = "\n".join((*_lines(root, guess), *_outputs(tried, guess.rates))) + "\n"
+    text = "\n".join((*_lines(root, guess), *_declared_outputs(guess), *_outputs(tried, guess))) + "\n"
     try:
         return text.encode(), project_file.parse(tomllib.loads(text), str(path))
     except (UnicodeEncodeError, tomllib.TOMLDecodeError) as error:
@@ -111,7 +114,15 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
         ) from error
 
 
-def _outputs(tried: Trial | None, rates: Mapping[str, Sequence[str]]) -> Iterator[str]:
+def _declared_outputs(guess: Guess) -> Iterator[str]:
+    for name, keys in guess.outputs.items():
+        yield f"\n[outputs.{name}]  # its names are not in its first line"
+        yield from (f"{key} = {quoted(value)}" for key, value in keys.items())
+        if columns := guess.rates.get(name):
+            yield _rates(columns)
+
+
+def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
     """Yield comments on the files of a run, the declaration of its first table, and those of tables with rates."""
     if tried is None or not tried.files:
         return
@@ -130,7 +141,7 @@ def _outputs(tried: Trial | None, rates: Mapping[str, Sequence[str]]) -> Iterato
             yield "# These files become a table only if they are declared:"
             yield f"# [outputs.{unread.name}]"
             yield from (f"# {key} = {quoted(value)}" for key, value in unread.keys.items())
-    first = next((one for one in tried.files if one.table), None)
+    first = next((one for one in tried.files if one.table and one.table not in guess.outputs), None)
     if first is not None:
         time = _time(first)
         yield "# Such tables need no declaration. To set a time axis, units or required rows:"
@@ -138,10 +149,14 @@ def _outputs(tried: Trial | None, rates: Mapping[str, Sequence[str]]) -> Iterato
         yield f"# file = {quoted(one_line(first.path))}"
         yield f"# time = {quoted(time)}" if time else '# units = { distance = "m" }'
     for one in tried.files:
-        if one.table and (columns := rates.get(one.table)):
+        if one.table and one.table not in guess.outputs and (columns := guess.rates.get(one.table)):
             yield f"\n[outputs.{one.table}]"
             yield f"file = {quoted(one_line(one.path))}"
-            yield f"rates = {quoted(list(columns))}  # columns of 0 and 1 whose mean is a rate; remove those that are counts"
+            yield _rates(columns)
+
+
+def _rates(columns: Sequence[str]) -> str:
+    return f"rates = {quoted(list(columns))}  # columns of 0 and 1 whose mean is a rate; remove those that are counts"
 
 
 def _time(table: TriedFile) -> str | None:

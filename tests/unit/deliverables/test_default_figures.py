@@ -45,6 +45,37 @@ def test_columns_that_differ_between_experiments_have_figures_before_others(tmp_
     assert len(drawn) == 16
 
 
+EVENTS = """\
+import sys
+n = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
+with open("ball.csv", "w") as file:
+    print("{time},height,mode", file=file)
+    for at, height, mode in ((0, 4, 0), (1, 0, 0), (1, n, 1), (2, 3, 1)):
+        print(at, height, mode, sep=",", file=file)
+"""
+"""The values before and after an event have the same time; the whole number `mode` tells them apart."""
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(("time", "declared"), [("t", ""), ("simulated", ', time = "simulated"')])
+def test_last_row_of_each_time_is_proposed_for_values_before_and_after_an_event(
+    tmp_path: Path, time: str, declared: str
+) -> None:
+    outputs = f'[outputs.ball]\nfile = "ball.csv"\ntime = "{time}"\n' if declared else ""
+    folder = make(tmp_path / "project", CONFIG + outputs, simulator=EVENTS.replace("{time}", time))
+    done = quick(folder, "run", "population_size=1,3", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    sql = f"SELECT * FROM ball QUALIFY row = max(row) OVER (PARTITION BY run, {time})"
+    table = f'[tables.ball_last] sql = "{sql}"{declared}'
+    proposal = f"or take the last row of each time, for example: {table}"
+    for words in (("stats", "ball", "height"), ("figures",)):
+        assert proposal in quick(folder, *words).stderr
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(table.replace("] ", "]\n", 1).replace(", time", "\ntime") + "\n")
+    said = quick(folder, "stats", "ball_last", "height", "--format", "csv", "--measure", "mean", "--statistic", "mean").stdout
+    assert [line.split(",")[6] for line in said.splitlines()[1:]] == ["2.6666666666666665", "3.3333333333333335"]
+
+
 @pytest.mark.integration
 def test_a_note_proposes_the_mean_of_what_was_measured_and_not_of_the_number_of_a_robot(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=BODIES)

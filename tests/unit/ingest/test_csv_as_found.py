@@ -127,3 +127,48 @@ def test_keys_that_do_not_fit_are_errors(tmp_path: Path, lines: str, message: st
     with pytest.raises(ConfigError) as error:
         project_file.parse(tomllib.loads(text), "sierra.toml")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("head", "names"),
+    [
+        ("# t,v", ["t", "v"]),
+        ("#t,v", ["t", "v"]),
+        ("%t,v", ["t", "v"]),
+        ('"# t",v', ["t", "v"]),
+        ("## t,v", ["t", "v"]),
+        ("#,v", ["#", "v"]),
+        ("# of cars,v", ["# of cars", "v"]),
+        ("# v,v", ["# v", "v"]),
+        ("t,# v", ["t", "# v"]),
+    ],
+)
+def test_mark_of_a_comment_is_no_part_of_the_first_name(tmp_path: Path, head: str, names: list[str]) -> None:
+    for keys in ({}, {"na": ("NA",)}, {"skip": 1}):
+        content = "a line\n" * int(keys.get("skip", 0)) + f"{head}\n1,2\n"
+        reading, rows = read_file(tmp_path, "t.csv", content.encode(), **keys)
+        assert not reading.faults
+        assert rows == [dict(zip(names, (1, 2), strict=True))]
+
+
+def test_mark_of_a_comment_between_blanks_is_no_column(tmp_path: Path) -> None:
+    _, rows = read_file(tmp_path, "t.csv", b"# t v\n1 0.5\n2 1.5\n", delimiter="blanks")
+    assert rows == TWO
+    _, rows = read_file(tmp_path, "t.csv", b"# t v\n1 0.5 7\n", delimiter="blanks")
+    assert rows == [{"#": 1, "t": 0.5, "v": 7}]
+
+
+@pytest.mark.parametrize("keys", [{"comment": ("#", "@")}, {"comment": ("@", "#")}, {"comment": ("# ", "@", "#")}])
+def test_lines_with_one_of_several_beginnings_are_comments(tmp_path: Path, keys: dict[str, Any]) -> None:
+    content = b'# made by hand\n@    title "Energies"\n  @ s0 legend "Potential"\n1 0.5\n@ between\n2 1.5\n#"\n'
+    reading, rows = read_file(
+        tmp_path, "energy.xvg", content, format="csv", delimiter="blanks", header=False, columns=("t", "v"), **keys
+    )
+    assert rows == TWO
+    assert list(reading.counted.values()) == [2]
+
+
+@pytest.mark.parametrize("comment", [[], [""], ["#", ""], 3])
+def test_list_of_comments_has_texts(tmp_path: Path, comment: Any) -> None:
+    with pytest.raises(ConfigError, match="comment"):
+        project_file.parse({**tomllib.loads(projects.CONFIG), "outputs": {"t": {"file": "t.csv", "comment": comment}}}, "x")

@@ -680,11 +680,33 @@ TEXTS: list[tuple[str, str | None]] = [
     ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'are these several columns? (set delimiter = " " in [outputs.out])'),
     (
         "# t v\n0 1.5\n",
-        ONE_COLUMN.format("# t v") + "the first line is a comment; begin with the column names, without '#'",
+        ONE_COLUMN.format("# t v") + 'are these several columns? (set delimiter = "blanks" in [outputs.out])',
     ),
     (
         "# a\nt\n0\n1\n2\n",
-        ONE_COLUMN.format("# a") + "the first line is a comment; begin with the column names, without '#'",
+        ONE_COLUMN.format("a") + "the first line is a comment; begin with the column names, without '#' ([outputs.out] file",
+    ),
+    (
+        "t,v\n0,true\n1,1\n2,1\n",
+        LOOKS_NUMERIC + "it has 'true' beside numbers; write the same words everywhere, or only 0 and 1",
+    ),
+    (
+        "t,v\n0,1.5ms\n1,800us\n",
+        LOOKS_NUMERIC + "some have the unit 'ms' or 'us'; write all in the same unit, or convert them to 's', for example: "
+        """[tables.out""",
+    ),
+    ("t,v\n0,1.5ms\n1,8m\n2,7m\n", LOOKS_NUMERIC + "some have the unit 'm' or 'ms'; write all in the same unit, without"),
+    (
+        "t,v\n0,1.5\n1,8m\n2,7m\n",
+        LOOKS_NUMERIC + "some have the unit 'm' and some have none; write all in the same unit, without its name",
+    ),
+    ("t,v\n0,tensor(3.5)\n1,tensor(4.5)\n", LOOKS_NUMERIC + "write the number alone instead of 'tensor(3.5)'"),
+    ("t,v\n0,np.float64(3.5)\n1,[4.5]\n", LOOKS_NUMERIC + "write the number alone instead of '[4.5]'"),
+    ("t;v\n0;1,5\n1;tensor(4.5)\n2;x\n", LOOKS_NUMERIC + "it has '1,5' and 'tensor(4.5)' and 'x'; write all of them as"),
+    (
+        "t,v\n0,1.5\n1,n/a\n2,NA\n3,4\n4,5\n",
+        LOOKS_NUMERIC
+        + 'leave cells without a number empty instead of writing \'NA\' (4 such cells), or set na = ["NA", "n/a"] in',
     ),
     ("t,v\n0,ab\n", None),
     ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
@@ -693,16 +715,21 @@ TEXTS: list[tuple[str, str | None]] = [
     ("word\nthe\nword\n", None),
 ]
 """Tables, and the beginning of the note on each."""
+HALF = (len(TEXTS) + 1) // 2
 
 
 @pytest.fixture(scope="module")
 def notes_on_texts(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The notes on one batch whose runs write all `TEXTS`, as out0.csv, out1.csv and so on."""
-    lines = f"for place, content in enumerate({[content for content, _ in TEXTS]!r}):\n    write(content, f'out{{place}}.csv')"
-    with pytest.MonkeyPatch.context() as patch:
-        notes = all_notes(patch)
-        assert not run(written(tmp_path_factory.mktemp("texts"), lines), runs=2).failed
-        return notes()
+    """The notes on two batches whose runs write all `TEXTS`, as out0.csv, out1.csv and so on."""
+    found = []
+    for first in (0, HALF):  # a run has at most 20 tables that are not declared
+        content = [content for content, _ in TEXTS[first : first + HALF]]
+        lines = f"for place, content in enumerate({content!r}, {first}):\n    write(content, f'out{{place}}.csv')"
+        with pytest.MonkeyPatch.context() as patch:
+            notes = all_notes(patch)
+            assert not run(written(tmp_path_factory.mktemp("texts"), lines), runs=2).failed
+            found += notes()
+    return found
 
 
 @pytest.mark.parametrize("place", range(len(TEXTS)))
@@ -718,12 +745,15 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(notes
 
 @pytest.mark.integration
 def test_comments_and_wrong_delimiters_are_noted_with_what_is_right(make: Make, noted: Callable[[], list[str]]) -> None:
-    lines = "write('# a, b\\nt,v\\n0,1\\n1,2\\n', 'commented.csv')\nwrite('t,v\\n0,1\\n1,2\\n')"
+    lines = "write('# a, b\\nt,v\\n0,1\\n1,2\\n', 'commented.csv')\nwrite('t,v\\n0,1\\n1,2\\n')\n"
+    lines += "write('setting,value\\nlength,3\\nt,v\\n0,1\\n1,2\\n', 'preamble.csv')"
     project = make(lines, '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
     assert not run(project, runs=2).failed
     comment = "is text in 2 runs, so it has no figure: the first line is a comment; begin with "
     delimiter = ONE_COLUMN.format("t,v") + 'are these several columns? (set delimiter = "," in [outputs.out])'
-    assert [comment in note for note in noted() if note != delimiter] == [True, True]
+    preamble = 'its names are not in its first line ([outputs.preamble] file = "preamble.csv", skip = 2 reads it)'
+    assert sum(note.endswith(preamble) for note in noted()) == 2
+    assert [comment in note for note in noted() if note != delimiter and preamble not in note] == [True, True]
     assert delimiter in noted()
 
 

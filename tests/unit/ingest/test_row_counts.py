@@ -140,7 +140,7 @@ def test_odd_number_of_quotes_is_a_fault_with_its_line_number(tmp_path: Path) ->
     [
         ("a,b\n1,2\n\n3,4\n", 2, Shape("csv")),
         ("a,b\n\n\n", 0, Shape("csv")),
-        ("a\n1\n\n3\n\n", 4, Shape("csv")),
+        ("a\n1\n\n3\n\n", 3, Shape("csv")),
         ("a\r\n1\r\n\r\n3\r\n", 3, Shape("csv")),
         ("\ufeffa,b\n1,2\n", 1, Shape("csv")),
         ("\ufeff1,2\n3,4\n", 2, Shape("csv", header=False)),
@@ -247,6 +247,8 @@ def records(content: bytes) -> list[list[str]] | None:
         found = list(csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True))
     except csv.Error:
         return None
+    while found and not found[-1]:  # blank lines at the end
+        found.pop()
     return [record for record in found[1:] if record or len(found[0]) == 1]
 
 

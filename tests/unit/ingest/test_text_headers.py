@@ -1,0 +1,111 @@
+"""The keys for text tables whose names are not in their first line are found, and named where such a table is not read."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sierra.ingest.text_headers import keys_of
+from tests.projects import make, quick
+from tests.readings import read_file
+
+TABLES: list[tuple[bytes, dict[str, Any] | None]] = [
+    (b"t,v\n1,2\n3,4\n", {}),
+    (b"# t,v\n1,2\n3,4\n", {}),
+    (b"# made\n# t,v\n1,2\n", {"skip": 1}),
+    (b'#{"t_start": 1.5, "env_id": "A"}\nr,l,t\n1,5,0\n2,5,1\n', {"comment": "#"}),
+    (b"s,kW,kW\nTime,HRR,Q\n0,1,1\n1,2,1\n", {"skip": 1}),
+    (b'# x\n@    title "E"\n@ s0 legend "P"\n0 0\n1 1\n', {"comment": ["#", "@"], "delimiter": "blanks", "header": False}),
+    (b"setting,value\nlength,3\nt,v\n0,1\n1,2\n", {"skip": 2}),
+    (b"# t v\n0 1\n2 3\n", {"delimiter": "blanks"}),
+    (b"# x\r\nt\tv\r\n0\t1\r\n", {"comment": "#"}),
+    (b"Report of x\n\nt;v\n0;1\n", {"skip": 2}),
+    (b"\nt,v\n0,1\n", {"skip": 1}),
+    (b"# p,q\n\n0,5\n1,6\n", {"skip": 2, "header": False}),
+    (b"t,v\n0,1\nt,v\n0,1\n", None),
+    (b"a b c\n", None),
+    (b"", None),
+    (b"t,v\n1,2\n3\n", None),
+]
+
+
+@pytest.mark.parametrize(("content", "keys"), TABLES)
+def test_keys_are_found(tmp_path: Path, content: bytes, keys: dict[str, Any] | None) -> None:
+    found = keys_of(content)
+    assert found == keys
+    if found is not None:
+        reading, rows = read_file(tmp_path, "t.csv", content, format="csv", **dict(found))
+        assert not reading.faults
+        assert len(rows) == len([line for line in content.splitlines() if line[:1].isdigit()])
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=6)
+@given(
+    st.lists(st.sampled_from(["# x", "@ y", "a,b", "title", "", "1,2", "s,kW", "# p,q"]), max_size=4),
+    st.sampled_from(["t,v", "# t,v", ""]),
+)
+def test_table_is_read_by_the_keys_that_are_found(tmp_path: Path, above: list[str], head: str) -> None:
+    content = "\n".join([*above, *([head] if head else []), "0,5", "1,6.5", "2,7", ""]).encode()
+    if (keys := keys_of(content)) is None:
+        return
+    reading, rows = read_file(tmp_path, "t.csv", content, format="csv", **dict(keys))
+    assert not reading.faults
+    assert [list(row.values())[-1] for row in rows][-3:] == [5, 6.5, 7]
+
+
+@pytest.mark.parametrize(
+    ("content", "keys", "fault"),
+    [
+        (TABLES[3][0], {}, '(set comment = "#" in [outputs.t])'),
+        (TABLES[4][0], {}, "the column 'kW' occurs twice (set skip = 1 in [outputs.t])"),
+        (TABLES[5][0], {"comment": "#", "delimiter": "blanks"}, '(set comment = ["#", "@"], header = false in [outputs.t])'),
+        (b"t,v\n1,2\n3\n", {}, "too few fields (1, not 2): '3'"),
+        (b"1,2\n3,4\n", {}, "(if the file has no header, set header = false in [outputs.…])"),
+    ],
+)
+def test_failure_names_the_keys_that_read_the_file(tmp_path: Path, content: bytes, keys: dict[str, Any], fault: str) -> None:
+    reading, _ = read_file(tmp_path, "t.csv", content, format="csv", **keys)
+    assert reading.faults["e0"].endswith(fault)
+
+
+SIMULATOR = """\
+import sys
+n = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
+rows = "".join(f"{i},{n * i},5\\n" for i in range(4))
+open("monitor.csv", "w").write('#{"t_start": 1.5}\\nt,r,l\\n' + rows)
+open("fire.csv", "w").write("s,kW,kW\\nt,HRR,Q\\n" + rows)
+open("energy.xvg", "w").write("# made\\n@ title E\\n" + rows.replace(",", " "))
+"""
+
+
+@pytest.mark.integration
+def test_outputs_writes_the_keys_of_tables_that_could_not_be_read(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", simulator=SIMULATOR)
+    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 1
+    done = quick(folder, "outputs", "--write")
+    assert done.returncode == 0, done.stderr
+    written = tomllib.loads((folder / "sierra.toml").read_text())["outputs"]
+    assert written == {
+        "monitor": {"file": "monitor.csv", "comment": "#"},
+        "fire": {"file": "fire.csv", "skip": 1},
+        "energy": {"file": "energy.xvg", "format": "csv", "comment": ["#", "@"], "delimiter": "blanks", "header": False},
+    }
+    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
+    for table, column in (("monitor", "r"), ("fire", "HRR"), ("energy", "column1")):
+        assert quick(folder, "sql", f"SELECT count({column}) AS n FROM {table}", "--format", "csv").stdout.split() == ["n", "8"]
+
+
+@pytest.mark.integration
+def test_init_writes_the_keys_of_tables_that_could_not_be_read(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", simulator=SIMULATOR)
+    (folder / "sierra.toml").unlink()
+    done = quick(folder, "init", "--yes", "--command", "python3 sim.py {input}")
+    assert done.returncode == 0, done.stderr
+    written = tomllib.loads((folder / "sierra.toml").read_text())["outputs"]
+    assert written["monitor"] == {"file": "monitor.csv", "comment": "#"}
+    assert written["fire"] == {"file": "fire.csv", "skip": 1}
