@@ -11,7 +11,18 @@ from pathlib import Path
 import pytest
 
 from tests import containers
-from tests.integration.containers.test_podman import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
+from tests.integration.containers.test_podman import (
+    ENDED,
+    ENDS,
+    RUN,
+    SOCKETS,
+    TOLD,
+    check_sockets,
+    isolated,
+    rows,
+    says,
+    what_is_told,
+)
 from tests.projects import SIERRA
 from tests.waiting import PATIENCE_S, until
 
@@ -58,6 +69,11 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
     told = what_is_told(folder)
     assert told.pop("folders") in ("2", "3")
     assert told == isolated(isolation)
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_sockets_can_be_made_in_tmpdir_in_a_project_with_a_long_path(tmp_path: Path, python: Path, isolation: str) -> None:
+    check_sockets(containers.make(tmp_path / ("x" * 120), python, ENGINE, f'isolation = "{isolation}"', simulator=SOCKETS))
 
 
 @pytest.mark.nightly
