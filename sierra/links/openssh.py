@@ -29,6 +29,7 @@ from sierra.links.base import Interrupted, LinkOptions, Unreachable, UntrustedHo
 from sierra.links.commands import PAUSE_S, Commands, Stream, no_session
 from sierra.links.process_stream import ProcessStream
 from sierra.util import terminal
+from sierra.worker import worker
 
 PATIENCE = 3
 """The time for a connection without questions to the user, as a multiple of the option `connect`."""
@@ -105,7 +106,8 @@ class OpenSsh(Commands):
     def _log_in(self) -> None:
         if self._folder is None:
             # short, because the path of a socket has at most 104 characters; private, as all that mkdtemp makes
-            self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=os.environ.get("XDG_RUNTIME_DIR") or None))
+            folders = [*filter(os.path.isdir, (os.environ.get("XDG_RUNTIME_DIR", ""),)), *worker.temporary_folders()]
+            self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=next(iter(folders), None)))
         self._socket.unlink(missing_ok=True)
         asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
         alive = max(1, int(self._options.lost / 4))
