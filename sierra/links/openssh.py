@@ -38,6 +38,12 @@ REFUSED = "refused by peer"
 """The words of the client for a session that sshd refuses, because there are too many."""
 
 
+def folder_of_sockets() -> str | None:
+    """Return an existing folder for sockets: the user's, or a temporary folder with a short path; None if there is none."""
+    own = os.environ.get("XDG_RUNTIME_DIR", "")
+    return own if own and Path(own).is_dir() else next(iter(worker.temporary_folders()), None)
+
+
 class OpenSshOptions(LinkOptions):
     """The options of `openssh`."""
 
@@ -106,8 +112,7 @@ class OpenSsh(Commands):
     def _log_in(self) -> None:
         if self._folder is None:
             # short, because the path of a socket has at most 104 characters; private, as all that mkdtemp makes
-            folders = [*filter(os.path.isdir, (os.environ.get("XDG_RUNTIME_DIR", ""),)), *worker.temporary_folders()]
-            self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=next(iter(folders), None)))
+            self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=folder_of_sockets()))
         self._socket.unlink(missing_ok=True)
         asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
         alive = max(1, int(self._options.lost / 4))
