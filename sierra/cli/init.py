@@ -154,6 +154,7 @@ def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Gu
     from sierra.model import Status
     from sierra.setup.init import wizard
 
+    guess = replace(guess, patterns=wizard.patterns(first))
     if first.status is not Status.OK or not guess.seeded or (first.wall_s or 0) > LONG_S:
         return guess
     if not quiet:
@@ -162,7 +163,8 @@ def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Gu
     if second is None or isinstance(second, str) or second.status is not Status.OK:
         return guess
     same = tuple(text for text in second.notes if text.startswith(SAME_TABLES))
-    return replace(guess, notes=(*guess.notes, *same), rates=wizard.rates(first, second))
+    guess = replace(guess, patterns=wizard.patterns(first, second))
+    return replace(guess, notes=(*guess.notes, *same), rates=wizard.rates(first, second, guess.patterns))
 
 
 def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:

@@ -221,7 +221,8 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
         ("[container] variables:", boxed),
     ):
         if own := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
-            raise ConfigError(f"{table} {own[0]}: SIERRA sets this variable for each run; use another name")
+            cure = "to choose the disk, set it where sierra is started" if own[0] == "TMPDIR" else "use another name"
+            raise ConfigError(f"{table} {own[0]}: SIERRA sets this variable for each run; {cure}")
     passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 

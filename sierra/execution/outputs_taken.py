@@ -11,7 +11,7 @@ from typing import NamedTuple
 from sierra.config.output_tables import FILE_FORMAT, NEWEST, ROTATION, Output, part_of
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
-from sierra.ingest import robot_files
+from sierra.ingest import open_names, robot_files
 from sierra.store.samples import ON_ROBOTS, names_time
 from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import NUMBER as NUMBER_TYPE
@@ -295,22 +295,39 @@ def _durations(row: _Layout) -> Iterator[str]:
 def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     """Return the keys of `[outputs.NAME]` for each table that is not declared, and for files that they make tables of.
 
-    The tables that exist stay the same. Tables of declarations that were removed are left out: their keys are not known.
+    The tables that exist stay the same, except those of files with a date in their names: each run would make another table.
+    Tables of declarations that were removed are left out: their keys are not known.
     """
     tables: dict[str, dict[str, Key]] = {}
-    for table in found.tables:
-        if not table.declared and table.format != FILE_FORMAT:
-            older = any((part_of(table.file, one.path) or NEWEST) < NEWEST for one in found.unread)
-            tables[table.name] = {"file": table.file + ROTATION if older else table.file}
-            tables[table.name] |= {} if table.runs == found.runs else {"required": False}
-            tables[table.name] |= {"rates": list(table.rates)} if table.rates else {}
+    for name, (file, same) in _undeclared_tables(found).items():
+        rates = [column for column in same[0].rates if all(column in table.rates for table in same)]
+        older = any((part_of(file, one.path) or NEWEST) < NEWEST for one in found.unread)
+        tables[name] = {"file": file + ROTATION if older else file}
+        tables[name] |= {} if sum(table.runs for table in same) >= found.runs else {"required": False}
+        tables[name] |= {"rates": rates} if rates else {}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
+
+
+def _undeclared_tables(found: TakenOutputs) -> dict[str, tuple[str, list[TakenTable]]]:
+    """Return the tables that are not declared, by the name that they get: the file or its pattern, and what became tables."""
+    names: dict[str, tuple[str, list[TakenTable]]] = {}
+    taken = {table.name for table in found.tables}
+    for table in found.tables:
+        if table.declared or table.format == FILE_FORMAT:
+            continue
+        pattern = open_names.with_date(table.file)
+        name = open_names.name_of(pattern) if pattern else table.name
+        if pattern and (name in taken or names.get(name, (pattern,))[0] != pattern):
+            name, pattern = table.name, None
+        names.setdefault(name, (pattern or table.file, []))[1].append(table)
+    return names
 
 
 def comments(found: TakenOutputs) -> dict[str, str]:
     """Return what is known about each of these outputs, in words."""
     tables = {
-        one.name: f"{one.rows}; {', '.join(f'{column.name} {column.type}' for column in one.columns)}" for one in found.tables
+        name: f"{same[0].rows}; {', '.join(f'{column.name} {column.type}' for column in same[0].columns)}"
+        for name, (_, same) in _undeclared_tables(found).items()
     }
     return tables | {
         one.name: f"{counted(one.files, 'file')} in {counted(found.runs, 'run')}" for one in found.unread if one.keys

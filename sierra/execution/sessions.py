@@ -27,7 +27,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypedDict
 
@@ -191,11 +191,20 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
                 found.append(paths)
     try:
         yield found
+        _remove_temporary(found)
         for paths in found:  # without those that the caller has taken out
             _remove(store, paths)
     finally:
         for lock in held:
             os.close(lock)
+
+
+def _remove_temporary(dead: Sequence[SessionPaths]) -> None:
+    """Remove what killed workers of these sessions left in the system's temporary folder."""
+    folders = {folder for paths in dead for folder in (paths.root, paths.runs)}
+    if folders:
+        for path in worker.abandoned_by(lambda owner: not folders.isdisjoint((Path(owner), *Path(owner).parents))):
+            worker.remove(path)
 
 
 def alive(store: StorePaths) -> list[SessionPaths]:

@@ -6,6 +6,7 @@ known if the run was observed. Runs that were not observed are compared with tho
 
 from __future__ import annotations
 
+import fnmatch
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -13,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output
+from sierra.ingest import open_names
 from sierra.ingest.recording_context import Context
 from sierra.model import IN_PROJECT, Result, Status
 from sierra.store.layout import RUN_HOME, SessionPaths
@@ -36,9 +38,12 @@ def failure(result: Result, outputs: Mapping[str, Output]) -> str | None:
     return f"{LEFT_NOTHING}{few(places, NAMED)}"
 
 
-def lacking(name: str, output: Output, places: Sequence[str]) -> str:
-    """Return the reason why a run without a required output has failed."""
+def lacking(name: str, output: Output, places: Sequence[str], files: Collection[str] = ()) -> str:
+    """Return the reason why a run without a required output has failed. `files`: the files in its working directory."""
     reason = f"did not write {output.file!r} (output {name!r})"
+    if pattern := open_names.patterns([[output.file], files]).get(output.file):
+        other = next(file for file in files if fnmatch.fnmatchcase(file, pattern))
+        return f"{reason}, but {other!r} ({open_names.advice([pattern], name)})"
     found = [place for place in places if _is_of(output, place)]
     return f"{reason} in its working directory, but {few(found, NAMED)}" if found else reason
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.errors import SierraError
-from sierra.ingest import shared_use
+from sierra.ingest import open_names, shared_use
 from sierra.ingest.event_tables import of_events
 from sierra.ingest.messages import difference
 from sierra.ingest.model import Group, Siblings
@@ -61,9 +61,10 @@ def _find_odd_tables(store: Store, session: SessionPaths, context: Context) -> s
     found: dict[str, str] = {}
     events = _events(store, context, tables)
     ended = endings.left_running(store, context.batch) if tables else ""
-    for (_, name), siblings in sorted(tables.items()):
+    advice = _patterns(context, tables)
+    for (ordinal, name), siblings in sorted(tables.items()):
         for execution, reason in _odd(siblings, name, context.outputs.get(name), ended, events=name in events):
-            found.setdefault(execution, reason)
+            found.setdefault(execution, reason + advice.get((ordinal, name), ""))
     now, lamport = datetime.now(UTC), context.lamport()
     writer = store.writer(session.segment, context.batch)
     writer.records(FindingRow(one, now, Status.MISMATCH, reason, lamport) for one, reason in found.items())
@@ -79,6 +80,22 @@ def _events(store: Store, context: Context, tables: Mapping[tuple[int, str], Seq
         if declared is None or declared.mismatch == "strict":
             sizes.setdefault(name, {})[ordinal] = [row.rows for row in siblings if row.rows is not None]
     return of_events(store, context.batch, sizes)
+
+
+def _patterns(context: Context, tables: Mapping[tuple[int, str], Sequence[Sibling]]) -> dict[tuple[int, str], str]:
+    """Return the advice for undeclared tables whose files have other names in each run, by experiment and table."""
+    files: dict[int, dict[str, dict[str, str]]] = {}
+    for (ordinal, name), siblings in tables.items():
+        for row in siblings if name not in context.outputs else ():
+            layouts = map(TableLayout.load, row.forms or ())
+            runs = files.setdefault(ordinal, {})
+            runs.setdefault(row.execution, {}).update({layout.file: name for layout in layouts if layout.file})
+    found = {}
+    for ordinal, runs in files.items():
+        proposals = open_names.patterns(runs.values())
+        advice = f" ({open_names.advice(sorted(set(proposals.values())))})"
+        found.update({(ordinal, name): advice for one in runs.values() for file, name in one.items() if file in proposals})
+    return found
 
 
 def parameters(context: Context) -> dict[str, str]:

@@ -67,7 +67,7 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
         if output.required and (place := robot_files.lacking(output, result.outputs, result.robots)) is not None:
             return Status.FAILED, f"{robot_files.named(place, result.robots)} did not write {robot_files.own(output)!r}"
         if output.required and not any(output.matches(file.path) for file in result.outputs):
-            return Status.FAILED, astray.lacking(name, output, result.elsewhere)
+            return Status.FAILED, astray.lacking(name, output, result.elsewhere, [file.path for file in result.outputs])
     if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:
         return Status.FAILED, reason
     status, reason = _marked(result, success)

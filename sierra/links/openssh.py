@@ -29,12 +29,19 @@ from sierra.links.base import Interrupted, LinkOptions, Unreachable, UntrustedHo
 from sierra.links.commands import PAUSE_S, Commands, Stream, no_session
 from sierra.links.process_stream import ProcessStream
 from sierra.util import terminal
+from sierra.worker import worker
 
 PATIENCE = 3
 """The time for a connection without questions to the user, as a multiple of the option `connect`."""
 UNTRUSTED = ("host key verification failed", "host key is known for", "remote host identification has changed")
 REFUSED = "refused by peer"
 """The words of the client for a session that sshd refuses, because there are too many."""
+
+
+def folder_of_sockets() -> str | None:
+    """Return an existing folder for sockets: the user's, or a temporary folder with a short path; None if there is none."""
+    own = os.environ.get("XDG_RUNTIME_DIR", "")
+    return own if own and Path(own).is_dir() else next(iter(worker.temporary_folders()), None)
 
 
 class OpenSshOptions(LinkOptions):
@@ -105,7 +112,7 @@ class OpenSsh(Commands):
     def _log_in(self) -> None:
         if self._folder is None:
             # short, because the path of a socket has at most 104 characters; private, as all that mkdtemp makes
-            self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=os.environ.get("XDG_RUNTIME_DIR") or None))
+            self._folder = Path(tempfile.mkdtemp(prefix="sierra-", dir=folder_of_sockets()))
         self._socket.unlink(missing_ok=True)
         asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
         alive = max(1, int(self._options.lost / 4))

@@ -1,9 +1,9 @@
 """`gc`: remove data that nothing needs, and merge small segments of a batch into one.
 
 It removes folders of sessions that died (their finished executions are recorded first), unfinished files (also those of
-figures, videos and reports), replaced segments, and recorded files that no record refers to. It leaves git's `refs/sierra/`
-alone: other projects and stores may share the repository, and no store knows all of them. It removes segments that a repair
-put aside only on request.
+figures, videos and reports, and the temporary files of runs whose worker was killed), replaced segments, and recorded files
+that no record refers to. It leaves git's `refs/sierra/` alone: other projects and stores may share the repository, and no store
+knows all of them. It removes segments that a repair put aside only on request.
 
 On request only, it also removes the bytes of files that became tables; their rows stay. Bytes stay if they are also the bytes
 of an input, of a file that did not become a table, or of a source.
@@ -24,7 +24,7 @@ from sierra.execution import recover, sessions, unrecorded
 from sierra.execution.observer import Observer
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
-from sierra.store import session_log_file, unfinished_files
+from sierra.store import ownership_marks, session_log_file, unfinished_files
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
@@ -188,6 +188,7 @@ def _unfinished(paths: StorePaths, project: Path | None) -> Iterator[Path]:
     if project is not None:
         yield from unfinished_files.unfinished(project)
     yield from filter(scratch.is_abandoned, paths.extracted.glob("*"))
+    yield from map(Path, worker.abandoned_by(lambda owner: ownership_marks.executes_in(paths, Path(owner))))
     own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
     for path in (*own, *unfinished(paths)):
         if worker.birth(int(path.name.rpartition(".")[2])) is None:

@@ -21,6 +21,7 @@ comparable, and 130 after Ctrl-C.
     image         the container image, or null
     environment   the variables that its runs share; `limits`, `success`: their limits and exit statuses
     by_value      the outputs whose bytes may differ, with the reason
+    patterns      the patterns of outputs whose names may differ, except those in `named`
 
 Each line of `jobs` is a run: `argv`, `environment` (the variables that differ from the shared ones; null removes one), `files`
 (inputs), `folders` (marks in inputs, see `worker.py`), `seconds` (its recorded duration), and `outputs` (the SHA-256 of each
@@ -34,6 +35,7 @@ from __future__ import annotations
 import argparse
 import base64
 import contextlib
+import fnmatch
 import hashlib
 import itertools
 import json
@@ -153,6 +155,8 @@ class Batch:
             self.jobs = text_of(plan["jobs"])
             self.environment = texts_of(plan["environment"])
             self.by_value = texts_of(plan["by_value"])
+            self.patterns = [text_of(one) for one in plan.get("patterns", ())]
+            self.named = {text_of(one) for one in plan.get("named", ())}
             self.programs = [text_of(one) for one in plan["programs"]]
             self.notes = [text_of(one) for one in plan["notes"]]
             self.requires = [text_of(one) for one in plan["requires"]]
@@ -172,6 +176,11 @@ class Batch:
                 raise Stop(f"{PLAN}: the name {clean(repr(name))} leads outside", 1)
         self.only: set[str] | None = None
         """The runs to execute; None for all."""
+
+    def pattern_of(self, path: str) -> int | None:
+        """Return the number of the pattern to which an output belongs; None if its name is fixed."""
+        matching = (place for place, pattern in enumerate(self.patterns) if fnmatch.fnmatchcase(path, pattern))
+        return None if path in self.named else next(matching, None)
 
     def taken(self, plan: Mapping[str, Any]) -> tuple[str, bool]:
         """Return the name of a member, and True if it is a program."""
@@ -549,7 +558,7 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
         raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
     if trouble:
         return Outcome(run, FAILED, f"{trouble}: {last}")
-    found = {one["path"]: one["sha256"] for one in end["outputs"]}
+    found = renamed({one["path"]: one["sha256"] for one in end["outputs"]}, run.outputs, batch)
     lost, new = sorted(run.outputs.keys() - found.keys()), sorted(found.keys() - run.outputs.keys())
     unlike = sorted(path for path in run.outputs.keys() & found.keys() if run.outputs[path] != found[path])
     certain = [path for path in unlike if path not in batch.by_value]
@@ -559,6 +568,27 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
         return Outcome(run, DIFFERENT, ", ".join(reasons))
     loose = [f"{path} differs at the byte level ({batch.by_value[path]}); level 3 compares values" for path in unlike]
     return Outcome(run, NOT_COMPARABLE, ", ".join(loose)) if loose else Outcome(run, IDENTICAL, "")
+
+
+def renamed(found: Mapping[str, str], recorded: Mapping[str, str], batch: Batch) -> dict[str, str]:
+    """Return the outputs that were found by the names of the recorded ones that they are compared with.
+
+    Names that match a pattern may have the time of the run in them: such files are compared by the order of their names. If
+    their number has changed, those with the same name are compared first.
+    """
+    names: dict[str, str] = {}
+    for place in range(len(batch.patterns)):
+        old, new = ([path for path in paths if batch.pattern_of(path) == place] for paths in (recorded, found))
+        same = set(old) & set(new) if len(old) != len(new) else set()
+        rest = (sorted((path for path in paths if path not in same), key=natural) for paths in (old, new))
+        names.update({theirs: ours for ours, theirs in zip(*rest)})
+    return {names.get(path, path): digest for path, digest in found.items()}
+
+
+def natural(path: str) -> tuple[list[Any], str]:
+    """Return a key that sorts names by the numbers in them."""
+    parts = re.split(r"([0-9]+)", path)
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)], path
 
 
 def trouble_of(batch: Batch, end: Mapping[str, Any]) -> str:

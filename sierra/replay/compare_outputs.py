@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from sierra.config.output_tables import Output
 from sierra.errors import Damaged
 from sierra.replay.compare_values import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
+from sierra.replay.pair_files import Artifacts, Pairs, pair
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.recorded_files import holding
 from sierra.store.results import objects, rows_of
@@ -28,10 +29,8 @@ BYTES = 64 << 20
 """Maximum total size, in bytes, of the recorded files that are compared at a time."""
 PAIRS = 1000
 
-Artifacts = Mapping[str, ArtifactRow]
-"""Artifacts of one execution by path, without logs; those of a file of several tables by path and table."""
-_Pair = tuple[tuple[str, str], list[tuple[ArtifactRow, ArtifactRow]]]
-"""Pair of executions, and the files of both whose bytes differ."""
+_Pair = tuple[tuple[Artifacts, Pairs], list[tuple[ArtifactRow, ArtifactRow]]]
+"""The artifacts of a pair of executions, and the files of both whose bytes differ."""
 
 
 def compare(snapshot: Snapshot, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
@@ -49,16 +48,17 @@ def compare_all(
     artifacts = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
     left = {execution: _joined(own, declared) for execution, own in artifacts.items()}
     counted = _counted(snapshot, left)
-    unlike = ((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs)
-    for some in by_weight(unlike, _size, BYTES, lambda group, pair: len(group) < PAIRS):
+    sides = ((left[recorded], pair(left[recorded], left[found], declared)) for recorded, found in pairs)
+    unlike = ((both, list(_unlike(both[0], both[1].found))) for both in sides)
+    for some in by_weight(unlike, _size, BYTES, lambda group, _: len(group) < PAIRS):
         compared = [files for _, differing in some for files in differing if _same_kind(*files)]
         contents = _Contents(snapshot, [row for files in compared for row in files], counted)
-        for (recorded, found), _ in some:
-            yield _of_artifacts(contents, left[recorded], left[found], declared)
+        for (was, now), _ in some:
+            yield _of_artifacts(contents, was, now, declared)
 
 
 def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artifacts]:
-    """Return the artifacts of each of these executions."""
+    """Return the artifacts of each of these executions by path, without logs; those of a file of several tables by both."""
     left: dict[str, dict[str, ArtifactRow]] = {execution: {} for execution in executions}
     snapshot.add_table("compared", execution=left)
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
@@ -147,26 +147,35 @@ class _Contents:
 
 
 def _of_artifacts(
-    contents: _Contents, was: Artifacts, now: Artifacts, declared: Mapping[str, Output]
+    contents: _Contents, was: Artifacts, pairs: Pairs, declared: Mapping[str, Output]
 ) -> dict[str | None, Agreement]:
     agreements: dict[str | None, Agreement] = {}
+    now = pairs.found
     for path in sorted(was.keys() | now.keys()):
-        if path not in now:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was written before and is missing now", form=True)
-        elif path not in was:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written before and is new", form=True)
+        if path not in now or path not in was:
+            reason = "was not written before and is new" if path in now else "was written before and is missing now"
+            why = f" ({pairs.unpaired[path]})" if path in pairs.unpaired else ""
+            agreements[path] = Agreement(Verdict.DIFFERENT, reason + why, form=True)
         elif was[path].sha256 == now[path].sha256:
             agreements[path] = _identical(contents, was[path], now[path])
         else:
-            agreements[path] = _output(contents, was[path], now[path], declared)
+            agreements[path] = _renamed(_output(contents, was[path], now[path], declared), was[path], now[path])
     return agreements
+
+
+def _renamed(agreement: Agreement, was: ArtifactRow, now: ArtifactRow) -> Agreement:
+    """Return the agreement with the name that a file has now, if it is another one."""
+    return agreement if was.path == now.path else replace(agreement, reason=f"{agreement.reason}; now named {now.path!r}")
 
 
 def _identical(contents: _Contents, was: ArtifactRow, now: ArtifactRow) -> Agreement:
     """Compare one output with identical bytes; the store must have all rows of a table."""
     tables = was.kind == now.kind == "table"
-    lost = contents.lost(was, now) if tables else None
-    return Agreement(Verdict.DIFFERENT, lost, form=True) if lost else Agreement(Verdict.IDENTICAL)
+    if lost := contents.lost(was, now) if tables else None:
+        return Agreement(Verdict.DIFFERENT, lost, form=True)
+    if was.path == now.path:
+        return Agreement(Verdict.IDENTICAL)
+    return Agreement(Verdict.EQUAL, f"the same bytes, now named {now.path!r}")
 
 
 def _key(artifact: ArtifactRow) -> tuple[str, str, str | None]:

@@ -158,6 +158,11 @@ def elsewhere(store: StorePaths, folder: Path, session: str) -> Path | None:
     return runs if marked else None
 
 
+def executes_in(store: StorePaths, folder: Path) -> bool:
+    """Return whether a path is one in which this store executes runs, here or below a `[store] work_folder`."""
+    return folder.is_relative_to(store.work) or id_in(store.identity) in folder.parts
+
+
 def _is_marked(folder: Path, text: str) -> bool:
     return _beginning(folder / StorePaths.MARK) == f"{text}\n".encode()
 

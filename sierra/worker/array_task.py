@@ -906,7 +906,7 @@ class Execution:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             bufsize=0,
-            env={**os.environ, "SIERRA_SESSION": self._session},
+            env={**os.environ, "SIERRA_SESSION": self._session, "TMPDIR": os.path.dirname(os.path.dirname(self._scratch))},
             pass_fds=(self._lock,),
             start_new_session=True,
         )

@@ -11,7 +11,8 @@ requests it without grace time.
 
 For each job the worker makes the folder FOLDER/<number>/ with the input files, `home`, `tmp` and `output`. It starts the
 program in a session (and so a process group) of its own with `output` as its working directory, enforces the limits, and hashes
-the files that were left in `output`. In argv and environment, the character NUL stands for the run's folder.
+the files that were left in `output`. In argv and environment, the character NUL stands for the run's folder. If TMPDIR would be
+`tmp`, the run gets a folder with a short path instead, unless it is in a container: see `Temporary`.
 
 A job with the key `used` lets a short run reuse a folder, because making and removing folders may take longer than the run. If
 a run has left little, and has changed only outputs and logs in its folder, its `end` has the key `spare`. A sender that does
@@ -140,6 +141,15 @@ SHARED = "shared"  # in the folder of shared services: what their conductor tell
 OF_ONE_RUN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_EXECUTION")  # variables
 TRACE = ".trace"  # the end of the name of a tracer's log, beside the run's folder
 RUNS = "runs"
+OWN_TMP = "\0/tmp"  # the TMPDIR of a run in a job
+TEMPORARY = re.compile(r"sierra-[0-9a-f]{8}")  # names of workers' folders in the system's temporary folder
+TEMPORARY_MARK = ".sierra-runs"  # in such a folder: its host, and the folder of its worker
+TEMPORARY_LENGTH = 48
+"""The longest path of a temporary folder in which there are folders for runs.
+
+`/sierra-<8>/<number>/tmp` follows it, and after that there must be room for `/pymp-<8>/listener-<8>`, the sockets of Python's
+multiprocessing: the path of a socket has at most 107 characters.
+"""
 POLL_S = 0.25
 HEAD_BYTES = 4096
 EMPTY_LINE = re.compile(rb"(?<=\n)\r?\n")
@@ -422,6 +432,122 @@ class Waker:
         return False
 
 
+class Temporary:
+    """A worker's folder in the system's temporary folder, with a folder for the temporary files of each run.
+
+    Its path is short, wherever the project is. Only its user can reach it. This process holds a lock on it, which also tells
+    systemd-tmpfiles to leave it alone. What a killed worker left there is removed by the next one, by the command that records
+    its runs, and by `sierra gc`.
+    """
+
+    def __init__(self, owner: str) -> None:
+        """Prepare for the worker in the folder `owner`. Nothing is made yet."""
+        self.owner = owner
+        self.path: str | None = None
+        self.held = -1
+        self.places: dict[str, str] = {}
+        """The folder of each run that has one, by the run's folder."""
+        self.making = threading.Lock()
+
+    def make(self, folder: str) -> str | None:
+        """Make the folder of a run for its temporary files, and return its TMPDIR. None: it can have none that is short."""
+        with self.making:
+            if self.path is None or not is_folder(self.path):  # the second: somebody has removed it
+                self.close()
+                self.begin()
+            if self.path is None:
+                return None
+            place = os.path.join(self.path, os.path.basename(folder))
+        try:
+            os.mkdir(place, 0o700)
+            os.mkdir(os.path.join(place, "tmp"), 0o700)
+        except OSError:
+            remove(place)
+            return None
+        self.places[folder] = place
+        return os.path.join(place, "tmp")
+
+    def remove(self, folder: str) -> None:
+        """Remove the temporary files of a run."""
+        if folder in self.places:
+            remove(self.places.pop(folder))
+
+    def begin(self) -> None:
+        """Make the worker's folder if that is possible, and remove those that killed workers have left."""
+        import fcntl
+
+        for root in temporary_folders():
+            for path, _ in abandoned(root):
+                remove(path)
+            path = os.path.join(root, "sierra-" + os.urandom(4).hex())
+            with contextlib.suppress(OSError):
+                os.mkdir(path, 0o700)  # fails if there is anything with that name
+                self.path = path
+                self.held = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+                fcntl.flock(self.held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                mark = os.open(os.path.join(path, TEMPORARY_MARK), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+                try:
+                    write_all(mark, os.fsencode("%s\n%s" % (os.uname().nodename, self.owner)))
+                finally:
+                    os.close(mark)
+                return
+            self.close()
+
+    def close(self) -> None:
+        """Remove the folder with all that is in it."""
+        if self.path is not None:
+            remove(self.path)
+        if self.held >= 0:
+            os.close(self.held)
+        self.path, self.held = None, -1
+
+
+def temporary_folders() -> list[str]:
+    """Return the system's temporary folders in which runs can have theirs, the best first; none without locks.
+
+    They are those of Python's tempfile, and a cluster's. One in which no program can be executed comes last.
+    """
+    try:
+        import fcntl  # noqa: F401
+    except ImportError:
+        return []
+    named = [os.environ.get(name, "") for name in ("TMPDIR", "SLURM_TMPDIR", "TEMP", "TMP")]
+    usable: dict[str, bool] = {}
+    for path in (*named, "/tmp", "/var/tmp"):  # noqa: S108 - a folder of its own is made there
+        if not (os.path.isabs(path) and len(os.fsencode(path)) <= TEMPORARY_LENGTH and os.access(path, os.W_OK | os.X_OK)):
+            continue
+        with contextlib.suppress(OSError):
+            check_room(path)
+            usable[os.path.normpath(path)] = bool(os.statvfs(path).f_flag & getattr(os, "ST_NOEXEC", 0))
+    return sorted(usable, key=lambda path: usable[path])
+
+
+def abandoned_by(is_wanted: Callable[[str], bool]) -> list[str]:
+    """Return the folders in the system's temporary folders that killed workers have left, by the workers' own folders."""
+    return [path for root in temporary_folders() for path, owner in abandoned(root) if is_wanted(owner)]
+
+
+def abandoned(root: str) -> Iterator[tuple[str, str]]:
+    """Yield the folders of killed workers of this user and host in a temporary folder, each with the folder of its worker."""
+    import fcntl
+
+    for name in sorted(filter(TEMPORARY.fullmatch, entries_of(root))):
+        path = os.path.join(root, name)
+        with contextlib.suppress(OSError):
+            folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            try:
+                if os.fstat(folder).st_uid != os.geteuid():
+                    continue
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                mark = os.open(TEMPORARY_MARK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+                with open(mark, "rb") as file:
+                    host, _, owner = os.fsdecode(file.read(CHUNK)).partition("\n")
+            finally:
+                os.close(folder)
+            if host == os.uname().nodename and owner:
+                yield path, owner
+
+
 class Running:
     """A running program. Its lock guards the moment from which its process id may belong to another process."""
 
@@ -439,6 +565,8 @@ class Running:
         self.seal = job.get("seal")
         self.conducted = is_conducted(job)
         self.folder = folder
+        self.temporary: str | None = None
+        """The folder for its temporary files, if that is not in its folder."""
         self.pid = process.pid
         self.limits = job["limits"]
         self.client = with_folder(job["client"], folder) if "client" in job else None
@@ -885,6 +1013,7 @@ class Worker:
         self.spare: dict[int, RunFolder] = {}
         self.shared = {place: entries_of(place) for place in places}
         self.hashes = Hashes()
+        self.temporary = Temporary(os.path.abspath(folder))
         self.observing = threading.Lock()
         self.unusable: tuple[str, ...] = ()
         """Why better ways to observe runs cannot be used here."""
@@ -932,6 +1061,7 @@ class Worker:
         if self.contains:
             await_orphans()
         end_orphans(None)
+        self.temporary.close()
 
     def read(self, stream: TextIO) -> None:
         """Put the jobs into the queue, until the line that ends them.
@@ -1073,6 +1203,22 @@ class Worker:
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
+        try:
+            self.execute_prepared(self.with_temporary(job, folder), folder, slot, place, services)
+        finally:
+            self.temporary.remove(folder)
+
+    def with_temporary(self, job: Job, folder: str) -> Job:
+        """Return the job with a short path in TMPDIR, unless a container has its own, or the job names another folder."""
+        if "client" in job or "seal" in job or job["environment"].get("TMPDIR") != OWN_TMP:
+            return job
+        short = self.temporary.make(folder)
+        return {**job, "environment": {**job["environment"], "TMPDIR": short}} if short else job
+
+    def execute_prepared(
+        self, job: Job, folder: str, slot: int, place: RunFolder | None, services: SharedServices | None
+    ) -> None:
+        """Execute a run in its folder, which has been made."""
         observation = self.observe(job, folder)
         held = Held(job, folder) if job.get("waits") and job.get("client", {}).get("start_pipe") else None
         if job.get("waits") and not self.await_moment(job, held):
@@ -1091,6 +1237,7 @@ class Worker:
             self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + why_not_started(error, job)))
             return
         running = Running(job, folder, process, observation, self.announce)
+        running.temporary = self.temporary.places.get(folder)
         self.announce(BEGUN)
         if held and running.meter:
             running.meter.since = running.started
@@ -1129,6 +1276,7 @@ class Worker:
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
+            check_temporary(running)
         failure = report.error or trouble_of_services(services)
         spare = alone and self.adopts and place is not None and place.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
@@ -1205,8 +1353,9 @@ class Worker:
         if plan.get("observed"):
             with self.observing:
                 way, unusable = self.way(job.get("helps"))
+            folder = self.next_folder("services-")
             try:
-                services = SharedServices(job, plan, self.next_folder("services-"), way, unusable)
+                services = SharedServices(self.with_temporary(job, folder), plan, folder, way, unusable)
             except (OSError, ValueError) as error:  # perhaps the tracer is gone
                 disturbed: str | None = "they could not be started by the tracer: " + explain(error)
             else:
@@ -1215,12 +1364,15 @@ class Worker:
                 if not disturbed or self.stopping:
                     return services
                 services.end(skip_grace=lambda: self.without_grace)
-            return SharedServices(job, plan, self.next_folder("services-"), None, ("%s: %s" % (UNOBSERVED, disturbed),))
-        return SharedServices(job, plan, self.next_folder("services-"))
+            folder = self.next_folder("services-")
+            return SharedServices(self.with_temporary(job, folder), plan, folder, None, ("%s: %s" % (UNOBSERVED, disturbed),))
+        folder = self.next_folder("services-")
+        return SharedServices(self.with_temporary(job, folder), plan, folder)
 
     def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
         remove(folder)
+        self.temporary.remove(folder)
         self.request_another(job)
         unobserved = job.copy()
         unobserved.pop("compares", None)
@@ -1318,7 +1470,7 @@ class Worker:
             shared = services.seen() if services else None
             theirs = {name for name, _ in shared.channels} if shared else ()
             trace = file_trace().with_channels(trace, own_ports(job, running.folder, services), theirs, job["environment"])
-            names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
+            names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder, **own_folders(running)})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             self.compare(job, seen)
             with self.observing:
@@ -1839,6 +1991,13 @@ def read_report(folder: str) -> Report:
     return Report(error, left, after, ports_of(record))
 
 
+def own_folders(running: Running) -> Mapping[str, str]:
+    """Return the folders for temporary files of a run and its worker, by the names of the folders in whose place they are."""
+    if running.temporary is None:
+        return {}
+    return {"work:temporary": os.path.dirname(running.temporary), "run:temporary": running.temporary}
+
+
 def with_folder(client: Program, folder: str) -> Program:
     """Return the program's words and environment with the path of the given folder."""
     return {
@@ -1912,6 +2071,16 @@ def check_room(folder: str) -> None:
     space = os.statvfs(folder)
     if (space.f_blocks and space.f_bavail == 0) or (space.f_files and space.f_favail == 0):  # a ramfs reports neither
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
+
+
+def check_temporary(running: Running) -> None:
+    """Raise OSError if the file system of a run's temporary files has no space left."""
+    if running.temporary is not None and is_folder(running.temporary):
+        try:
+            check_room(running.temporary)
+        except OSError as error:
+            cure = "%s for the temporary files of runs; set TMPDIR to a folder on a larger disk before sierra starts"
+            raise OSError(error.errno, cure % error.strerror, running.temporary) from error
 
 
 def collect_outputs(
@@ -2135,7 +2304,7 @@ def exceeded(running: Running) -> str | None:
             return "memory"
         if cpu_limit is not None and cpu > cpu_limit:
             return "cpu"
-    if output_limit is not None and size_of(running.folder) > output_limit:
+    if output_limit is not None and sum(size_of(path) for path in (running.folder, running.temporary) if path) > output_limit:
         return "output"
     if any(size_of_file(os.path.join(running.folder, name)) > LOG_BYTES for name in LOGS):
         return "output"

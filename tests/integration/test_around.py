@@ -447,6 +447,17 @@ def test_runs_share_a_service_of_the_batch(tmp_path: Path, require: Callable[...
     assert "0 executed, 4 reused" in says(root)
 
 
+def test_a_shared_service_has_a_short_tmpdir_until_the_batch_ends(tmp_path: Path) -> None:
+    mark, where = str(54322 + os.getpid()), tmp_path / "where"
+    root = shared(tmp_path / ("x" * 120), f"echo $TMPDIR > {where}; touch $TMPDIR/left; echo ready; sleep {mark}; true")
+    (root / "sim.sh").write_text(f'test -e "$(cat {where})/left"')
+    assert "4 executed" in says(root, *ONE, "--jobs", "2")
+    folder = Path(where.read_text().strip())
+    assert len(str(folder)) <= 75
+    assert not folder.exists()
+    assert not alive(mark)
+
+
 def serving(folder: Path, *, observe: str = "first") -> Path:
     """Write a project with four runs and a server that they share: it reads a file outside the project for each answer."""
     config = CONFIG.replace("runs = 2", f'runs = 4\nobserve = "{observe}"')

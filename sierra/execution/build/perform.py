@@ -87,9 +87,11 @@ def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> End
     isolation = _isolated(recipe, place, store, session)
     log.info("build %s begins", recipe.id)
     started = datetime.now(UTC)
+    temporary = worker.Temporary(str(folder))
     try:
-        exit_code, reason = _execute_all(recipe, place, session, isolation)
+        exit_code, reason = _execute_all(recipe, place, session, isolation, temporary.make(str(folder)))
     finally:
+        temporary.close()
         isolation.close()
     ended = datetime.now(UTC)
     log.info("build %s ended: %s", recipe.id, reason or "well")
@@ -191,8 +193,11 @@ def _isolated(recipe: Recipe, place: Place, store: Store, session: Session) -> I
     return replace(isolation, box=replace(box, mounts=mounts, shared=False))
 
 
-def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation) -> Client:
-    """Return the program to start: the command itself, or the client that starts it in a container."""
+def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation, temporary: str | None) -> Client:
+    """Return the program to start: the command itself, or the client that starts it in a container.
+
+    `temporary` is the command's folder for temporary files, if it has a short one.
+    """
     folder = str(session.paths.building)
     box = isolation.box
     code = Path(PROJECT) if box else place.root
@@ -201,7 +206,7 @@ def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation
     variables = {
         **commands.within(place.image, _filled(recipe.spec.environment, code, place)),
         "HOME": f"{here}/{RUN_HOME}",
-        "TMPDIR": "/tmp" if box else f"{here}/{RUN_TMP}",  # noqa: S108 - the container's own
+        "TMPDIR": "/tmp" if box else temporary or f"{here}/{RUN_TMP}",  # noqa: S108 - the container's own
         "SIERRA_SESSION": session.id,
     }
     variables.setdefault("SOURCE_DATE_EPOCH", EPOCH)
@@ -236,11 +241,13 @@ def _filled(variables: Mapping[str, str], code: Path, place: Place) -> dict[str,
     return {name: _fill((value,), code, place)[0] for name, value in variables.items()}
 
 
-def _execute_all(recipe: Recipe, place: Place, session: Session, isolation: Isolation) -> tuple[int | None, str | None]:
+def _execute_all(
+    recipe: Recipe, place: Place, session: Session, isolation: Isolation, temporary: str | None
+) -> tuple[int | None, str | None]:
     """Execute a build's command for each processor until one fails; return the last exit status, and why it failed."""
     exit_code, reason, output = None, None, session.paths.building / LOG
     for one in recipe.executions:
-        client = _client(one, place, session, isolation)
+        client = _client(one, place, session, isolation, temporary)
         try:
             exit_code, reason = _execute(client, place.root / recipe.folder, output, recipe.wall)
         finally:

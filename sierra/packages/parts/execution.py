@@ -103,7 +103,7 @@ class _Batch:
             "runs": jobs.runs,
             "seconds": round(jobs.seconds, 3),
         }
-        self.plan |= {"environment": jobs.environment, "by_value": jobs.by_value}
+        self.plan |= {"environment": jobs.environment, "by_value": jobs.by_value, **jobs.patterns}
         self.members.append(Member(name, path, "jobs of the runs of a batch"))
 
     def _files(self, recalled: Recalled, folder: str) -> dict[str, dict[str, Any]]:

@@ -17,6 +17,7 @@ from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan_from_record import Recalled
 from sierra.model import Run
 from sierra.packages import execute_runs
+from sierra.replay.pair_files import has_open_names
 from sierra.store.recorded_files import ChosenExecution
 from sierra.store.store import Store
 from sierra.templates.base import Files
@@ -100,6 +101,14 @@ class Jobs:
         self.runs = 0
         self.seconds = 0.0
         """The number of runs that were executed successfully, and the sum of their durations in seconds."""
+
+    @property
+    def patterns(self) -> dict[str, list[str]]:
+        """Return the patterns of outputs whose names may differ, and the names that other outputs have."""
+        open_names = [one for one in self._declared.values() if has_open_names(one) and not one.ticks]
+        named = [one.file.removeprefix("./") for one in self._declared.values() if not has_open_names(one)]
+        found = {"patterns": [one.file.removeprefix("./") for one in open_names]}
+        return {**found, "named": named} if open_names else {}
 
     def write(self, batch: str, path: Path) -> None:
         """Write the line of each successful run of a batch. Raises Damaged if the store lacks an input."""

@@ -7,18 +7,24 @@ The records of both are read apart from each other, and nothing is executed. Res
 from __future__ import annotations
 
 import contextlib
+import json
 import tempfile
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from sierra.config.output_tables import Output
+from sierra.ingest.recording_context import rules_of
 from sierra.maintenance.extract import extract
 from sierra.packages.manifest import PackageManifest
 from sierra.packages.reading.received import Received
 from sierra.replay.compare_values import Verdict, of_tables
+from sierra.replay.pair_files import pair
+from sierra.store.row_types import ArtifactRow
 from sierra.store.sql_names import identifier
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -32,7 +38,7 @@ METADATA = "metadata"
 SHOWN = 3
 COMPARED = 20
 """The largest number of runs with other results whose values are compared."""
-BESIDE = ("run", "execution", "number")
+BESIDE = ("run", "execution", "number", "file")
 """Columns of outputs that are not values, as the independent variables are not."""
 
 
@@ -128,34 +134,44 @@ def _results(before: Side, after: Side) -> Iterator[str]:
     for only, where in ((old.keys() - both, "first"), (new.keys() - both, "second")):
         if only:
             yield f"successful only in the {where}: {counted(len(only), 'run')}: {few(sorted(map(short, only)), SHOWN)}"
-    other = sorted(run for run in both if old[run].result != new[run].result)
+    hashes = sorted(run for run in both if old[run].result != new[run].result)
+    files = _files(before.store, after.store, {run: (old[run].execution, new[run].execution) for run in hashes})
+    other = [run for run in hashes if files[run]]
     if other:
         runs = f"{len(other)} of {counted(len(both), 'run')} in both {verb(len(other), 'has', 'have')}"
         yield f"{runs} other results: {few(list(map(short, other)), SHOWN)}"
-        yield from _files(before.store, after.store, [(old[run].execution, new[run].execution) for run in other])
+        counts = Counter(path for run in other for path in files[run])
+        yield from (f"{path} differs in {counted(count, 'run')}" for path, count in sorted(counts.items()))
         yield from _values(before.store, after.store, list(islice(other, COMPARED)))
 
 
-def _files(before: Store, after: Store, pairs: list[tuple[str, str]]) -> Iterator[str]:
-    """Yield the outputs that differ, each with the number of runs."""
-    was = _digests(before, [one for one, _ in pairs])
-    now = _digests(after, [one for _, one in pairs])
-    counts: dict[str, int] = {}
-    for old, new in pairs:
-        for path in was.get(old, {}).keys() | now.get(new, {}).keys():
-            if was.get(old, {}).get(path) != now.get(new, {}).get(path):
-                counts[path] = counts.get(path, 0) + 1
-    yield from (f"{path} differs in {counted(count, 'run')}" for path, count in sorted(counts.items()))
-
-
-def _digests(store: Store, executions: list[str]) -> dict[str, dict[str, str]]:
-    """Return the SHA-256 of the outputs of executions, by execution and path."""
-    found: dict[str, dict[str, str]] = {}
-    for row in store.rows(
-        "SELECT execution, path, sha256 FROM artifacts WHERE kind <> 'log' AND list_contains($e, execution)", e=executions
-    ):
-        found.setdefault(str(row["execution"]), {})[str(row["path"])] = str(row["sha256"])
+def _files(before: Store, after: Store, pairs: Mapping[str, tuple[str, str]]) -> dict[str, list[str]]:
+    """Return the paths of the outputs that differ between two executions of each run, without those that differ in name."""
+    was = _artifacts(before, [one for one, _ in pairs.values()])
+    now = _artifacts(after, [one for _, one in pairs.values()])
+    declared = _declared(before) | _declared(after)
+    found: dict[str, list[str]] = {}
+    for run, (old, new) in pairs.items():
+        ours = was.get(old, {})
+        theirs = pair(ours, now.get(new, {}), declared).found
+        same = {path for path in ours.keys() & theirs.keys() if ours[path].sha256 == theirs[path].sha256}
+        found[run] = sorted((ours.keys() | theirs.keys()) - same)
     return found
+
+
+def _artifacts(store: Store, executions: list[str]) -> dict[str, dict[str, ArtifactRow]]:
+    """Return the outputs of executions, by execution and path."""
+    found: dict[str, dict[str, ArtifactRow]] = {}
+    statement = "SELECT * FROM artifacts WHERE kind <> 'log' AND list_contains($e, execution)"
+    for row in store.select(ArtifactRow, statement, e=executions):
+        found.setdefault(row.execution, {})[row.path] = row
+    return found
+
+
+def _declared(store: Store) -> dict[str, Output]:
+    """Return the recorded declarations of outputs."""
+    recorded = store.values(str, "SELECT declared FROM ingest_rules ORDER BY ingest_rules")
+    return {name: output for text in recorded for name, output in rules_of(json.loads(text))[0].items()}
 
 
 def _values(before: Store, after: Store, runs: list[str]) -> Iterator[str]:

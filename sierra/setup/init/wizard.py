@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
+from sierra.ingest import open_names
 from sierra.setup.init import command, folder, named_files, of_arguments, of_template
 from sierra.setup.init.answers import SHOWN, Ask, Options, Question
 from sierra.setup.init.write import Guess, parsed, write
@@ -23,7 +25,19 @@ from sierra.util.text import few
 if TYPE_CHECKING:
     from sierra.execution.trial import Show, Trial
 
-__all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "rates", "try_run", "with_lacking", "write"]
+__all__ = [
+    "Ask",
+    "Guess",
+    "Options",
+    "Question",
+    "copy_example",
+    "find_out",
+    "patterns",
+    "rates",
+    "try_run",
+    "with_lacking",
+    "write",
+]
 
 LOGS = (RUN_STDERR, RUN_STDOUT)
 LAST = 1 << 14
@@ -72,14 +86,23 @@ def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) ->
         return f"no run was tried: {error}"
 
 
-def rates(first: Trial, second: Trial) -> dict[str, tuple[str, ...]]:
-    """Return the columns of tables of one row that are 0 in one of two runs and 1 in the other, by table."""
+def patterns(first: Trial, second: Trial | None = None) -> dict[str, str]:
+    """Return the patterns for tables whose files have another name in each run, by path. One run alone shows dates only."""
+    trials = [one for one in (first, second) if one is not None]
+    found = open_names.patterns([[file.path for file in one.files if file.table] for one in trials])
+    dated = {} if second else {file.path: open_names.with_date(file.path) for file in first.files if file.table}
+    return found | {path: pattern for path, pattern in dated.items() if pattern}
+
+
+def rates(first: Trial, second: Trial, patterns: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of tables of one row that are 0 in one of two runs and 1 in the other, by the table in the first."""
+    names = {patterns.get(one.path, one.path): str(one.table) for one in first.files if one.table}
     before = {one.table: one.flags for one in first.files if one.table}
-    found = {
-        one.table: tuple(name for name, value in one.flags.items() if before.get(one.table, {}).get(name) == 1 - value)
-        for one in second.files
-        if one.table
-    }
+    found = {}
+    for one in second.files:
+        table = names.get(patterns.get(one.path, one.path))
+        if one.table and table:
+            found[table] = tuple(name for name, value in one.flags.items() if before[table].get(name) == 1 - value)
     return {table: columns for table, columns in found.items() if columns}
 
 
@@ -88,7 +111,12 @@ def with_outputs(guess: Guess, tried: Trial) -> Guess | None:
 
     Without them, the run has failed, because a table has no names in its first line.
     """
-    found = {one.name: dict(one.keys) for one in tried.unread if one.keys}
+    found = {}
+    for one in tried.unread:
+        if one.keys:
+            pattern = open_names.with_date(str(one.keys["file"]))
+            name, file = (open_names.name_of(pattern), pattern) if pattern else (one.name, one.keys["file"])
+            found[name] = {**one.keys, "file": file}
     return replace(guess, outputs={**guess.outputs, **found}) if found else None
 
 

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from sierra.config import project_file
 from sierra.config.change_tables import VALUE
 from sierra.errors import UsageError
 from sierra.execution.commands import PORT
+from sierra.ingest import open_names
 from sierra.setup.init import folder
 from sierra.setup.init.answers import SHOWN
 from sierra.setup.init.source import found
@@ -72,6 +74,9 @@ class Guess:
     rates: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """The columns of 0 and 1 by table, as two runs with different seeds have shown."""
 
+    patterns: Mapping[str, str] = field(default_factory=dict)
+    """The patterns for tables whose files have another name in each run, by the path of a file."""
+
     @property
     def seeded(self) -> bool:
         """Return True if runs get seeds: by a path, by their command, or by the platform."""
@@ -123,7 +128,7 @@ def _declared_outputs(guess: Guess) -> Iterator[str]:
 
 
 def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
-    """Yield comments on the files of a run, the declaration of its first table, and those of tables with rates."""
+    """Yield comments on the files of a run and the declaration of its first table, and declarations that tables need."""
     if tried is None or not tried.files:
         return
     yield "\n# A run wrote:"
@@ -141,17 +146,35 @@ def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
             yield "# These files become a table only if they are declared:"
             yield f"# [outputs.{unread.name}]"
             yield from (f"# {key} = {quoted(value)}" for key, value in unread.keys.items())
-    first = next((one for one in tried.files if one.table and one.table not in guess.outputs), None)
+    given = {*guess.patterns, *(str(keys["file"]) for keys in guess.outputs.values())}
+    first = next((one for one in tried.files if one.table and one.path not in given), None)
     if first is not None:
         time = _time(first)
         yield "# Such tables need no declaration. To set a time axis, units or required rows:"
         yield f"# [outputs.{first.table}]"
         yield f"# file = {quoted(one_line(first.path))}"
         yield f"# time = {quoted(time)}" if time else '# units = { distance = "m" }'
+    yield from _declarations(tried, guess)
+
+
+def _declarations(tried: Trial, guess: Guess) -> Iterator[str]:
+    """Yield the declarations of tables whose files have another name in each run, and of tables with rates."""
+    names: dict[str, str] = {}
     for one in tried.files:
-        if one.table and one.table not in guess.outputs and (columns := guess.rates.get(one.table)):
-            yield f"\n[outputs.{one.table}]"
-            yield f"file = {quoted(one_line(one.path))}"
+        pattern, columns = guess.patterns.get(one.path), guess.rates.get(one.table or "", ())
+        if one.table in (None, *guess.outputs) or not (pattern or columns) or pattern in names:
+            continue
+        name = one.table
+        if pattern:
+            wanted = open_names.name_of(pattern)
+            name = names[pattern] = next(
+                free
+                for n in count(1)
+                if (free := f"{wanted}_{n}" if n > 1 else wanted) not in {*names.values(), *guess.outputs}
+            )
+        yield f"\n[outputs.{name}]" + "  # each run gives its file another name" * bool(pattern)
+        yield f"file = {quoted(pattern or one_line(one.path))}"
+        if columns:
             yield _rates(columns)
 
 

@@ -16,7 +16,9 @@ from tests.integration.containers.test_podman import (
     ENDS,
     HANGS,
     RUN,
+    SOCKETS,
     TOLD,
+    check_sockets,
     ends_after_marker,
     isolated,
     rows,
@@ -69,6 +71,11 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
     told = what_is_told(folder)
     assert told.pop("folders") in ("2", "3")
     assert told == isolated(isolation)
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_sockets_can_be_made_in_tmpdir_in_a_project_with_a_long_path(tmp_path: Path, python: Path, isolation: str) -> None:
+    check_sockets(containers.make(tmp_path / ("x" * 120), python, ENGINE, f'isolation = "{isolation}"', simulator=SOCKETS))
 
 
 @pytest.mark.nightly

@@ -168,6 +168,26 @@ def isolated(isolation: str) -> dict[str, Any]:
     }
 
 
+SOCKETS = """\
+python3 -c '
+import os, socket, tempfile
+socket.socket(socket.AF_UNIX).bind(tempfile.mkdtemp(prefix="pymp-") + "/listener-12345678")
+open("told.csv", "w").write("what,said\\nsocket,1\\n")'
+"""
+
+
+def check_sockets(folder: Path) -> None:
+    """Check that the runs of the simulator SOCKETS can make sockets in their TMPDIR, and leave nothing there."""
+    says(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
+    assert rows(folder, "SELECT said FROM told") == [{"said": 1}]
+    assert not list(folder.glob(".sierra/work/*/"))
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_sockets_can_be_made_in_tmpdir_in_a_project_with_a_long_path(tmp_path: Path, python: Path, isolation: str) -> None:
+    check_sockets(containers.make(tmp_path / ("x" * 120), python, f'isolation = "{isolation}"', simulator=SOCKETS))
+
+
 @pytest.mark.each_case
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,6 +76,15 @@ def failing(root: Path, *words: str) -> str:
     return line
 
 
+@pytest.mark.integration
+def test_a_build_has_a_short_tmpdir_that_is_removed_with_it(tmp_path: Path) -> None:
+    root = make(tmp_path / ("x" * 120), compiler=f'{COMPILER}echo "$TMPDIR" > ../tmpdir; touch "$TMPDIR/left"\n')
+    run(root)
+    folder = Path((tmp_path / "tmpdir").read_text().strip())
+    assert len(str(folder)) <= 75
+    assert not folder.exists()
+
+
 def rows(root: Path, statement: str) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = sierra.open(root).sql(statement).to_pylist()
     return found

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import random
 import shutil
 import signal
 import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +22,7 @@ from sierra.maintenance import gc, transaction
 from sierra.store.schema import RECORDED
 from tests import projects, stores
 from tests.conftest import held
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +51,13 @@ def everything(root: Path) -> dict[str, Any]:
         tables = {name: rows(f"* FROM {name} ORDER BY ALL") for name in RECORDED if name not in around}
         tables |= {name: rows(f"DISTINCT * FROM {name} ORDER BY ALL") for name in around}
         return tables | {name: rows(f"* EXCLUDE (row) FROM {name} ORDER BY run, row") for name in ("swarm", "notes")}
+
+
+def processes() -> Iterator[tuple[int, bytes]]:
+    """Yield all processes with their words."""
+    for path in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            yield int(path.name), (path / "cmdline").read_bytes()
 
 
 def segments(root: Path) -> int:
@@ -115,6 +127,28 @@ def test_finished_runs_of_a_dead_session_are_recorded(simulate: Callable[..., An
     project.open()
     assert project.quick("run", "size=1", "--runs", "8", "--no-figures").returncode == 0
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("words", [("gc", "--yes"), ("run", "size=2", "--no-figures")])
+def test_temporary_files_of_a_killed_worker_are_removed(
+    simulate: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    with tempfile.TemporaryDirectory(prefix="t-", dir="/tmp") as temporary:
+        monkeypatch.setenv("TMPDIR", temporary)
+        project = simulate(f'[ "$SIERRA_SEED" ] && touch "$TMPDIR/left"\n{held(0)}')
+        running = project.start("run", "size=1", "--runs", "2", "-j", "2", "--no-figures")
+        until(lambda: len(list(Path(temporary).glob("sierra-*/*/tmp/left"))) == 2)
+        work = str(project.folder / ".sierra/work")
+        [worker] = [pid for pid, words in processes() if words.startswith(sys.executable.encode()) and work.encode() in words]
+        os.kill(running.pid, signal.SIGSTOP)
+        os.kill(worker, signal.SIGKILL)
+        running.kill()
+        running.communicate()
+        assert list(Path(temporary).glob("sierra-*/*/tmp/left"))
+        project.open()
+        assert project.quick(*words).returncode == 0
+        assert list(Path(temporary).glob("sierra-*")) == []
 
 
 @pytest.mark.integration

@@ -130,6 +130,21 @@ def test_a_wrong_plan_or_job_is_one_line_and_executes_nothing(
     assert not (tmp_path / "work").exists()
 
 
+def test_outputs_that_match_a_pattern_are_compared_by_order(tmp_path: Path) -> None:
+    patterns = {"patterns": ["log_*.csv"], "named": ["log_last.csv"]}
+    batch = execute_runs.Batch(tmp_path, {**BATCH, **patterns})
+    found = {"log_10.csv": "a", "log_11.csv": "b", "log_last.csv": "c", "x.csv": "d"}
+    recorded = {"log_9.csv": "a", "log_10.csv": "b", "log_last.csv": "c", "y.csv": "d"}
+    assert execute_runs.renamed(found, recorded, batch) == {
+        "log_9.csv": "a",
+        "log_10.csv": "b",
+        "log_last.csv": "c",
+        "x.csv": "d",
+    }
+    fewer = {"log_11.csv": "a", "log_last.csv": "c"}
+    assert execute_runs.renamed(fewer, recorded, batch) == {"log_9.csv": "a", "log_last.csv": "c"}
+
+
 def test_what_is_missing_is_named_before_anything_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     needs = [{"name": "argos3", "version": "3.0.0-beta59"}]
     status, printed = said(capsys, made(tmp_path / "x", LINE, needs=needs), tmp_path / "work", "--yes")

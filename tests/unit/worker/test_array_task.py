@@ -8,11 +8,13 @@ import hashlib
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -616,6 +618,18 @@ def test_the_scratch_folder_may_use_variables_of_the_node(folder: Folder, tmp_pa
     (pack,) = [pack for pack in folder.packs() if any(isinstance(event, Ended) for event in pack.read())]
     pack.extract(folder.ended()["run0"], tmp_path / "taken")
     assert (tmp_path / "taken/stdout").read_text().startswith(f"{tmp_path}/down/runs/sierra-5e55-")
+
+
+def test_temporary_files_of_runs_are_in_the_scratch_folder_with_a_short_path(tmp_path: Path) -> None:
+    with tempfile.TemporaryDirectory(prefix="t-", dir="/tmp") as node:
+        folder = Folder(tmp_path / "session", Path(node, "scratch"))
+        one = job("one", 'touch "$TMPDIR/x"; printf %s "$TMPDIR"')
+        folder.deal([replace(one, environment={**one.environment, "TMPDIR": "\0/tmp"})])
+        assert folder.run() == (0, "")
+        folder.packs()[0].extract(folder.ended()["one"], tmp_path / "taken")
+        where = (tmp_path / "taken/stdout").read_text()
+        assert re.fullmatch(re.escape(f"{node}/scratch") + r"/sierra-[0-9a-f]{8}/1/tmp", where)
+        assert list(folder.scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize("scratch", ["{}/scrach/runs", "/scrach"])

@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -152,8 +153,109 @@ def test_a_run_has_its_own_folder_home_and_tmp(execute: Callable[..., dict[str, 
     code += "; print(os.path.isdir(os.environ['HOME']) and os.path.isdir(os.environ['TMPDIR']))"
     end = execute(python(code))
     folder = end["directory"]
-    assert stdout(end).splitlines() == [f"{folder}/output", f"{folder}/home", f"{folder}/tmp", folder, "True"]
+    output, home, temporary, run, exist = stdout(end).splitlines()
+    assert [output, home, run, exist] == [f"{folder}/output", f"{folder}/home", folder, "True"]
+    assert re.fullmatch(re.escape(tempfile.gettempdir()) + r"/sierra-[0-9a-f]{8}/1/tmp", temporary)
+    assert not Path(temporary).parents[1].exists()
     assert sorted(path.name for path in Path(folder).iterdir()) == ["output", "stderr", "stdout"]
+
+
+SOCKET = (
+    "import os, socket, tempfile; socket.socket(socket.AF_UNIX).bind(tempfile.mkdtemp(prefix='pymp-') + '/listener-12345678')"
+)
+
+
+@pytest.mark.parametrize("length", [90, 200])
+def test_sockets_can_be_made_in_tmpdir_however_long_the_path_of_the_project_is(
+    start: Callable[..., Worker], tmp_path: Path, length: int
+) -> None:
+    worker = start(folder=tmp_path / ("x" * (length - len(str(tmp_path)) - 1)))
+    worker.send(python(SOCKET))
+    assert worker.finish() == 0
+    [end] = worker.events("end")
+    assert end["exit_code"] == 0, (Path(end["directory"]) / "stderr").read_text()
+
+
+@pytest.fixture
+def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Yield a folder with a short path that is the system's temporary folder for the workers of a test."""
+    with tempfile.TemporaryDirectory(prefix="t-", dir="/tmp") as folder:
+        monkeypatch.setenv("TMPDIR", folder)
+        yield Path(folder)
+
+
+def test_a_run_leaves_no_temporary_files_and_nobody_else_can_read_them(
+    temporary: Path, execute: Callable[..., dict[str, Any]]
+) -> None:
+    look = 'mkdir "$TMPDIR/a"; echo x > "$TMPDIR/a/b"; chmod 500 "$TMPDIR/a"; dirname "$TMPDIR"; stat -c %a "$TMPDIR/../.."'
+    end = execute(shell(look))
+    place, mode = stdout(end).splitlines()
+    assert (Path(place).parents[1], mode) == (temporary, "700")
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.integration
+def test_temporary_files_count_for_the_limit_of_outputs(temporary: Path, execute: Callable[..., dict[str, Any]]) -> None:
+    end = execute(shell('head -c 300000 /dev/zero > "$TMPDIR/big"; sleep 1000', limits={"output_bytes": 100_000}))
+    assert end["stopped"] == "output"
+
+
+def test_a_tmpdir_that_the_job_names_stays_as_it_is(execute: Callable[..., dict[str, Any]]) -> None:
+    one = shell('echo "$TMPDIR"')
+    one["environment"]["TMPDIR"] = "/var/tmp"
+    assert stdout(execute(one)) == "/var/tmp\n"
+
+
+def test_temporary_files_of_a_killed_worker_are_removed_by_the_next_one(
+    temporary: Path, start: Callable[..., Worker], tmp_path: Path
+) -> None:
+    killed, living = start(), start(folder=tmp_path / "living")
+    killed.send(shell('touch "$TMPDIR/x"; sleep 1000'))
+    living.send(shell('touch "$TMPDIR/x"; until [ -e ../../go ]; do sleep 0.02; done; ls "$TMPDIR"'))
+    until(lambda: len(list(temporary.glob("sierra-*/1/tmp/x"))) == 2)
+    [place] = [mark.parent for mark in temporary.glob("sierra-*/.sierra-runs") if str(killed.folder) in mark.read_text()]
+    strange, linked = temporary / "sierra-00000000", temporary / "sierra-11111111"
+    strange.mkdir()
+    linked.symlink_to(place)
+    killed.process.kill()
+    killed.wait()
+    following = start(folder=tmp_path / "following")
+    following.send(shell("true"))
+    assert following.finish() == 0
+    assert not place.exists()
+    (living.folder / "go").touch()
+    assert living.finish() == 0
+    assert stdout(living.events("end")[0]) == "x\n"
+    assert sorted(temporary.iterdir()) == [strange, linked]
+
+
+def test_runs_use_their_own_folder_if_no_temporary_folder_is_short_and_usable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(worker, "temporary_folders", list)
+    own = worker.Temporary(str(tmp_path))
+    assert own.make(str(tmp_path / "1")) is None
+    own.close()
+
+
+def test_a_full_long_or_unwritable_temporary_folder_is_not_used(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert worker.temporary_folders()[0] == str(temporary)
+    long = tmp_path / ("x" * 50)
+    long.mkdir()
+    for unusable in (str(long), f"{temporary}/none", "relative", ""):
+        monkeypatch.setenv("TMPDIR", unusable)
+        assert unusable not in worker.temporary_folders()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    check = worker.check_room
+    monkeypatch.setattr(worker, "check_room", lambda folder: check("/dev/full" if folder == str(temporary) else folder))
+    monkeypatch.setattr(
+        os,
+        "statvfs",
+        lambda folder, real=os.statvfs: os.statvfs_result([4096] * 4 + [0] * 6) if folder == "/dev/full" else real(folder),
+    )
+    assert str(temporary) not in worker.temporary_folders()
 
 
 def test_arguments_get_the_runs_folder_and_input_files_are_written(
@@ -498,7 +600,7 @@ def test_a_reused_folder_is_clean_for_the_next_run(start: Callable[..., Worker])
     "touch",
     [
         'echo x > "$HOME/left"',
-        'chmod 777 "$TMPDIR"',
+        'chmod 777 "$SIERRA_RUN_DIR/tmp"',
         'echo x >> "$SIERRA_RUN_DIR/in.xml"',
         'ln "$SIERRA_RUN_DIR/in.xml" kept',
         'echo x > "$SIERRA_RUN_DIR/beside"',
@@ -516,7 +618,7 @@ def test_a_folder_with_other_changes_is_not_reused(start: Callable[..., Worker],
     assert [event.get("spare") for event in worker.events("end")] == [None, None]
 
 
-LATE = """cd "$TMPDIR"; env -i setsid sh -c 'sleep 0.5; echo late > ../output/late' > /dev/null 2>&1 & sleep 0.2"""
+LATE = """cd "$HOME"; env -i setsid sh -c 'sleep 0.5; echo late > ../output/late' > /dev/null 2>&1 & sleep 0.2"""
 WITHOUT_CTYPES = (
     "import runpy, sys; sys.modules['ctypes'] = None; del sys.argv[:4]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )

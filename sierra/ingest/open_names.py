@@ -1,0 +1,107 @@
+"""Patterns for files that have another name in each run: with the time, the number of a process, or random letters in it.
+
+Of `log_2026-11-27_10-11-12.csv`, all numbers that differ between runs are left open, with what belongs to them: `log_*.csv`.
+"""
+
+from __future__ import annotations
+
+import glob
+import json
+import re
+from collections.abc import Collection, Iterable
+from itertools import takewhile
+from pathlib import PurePosixPath
+
+from sierra.ingest.match_outputs import table_name
+
+NUMBERS = re.compile(r"([0-9]+(?:[-_.: T]?[0-9]+)*)")
+"""Numbers that belong together, such as a date and a time."""
+YEAR = re.compile(r"(?<![0-9])[0-9]{4,}")
+DATE = re.compile(r"(?<![0-9])20[0-9]{2}([-_.]?)(?:0[1-9]|1[0-2])\1(?:0[1-9]|[12][0-9]|3[01])(?![0-9]{1,3}(?![0-9]))")
+FEWEST = 4
+"""The fewest letters at random that are left open, so that names such as a.csv and b.csv are two names."""
+
+_Parts = tuple[str, ...]
+
+
+def patterns(runs: Iterable[Collection[str]]) -> dict[str, str]:
+    """Return the patterns for files that have another name in each run, by path. `runs`: the files of each run."""
+    sides = [frozenset(names) for names in runs]
+    if len(sides) < 2:
+        return {}
+    everywhere = frozenset.intersection(*sides)
+    found: dict[str, str] = {}
+    shapes: dict[_Parts, list[dict[str, _Parts]]] = {}
+    for place, names in enumerate(sides):
+        for name in names - everywhere:
+            text, numbers = _split(name)
+            shapes.setdefault(text, [{} for _ in sides])[place][name] = numbers
+    for text, of_runs in shapes.items():
+        if all(of_runs):
+            found |= _of_numbers(text, of_runs)
+    if not found and all(len(names - everywhere) == 1 for names in sides):
+        own = [next(iter(names - everywhere)) for names in sides]
+        if pattern := _of_letters(own):
+            found = dict.fromkeys(own, pattern)
+    return found
+
+
+def with_date(path: str) -> str | None:
+    """Return the pattern for a file with a date in its name, as one run alone shows it; None for any other file."""
+    text, numbers = _split(path)
+    dated = [bool(DATE.search(number)) for number in numbers]
+    return _pattern(text, numbers, dated, path) if any(dated) else None
+
+
+def name_of(pattern: str) -> str:
+    """Return a name for the table of a pattern's files."""
+    stem = re.sub(r"[^0-9A-Za-z]*\*[^0-9A-Za-z]*", "_", PurePosixPath(pattern.replace("/", "_")).stem).strip("_")
+    return table_name(stem or "log")
+
+
+def advice(patterns: Iterable[str], name: str | None = None) -> str:
+    """Return the declarations that make one table of the files of each pattern; `name` is that of the only one."""
+    declarations = [f"[outputs.{name or name_of(one)}] file = {json.dumps(one, ensure_ascii=False)}" for one in patterns]
+    names, make = (
+        ("another name", "makes one table of them") if len(declarations) == 1 else ("other names", "make tables of them")
+    )
+    return f"if each run gives its files {names}, {' and '.join(declarations)} {make}"
+
+
+def _split(path: str) -> tuple[_Parts, _Parts]:
+    """Return the parts of a path between numbers, with its suffix, and the numbers."""
+    suffix = PurePosixPath(path).suffix
+    parts = NUMBERS.split(path.removesuffix(suffix))
+    return (*parts[::2], suffix), tuple(parts[1::2])
+
+
+def _of_numbers(text: _Parts, runs: list[dict[str, _Parts]]) -> dict[str, str]:
+    """Return the patterns of files with the same text between numbers, if all runs have other numbers somewhere."""
+    values = [[{numbers[place] for numbers in names.values()} for names in runs] for place in range(len(text) - 2)]
+    differ = [not set.intersection(*of_runs) for of_runs in values]
+    if not any(differ):
+        return {}
+    return {name: _pattern(text, numbers, differ, name) for names in runs for name, numbers in names.items()}
+
+
+def _pattern(text: _Parts, numbers: _Parts, differ: list[bool], path: str) -> str:
+    """Return a path in which numbers that differ are left open: from the year on, if there is one."""
+    found = glob.escape(text[0])
+    for number, is_open, after in zip(numbers, differ, text[1:-1], strict=True):
+        if is_open:
+            year = YEAR.search(number)
+            number = f"{number[: year.start()] if year else ''}*"
+        found += number + glob.escape(after)
+    return found + glob.escape(text[-1])
+
+
+def _of_letters(names: list[str]) -> str | None:
+    """Return the pattern of names that begin and end alike, with the same number of other letters between."""
+    suffixes = {PurePosixPath(name).suffix for name in names}
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    begin = re.sub(r"[0-9A-Za-z]*$", "", "".join(letters[0] for letters in alike))
+    if len(suffixes) > 1 or len(set(map(len, names))) > 1 or not begin:
+        return None
+    [suffix] = suffixes
+    rest = [name.removeprefix(begin).removesuffix(suffix) for name in names]
+    return f"{glob.escape(begin)}*{glob.escape(suffix)}" if min(map(len, rest)) >= FEWEST else None
