@@ -275,8 +275,8 @@ class Way(Protocol):
     def trouble(self) -> str | None:
         """Return why this way cannot be used here, in one line; None if it can. Finds out once."""
 
-    def begin(self, log: str, cwd: str) -> Observation:
-        """Begin to observe a run that starts in the folder `cwd`.
+    def begin(self, log: str, cwd: str, own: Sequence[str] = ()) -> Observation:
+        """Begin to observe a run that starts in the folder `cwd`. Its own folders are that above `cwd`, and `own`.
 
         `log` is a file that is made, outside the run's folder and on the same file system. The caller removes it.
         """
@@ -315,8 +315,8 @@ class Strace:
         found = self._program or shutil.which("strace")
         return os.path.abspath(found) if found else None
 
-    def begin(self, log: str, cwd: str) -> Observation:
-        return Traced(self.program or "strace", os.path.abspath(log), cwd)
+    def begin(self, log: str, cwd: str, own: Sequence[str] = ()) -> Observation:
+        return Traced(self.program or "strace", os.path.abspath(log), cwd, own)
 
 
 @functools.lru_cache(maxsize=None)
@@ -363,8 +363,9 @@ def first_line(said: bytes) -> str:
 class Traced:
     """The observation of one run by strace."""
 
-    def __init__(self, program: str, log: str, cwd: str) -> None:
+    def __init__(self, program: str, log: str, cwd: str, own: Sequence[str] = ()) -> None:
         self._program, self._log, self._cwd = program, log, cwd
+        self._own = [os.path.realpath(folder) for folder in own]
         self._cut = False
         self._started = False
         self._conducted = False
@@ -423,7 +424,8 @@ class Traced:
     def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing, *, living: bool = False) -> Trace:
         if self._unfit is not None:
             return Trace(Strace.name, reasons=("it was not observed: " + self._unfit,))
-        log = self._reader or Log(os.fsencode(os.path.realpath(self._cwd)), conducted=self._conducted)
+        own = map(os.fsencode, self._own)
+        log = self._reader or Log(os.fsencode(os.path.realpath(self._cwd)), own, conducted=self._conducted)
         self._reader = log if living else None
         before = self._offset
         try:
@@ -863,9 +865,13 @@ class Log:
     comes from. That is MADE if the run has made it, or else the name under which it was there before.
     """
 
-    def __init__(self, cwd: bytes, *, conducted: bool = False) -> None:
-        """Begin in the folder `cwd`. `conducted`: what the first process does itself is not the run's doing."""
+    def __init__(self, cwd: bytes, own: Iterable[bytes] = (), *, conducted: bool = False) -> None:
+        """Begin in the folder `cwd`. The run's own folders are that above it, and `own`.
+
+        `conducted`: what the first process does itself is not the run's doing.
+        """
         self._cwd = cwd
+        self._own_folders = tuple(folder + b"/" for folder in (os.path.dirname(cwd), *own))
         self._conducted = conducted
         self._conductor: bytes | None = None
         self._processes: dict[bytes, Process] = {}
@@ -1350,7 +1356,7 @@ class Log:
                 self._made_links.add(real)
 
     def _is_in_own_folder(self, path: bytes) -> bool:
-        return (path + b"/").startswith(os.path.dirname(self._cwd) + b"/")
+        return (path + b"/").startswith(self._own_folders)
 
     def remove(self, call: Call) -> None:
         path = self._path(call, ONE_AT if call.name == b"unlinkat" else ONE)
@@ -1726,7 +1732,7 @@ class Maps:
             return "/proc cannot be read: %s" % error.strerror
         return None
 
-    def begin(self, log: str, cwd: str) -> Observation:
+    def begin(self, log: str, cwd: str, own: Sequence[str] = ()) -> Observation:
         return Mapped(log)
 
 

@@ -1439,7 +1439,8 @@ class Worker:
         began = time.monotonic()
         with self.observing:
             way, self.unusable = file_trace().gentle() if job.get("waits") else self.way(job.get("helps"))
-        observation = way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
+        own = [self.temporary.places[folder]] if folder in self.temporary.places else []
+        observation = way.begin(folder + TRACE, os.path.join(folder, "output"), own) if way else None
         self.account.charge(time.monotonic() - began, sampled="budget" in job)
         return observation
 

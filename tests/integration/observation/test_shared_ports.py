@@ -17,7 +17,7 @@ pytestmark = pytest.mark.integration
 
 SIM = """
 import os, socket, struct, subprocess, sys, threading, time
-mode, seed, name = sys.argv[1:4]
+mode, seed, name = sys.argv[1:3] + [os.path.expandvars(sys.argv[3])]
 family, kind = socket.AF_INET, socket.SOCK_DGRAM if mode in ("udp", "group") else socket.SOCK_STREAM
 address = ("127.0.0.1", int(name)) if name.isdecimal() else name.replace("@", chr(0))
 if isinstance(address, str):
@@ -125,6 +125,10 @@ def test_runs_that_share_another_channel_do_not_count(
     assert good < 3
     assert REASON.format(name.format(port)).split(" is used")[0] in said
     assert "is used by several runs at the same time" in said
+
+
+def test_a_socket_among_the_temporary_files_is_that_of_one_run(execute: Callable[..., tuple[int, str]]) -> None:
+    assert execute("fixed $TMPDIR/world.sock")[0] == 8
 
 
 def test_with_one_job_they_count(execute: Callable[..., tuple[int, str]]) -> None:
