@@ -65,4 +65,4 @@ def _grouped(files: Artifacts, declared: Mapping[str, Output]) -> dict[Key, list
 
 def has_open_names(output: Output) -> bool:
     """Return whether an output's `file` is a pattern, so that its files have names of which nobody knows more."""
-    return bool(output.ticks) or any(character in output.file for character in "*?[")
+    return bool(output.ticks) or output.rotated or any(character in output.file for character in "*?[")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from glob import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +31,8 @@ AFTER = "g"
 """A text that comes after all ids."""
 OF_SESSION = ("SIERRA_SESSION", "SIERRA_EXECUTION")
 """Variables of runs that are different in each execution."""
+OLDER_PART = "[-._]*"
+"""A pattern for the ends of the names of older parts of a rotated file."""
 EFFECTIVE = """
 SELECT * FROM (
     SELECT DISTINCT ON (f.run) f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s
@@ -105,10 +108,11 @@ class Jobs:
     @property
     def patterns(self) -> dict[str, list[str]]:
         """Return the patterns of outputs whose names may differ, and the names that other outputs have."""
-        open_names = [one for one in self._declared.values() if has_open_names(one) and not one.ticks]
-        named = [one.file.removeprefix("./") for one in self._declared.values() if not has_open_names(one)]
-        found = {"patterns": [one.file.removeprefix("./") for one in open_names]}
-        return {**found, "named": named} if open_names else {}
+        declared = self._declared.values()
+        unnumbered = [one for one in declared if has_open_names(one) and not one.ticks]
+        patterns = [f"{escape(one.base)}{OLDER_PART}" if one.rotated else one.base for one in unnumbered]
+        named = [one.base for one in declared if one.rotated or not has_open_names(one)]
+        return {"patterns": patterns, "named": named} if patterns else {}
 
     def write(self, batch: str, path: Path) -> None:
         """Write the line of each successful run of a batch. Raises Damaged if the store lacks an input."""

@@ -16,6 +16,7 @@ DECLARED = {
     "log": Output(file="log_*.csv"),
     "floor": Output(file="floor-{tick}.csv"),
     "last": Output(file="log_last.csv"),
+    "rotated": Output(file="data.csv{rotation}"),
 }
 
 
@@ -31,6 +32,13 @@ def paired(recorded: list[str], found: list[str]) -> tuple[dict[str, str], set[s
 def test_files_of_a_pattern_are_paired_by_order() -> None:
     found = paired(["log_9.csv", "log_10.csv", "log_last.csv", "x.csv"], ["log_10.csv", "log_11.csv", "log_last.csv", "y.csv"])
     assert found[0] == {"log_9.csv": "log_10.csv", "log_10.csv": "log_11.csv", "log_last.csv": "log_last.csv", "y.csv": "y.csv"}
+
+
+def test_older_parts_of_a_rotated_file_are_paired_by_order() -> None:
+    found, unpaired = paired(["data.csv", "data.csv-20240501.gz"], ["data.csv", "data.csv-20240502.gz"])
+    assert (found["data.csv-20240501.gz"], unpaired) == ("data.csv-20240502.gz", set())
+    found, unpaired = paired(["data.csv", "data.csv.1"], ["data.csv", "data.csv.1", "data.csv.2"])
+    assert (found["data.csv.1"], unpaired) == ("data.csv.1", {"data.csv", "data.csv.1", "data.csv.2"})
 
 
 def test_numbers_with_a_name_in_the_pattern_pair_files() -> None:
