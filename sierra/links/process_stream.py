@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import io
 import os
@@ -71,7 +72,7 @@ class ProcessStream:
     def _read(self, timeout: float) -> tuple[int, bytes] | None:
         with contextlib.suppress(ValueError, KeyError):  # another thread has closed it
             while self._open.get_map():
-                ready = self._open.select(timeout)
+                ready = self._select(timeout)
                 if not ready:
                     raise TimeoutError
                 for key, _ in ready:
@@ -80,6 +81,15 @@ class ProcessStream:
                         return key.data, data
                     self._open.unregister(key.fileobj)
         return None
+
+    def _select(self, timeout: float) -> list[tuple[selectors.SelectorKey, int]]:
+        """Return the pipes with output. Raises ValueError if another thread has closed them, also at this moment."""
+        try:
+            return self._open.select(timeout)
+        except OSError as error:
+            if error.errno != errno.EBADF:
+                raise
+            raise ValueError from None
 
     def close(self, *, ended: bool = False) -> None:
         with contextlib.suppress(OSError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -452,4 +453,5 @@ def test_why_reports_duplicate_executions_of_concurrent_sessions_without_locks(
     is_whole(gated.project, executions=16 if twice else 8)
     at_rest(gated.slurm, gated.project)
     if twice:
-        assert "another session executed it" in why(gated)
+        said = why(gated)  # at the same time, or just before: both are true of runs that short
+        assert re.search("another session (had just )?executed it.* without this session's knowledge", said), said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,17 @@ def test_nothing_is_read_from_other_files_if_it_is_closed_meanwhile(tmp_path: Pa
     finally:
         for number in opened:
             os.close(number)
+
+
+def test_closing_it_at_the_moment_of_a_look_ends_the_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = ProcessStream(["cat"], os.environ)
+
+    def closed(timeout: float | None = None) -> Any:
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+    monkeypatch.setattr(stream._open, "select", closed)
+    assert stream.read(10.0) is None
+    stream.close()
 
 
 def test_sending_to_a_closed_stream_is_a_broken_pipe() -> None:
