@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -158,12 +159,19 @@ def test_a_program_that_looks_for_a_free_port_has_one_of_its_own(execute: Callab
 @pytest.fixture
 def outside() -> Iterator[int]:
     """Serve connections at a port, as a program that no run has started."""
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        server.listen(8)
-        threading.Thread(target=lambda: [server.accept() for _ in range(99)], daemon=True).start()
+    with contextlib.ExitStack() as open_until_the_end:
+        server = open_until_the_end.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):  # the end of the test
+                while True:
+                    open_until_the_end.enter_context(server.accept()[0])
+
+        thread = threading.Thread(target=serve)
+        thread.start()
         yield server.getsockname()[1]
         server.shutdown(socket.SHUT_RDWR)
+        thread.join()
 
 
 def test_a_server_that_no_run_has_started_gets_a_note(execute: Callable[..., tuple[int, str]], outside: int) -> None:
