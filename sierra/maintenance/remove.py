@@ -25,6 +25,7 @@ from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
 from sierra.store import study_records
 from sierra.store.compaction import Compaction, groups, touched
+from sierra.store.row_types import OF_EXECUTIONS, OF_JUDGEMENTS
 from sierra.store.schema import RECORDED
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
@@ -349,26 +350,12 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     )
 
 
-OF_EXECUTIONS = (
-    "executions",
-    "artifacts",
-    "findings",
-    "output",
-    "observations",
-    "files_written",
-    "channels",
-    "endings",
-    "robots",
-    "trials",
-)
-
-
 def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
     executions = _column(snapshot, "SELECT execution FROM gone")
     batches = set(named["batch"])
     replays = _column(snapshot, "SELECT replay FROM gone_replays")
     drop: dict[str, dict[str, AbstractSet[str]]] = {
-        **{table: {"execution": executions} for table in OF_EXECUTIONS},
+        **{table: {"execution": executions} for table in (*OF_EXECUTIONS, *OF_JUDGEMENTS)},
         "judgements": {"judgement": executions},
         "reused_executions": {"execution": executions, "session": _column(snapshot, GONE_SESSIONS)},
         **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions", "deliverables")},

@@ -36,6 +36,7 @@ from sierra.maintenance.lost_remarks import Doubtful
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
+from sierra.store.row_types import OF_EXECUTIONS, OF_JUDGEMENTS
 from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, NAME, Segment, manifest
 from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
@@ -46,18 +47,6 @@ from sierra.util.text import counted
 
 log = Log(__name__)
 
-OF_EXECUTIONS = (
-    "executions",
-    "artifacts",
-    "findings",
-    "output",
-    "observations",
-    "files_written",
-    "channels",
-    "endings",
-    "robots",
-    "trials",
-)
 JUDGEMENTS = "SELECT judgement FROM judgements WHERE list_contains($e, execution)"
 
 
@@ -91,7 +80,7 @@ class _Loss:
     def drop(self) -> Drop:
         drop: dict[str, dict[str, AbstractSet[str]]] = {}
         if self.executions:
-            drop |= {table: {"execution": self.executions} for table in OF_EXECUTIONS}
+            drop |= {table: {"execution": self.executions} for table in (*OF_EXECUTIONS, *OF_JUDGEMENTS)}
             drop["judgements"] = {"judgement": self.executions}
         if self.executions or self.replays:
             drop["verdicts"] = {"recorded": self.executions, "execution": self.executions, "replay": self.replays}

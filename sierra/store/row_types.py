@@ -879,3 +879,8 @@ ROWS: dict[str, type[NamedTuple]] = {
 
 TABLES = {row: name for name, row in ROWS.items()}
 """The table of each class of rows."""
+
+OF_EXECUTIONS = ("executions", "observations", "files_written", "channels", "endings", "robots", "trials")
+"""Tables whose rows belong to the execution in the column of this name, without judgements and duplicates."""
+OF_JUDGEMENTS = ("artifacts", "findings", "output")
+"""Tables whose rows belong to a judgement, in the column `execution`. `output` stands for all outputs."""

@@ -35,27 +35,15 @@ from sierra.packages.reading.received import records
 from sierra.store.compaction import Compaction, groups
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of, stamp
-from sierra.store.row_types import ImportedSessionRow, ImportRow
+from sierra.store.row_types import OF_EXECUTIONS, OF_JUDGEMENTS, ImportedSessionRow, ImportRow
 from sierra.store.segments import OUTPUT, Segment, listed
 from sierra.store.store import Snapshot, Store
 from sierra.store.views import ONCE
 from sierra.util.hashing import short
 
 Drop = dict[str, dict[str, AbstractSet[str]]]
-OF_EXECUTIONS = (
-    "executions",
-    "judgements",
-    "duplicates",
-    "observations",
-    "files_written",
-    "channels",
-    "endings",
-    "robots",
-    "trials",
-)
+BY_EXECUTION = (*OF_EXECUTIONS, "judgements", "duplicates")
 """Tables whose rows belong to the execution in the column of this name."""
-OF_JUDGEMENTS = ("artifacts", "findings", "output")
-"""Tables whose rows belong to a judgement, in the column `execution`. `output` stands for all outputs."""
 OF_SESSIONS = ("sessions", "attempts", "builds", "build_products", "stale_sessions", "reused_executions", "unused_changes")
 """Tables whose rows belong to the session in the column of this name."""
 BY_ID = {
@@ -63,7 +51,7 @@ BY_ID = {
     "batch_runs": "batch",
 }
 """Tables whose records are not added if the store has one with the same id, in this column."""
-IMPORTED = frozenset((*OF_EXECUTIONS, *OF_JUDGEMENTS, *OF_SESSIONS, *BY_ID))
+IMPORTED = frozenset((*BY_EXECUTION, *OF_JUDGEMENTS, *OF_SESSIONS, *BY_ID))
 """The tables that are imported."""
 LAST_NUMBER = HIGHEST // 2
 """The largest Lamport number that is imported. A larger one would leave too few for later sessions of this store."""
@@ -211,7 +199,7 @@ def _drop(own: Snapshot, theirs: Snapshot, executions: AbstractSet[str], session
         if name in BY_ID:
             key = BY_ID[name]
             drop[name] = {key: _values(own, name, key)}
-        elif name in OF_EXECUTIONS:
+        elif name in BY_EXECUTION:
             drop[name] = {"execution": _values(theirs, name, "execution") - executions}
         elif name in OF_JUDGEMENTS:
             drop[name] = {"execution": _values(theirs, name, "execution") - judged}
