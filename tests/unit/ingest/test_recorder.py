@@ -718,29 +718,23 @@ TEXTS: list[tuple[str, str | None]] = [
 HALF = (len(TEXTS) + 1) // 2
 
 
-@pytest.fixture(scope="module")
-def notes_on_texts(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The notes on two batches whose runs write all `TEXTS`, as out0.csv, out1.csv and so on."""
-    found = []
+@pytest.mark.integration
+def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The runs of two batches write all `TEXTS`, as out0.csv, out1.csv and so on."""
+    notes = []
     for first in (0, HALF):  # a run has at most 20 tables that are not declared
         content = [content for content, _ in TEXTS[first : first + HALF]]
         lines = f"for place, content in enumerate({content!r}, {first}):\n    write(content, f'out{{place}}.csv')"
         with pytest.MonkeyPatch.context() as patch:
-            notes = all_notes(patch)
+            noted = all_notes(patch)
             assert not run(written(tmp_path_factory.mktemp("texts"), lines), runs=2).failed
-            found += notes()
-    return found
-
-
-@pytest.mark.parametrize("place", range(len(TEXTS)))
-def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(notes_on_texts: list[str], place: int) -> None:
-    said = TEXTS[place][1]
-    found = [
-        note.replace(f"output 'out{place}'", "output 'out'").replace(f"[outputs.out{place}]", "[outputs.out]")
-        for note in notes_on_texts
-        if f"output 'out{place}'" in note
-    ]
-    assert [note[: len(said or "")] for note in found] == [said] * (said is not None)
+            notes += noted()
+    found = {}
+    for place, (_, said) in enumerate(TEXTS):
+        of_place = [note for note in notes if f"output 'out{place}'" in note]
+        names = ((f"output 'out{place}'", "output 'out'"), (f"[outputs.out{place}]", "[outputs.out]"))
+        found[place] = [note.replace(*names[0]).replace(*names[1])[: len(said or "")] for note in of_place]
+    assert found == {place: [said] * (said is not None) for place, (_, said) in enumerate(TEXTS)}
 
 
 @pytest.mark.integration
