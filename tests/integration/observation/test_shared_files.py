@@ -106,7 +106,9 @@ def test_an_output_that_has_another_name_outside_is_the_runs_own(execute: Callab
 
 
 def test_two_runs_at_once_are_compared_although_only_one_was_observed(execute: Callable[..., tuple[int, str]]) -> None:
-    counted, said = execute(f"{WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv", query="population_size=1", runs=2)
+    both = "mkdir -p $D/both; touch $D/both/$1; until [ $(ls $D/both | wc -l) = 2 ]; do sleep 0.01; done"
+    script = f"{both}; {WRITE.format('$D/out.csv')}; cp $D/out.csv swarm.csv"
+    counted, said = execute(script, query="population_size=1", runs=2)
     assert (counted, "is executed again and observed" in said) == (1, True), said
 
 
