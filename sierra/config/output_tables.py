@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Annotated, Literal
 
@@ -34,7 +34,7 @@ PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 ROTATION = "{rotation}"
 """The end of a name that stands for the parts of a rotated file."""
 PART = re.compile(r"(?:[.]([0-9]{1,6})|[-._]([0-9]{4}-?[0-9]{2}-?[0-9]{2}(?:[-_T]?[0-9]{2}){0,3}))?(?:[.](?:gz|zst))?")
-"""What follows the name of a file in the names of its older parts: `.1`, `.2.gz`, `-20240501.gz`, `.2024-05-01_13`."""
+"""The ends of the names of the older parts of a file: `.1`, `.2.gz`, `-20240501.gz`, `.2024-05-01_13`."""
 _OLDER = re.compile(f"(.+?){PART.pattern}")
 ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
@@ -244,7 +244,7 @@ class Output(Table):
     @property
     def unused_later_keys(self) -> frozenset[str]:
         """Return the keys of `LATER_KEYS` that have their default; hashes of rules do not contain them, and stay the same."""
-        return frozenset(key for key in LATER_KEYS if getattr(self, key) == type(self).model_fields[key].default)
+        return _unused(self, LATER_KEYS)
 
     @property
     def rotated(self) -> bool:
@@ -297,6 +297,10 @@ def _check_topics(topics: tuple[str, ...], ros: str, ticks: tuple[str, ...]) -> 
         raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(taken)}")
     if ros not in ("", *ROS_VERSIONS):
         raise ValueError(f"ros: unknown version {ros!r}; known are {', '.join(ROS_VERSIONS)}")
+
+
+def _unused(table: Table, keys: Iterable[str]) -> frozenset[str]:
+    return frozenset(key for key in keys if getattr(table, key) == type(table).model_fields[key].default)
 
 
 NEWEST = (2, 0, "")
@@ -375,7 +379,7 @@ class Success(Table):
     @property
     def unused_later_keys(self) -> frozenset[str]:
         """Return the later keys that have their default; hashes of rules do not contain them, and stay the same."""
-        return frozenset(key for key in ("stderr", "leftovers") if getattr(self, key) == type(self).model_fields[key].default)
+        return _unused(self, ("stderr", "leftovers"))
 
 
 class Equivalence(Table):

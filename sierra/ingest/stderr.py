@@ -26,7 +26,7 @@ LONGEST_MESSAGE = 5
 """The number of lines that may follow the first line of an exception's message."""
 
 ESCAPES = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[@-Z\\-_])")
-"""What steers a terminal, such as colours and titles (ECMA-48)."""
+"""Sequences that steer a terminal, such as those for colours and titles (ECMA-48)."""
 OF_CONDUCTOR = re.compile(r"== (?:before|after): |\[(?!info\]|warn|debug|error|fatal|crit|trace)[a-z][\w.-]*\] ")
 """Lines of services, and those before the output of other commands (see `sierra.worker.conductor`)."""
 OF_ROBOT = re.compile(r"==> .* <==")

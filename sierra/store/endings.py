@@ -58,13 +58,7 @@ def of_batch(store: Store, batch: str) -> list[str]:
 
 def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
     """Yield the notes on the ends of a batch's runs, one line each."""
-    if not snapshot.holds("endings"):
-        return
-    snapshot.views.make(TABLES)
-    affected = {row.kind: row for row in snapshot.select(_Remark, AFFECTED, b=batch)}
-    texts: dict[str, list[_Remark]] = {}
-    for row in snapshot.select(_Remark, REMARKS, b=batch):
-        texts.setdefault(row.kind, []).append(row)
+    affected, texts = _remarks(snapshot, batch)
     if left := affected.get(Kind.LEFT_RUNNING):
         cure = 'let the command wait for them; leftovers = "fail" in [success] makes such runs fail'
         yield f"{_left_running(left, texts)} ({cure})"
@@ -75,12 +69,20 @@ def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
 def left_running(store: Store, batch: str) -> str:
     """Return that processes were ended that still ran when the command of a batch's runs had ended; "" if none were."""
     with store.snapshot() as snapshot:
-        if not snapshot.holds("endings"):
-            return ""
-        snapshot.views.make(TABLES)
-        affected = [row for row in snapshot.select(_Remark, AFFECTED, b=batch) if row.kind == Kind.LEFT_RUNNING]
-        rows = [row for row in snapshot.select(_Remark, REMARKS, b=batch) if row.kind == Kind.LEFT_RUNNING]
-        return _left_running(affected[0], {Kind.LEFT_RUNNING: rows}) if affected else ""
+        affected, texts = _remarks(snapshot, batch)
+    left = affected.get(Kind.LEFT_RUNNING)
+    return _left_running(left, texts) if left else ""
+
+
+def _remarks(snapshot: Snapshot, batch: str) -> tuple[dict[str, _Remark], dict[str, list[_Remark]]]:
+    """Return, by kind, how many runs of a batch have a remark, and the texts of the remarks."""
+    if not snapshot.holds("endings"):
+        return {}, {}
+    snapshot.views.make(TABLES)
+    texts: dict[str, list[_Remark]] = {}
+    for row in snapshot.select(_Remark, REMARKS, b=batch):
+        texts.setdefault(row.kind, []).append(row)
+    return {row.kind: row for row in snapshot.select(_Remark, AFFECTED, b=batch)}, texts
 
 
 def _left_running(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:

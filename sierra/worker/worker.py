@@ -619,7 +619,7 @@ class Running:
     def note_left(self) -> None:
         """Note the processes that still run although the run's program has ended by itself."""
         if self.stopped is None and not self.client and not self.conducted and self.orphans():
-            self.left = conducting().still_running(lambda: (pid for pid in self.orphans() if is_alive(pid)))
+            self.left = conducting().still_running(lambda: filter(conducting().is_alive, self.orphans()))
 
     def is_tracer(self, pid: int) -> bool:
         return self.observation is not None and self.observation.is_tracer(pid)
@@ -1353,9 +1353,8 @@ class Worker:
         if plan.get("observed"):
             with self.observing:
                 way, unusable = self.way(job.get("helps"))
-            folder = self.next_folder("services-")
             try:
-                services = SharedServices(self.with_temporary(job, folder), plan, folder, way, unusable)
+                services = self.new_services(job, plan, way, unusable)
             except (OSError, ValueError) as error:  # perhaps the tracer is gone
                 disturbed: str | None = "they could not be started by the tracer: " + explain(error)
             else:
@@ -1364,10 +1363,15 @@ class Worker:
                 if not disturbed or self.stopping:
                     return services
                 services.end(skip_grace=lambda: self.without_grace)
-            folder = self.next_folder("services-")
-            return SharedServices(self.with_temporary(job, folder), plan, folder, None, ("%s: %s" % (UNOBSERVED, disturbed),))
+            return self.new_services(job, plan, None, ("%s: %s" % (UNOBSERVED, disturbed),))
+        return self.new_services(job, plan)
+
+    def new_services(
+        self, job: Job, plan: Mapping[str, object], way: Way | None = None, reasons: Sequence[str] = (UNOBSERVED,)
+    ) -> SharedServices:
+        """Start services in a new folder. Raises OSError and ValueError if they cannot be started."""
         folder = self.next_folder("services-")
-        return SharedServices(self.with_temporary(job, folder), plan, folder)
+        return SharedServices(self.with_temporary(job, folder), plan, folder, way, reasons)
 
     def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
@@ -2616,11 +2620,6 @@ def orphans() -> list[int]:
 def group_of(pid: int) -> int | None:
     fields = stat_of(pid)
     return int(fields[2]) if fields else None
-
-
-def is_alive(pid: int) -> bool:
-    """Return whether there is a process, and it is not a zombie."""
-    return stat_of(pid)[:1] not in ([], [b"Z"], [b"X"])
 
 
 def is_alive_in(pid: int, group: int) -> bool:
