@@ -44,15 +44,18 @@ def keep_order(connection: DuckDBPyConnection) -> None:
 class Connection:
     """A cursor on a DuckDB database that may read only some folders; used by one snapshot at a time."""
 
-    def __init__(self, *folders: Path, memory: int | None = None) -> None:
-        """`memory`: let a process with this limit, in bytes, execute the statements (see `sierra.store.statement_process`)."""
+    def __init__(self, *folders: Path, memory: int | None = None, attached: str = "") -> None:
+        """`memory`: let a process with this limit, in bytes, execute the statements (see `sierra.store.statement_process`).
+
+        `attached`: the statement that attaches an index (see `sierra.store.index_reader`). Raises duckdb.Error if it fails.
+        """
         self._folders = tuple(steady(f"{folder}/") for folder in folders)
-        self._key = (memory, *self._folders)
+        self._key = (memory, attached, *self._folders)
         kept = _idle.pop(os.getpid(), None)
         if kept is not None and kept[0] != self._key:
             kept[1].close()
             kept = None
-        self._database = _locked(self._folders, memory) if kept is None else kept[1]
+        self._database = _locked(self._folders, memory, attached) if kept is None else kept[1]
         self._settings: list[str] = []
         self.cursor = self._database.cursor()
 
@@ -124,8 +127,10 @@ _idle: dict[int, tuple[tuple[int | str | None, ...], DuckDBPyConnection]] = {}
 A forked process does not inherit DuckDB's threads."""
 
 
-def _locked(folders: tuple[str, ...], memory: int | None) -> DuckDBPyConnection:
+def _locked(folders: tuple[str, ...], memory: int | None, attached: str) -> DuckDBPyConnection:
     database = connect(memory)
+    if attached:
+        database.execute(attached)
     database.execute("SET allowed_directories = $folders", {"folders": list(folders)})
     database.execute("SET enable_external_access = false")
     return database

@@ -13,6 +13,7 @@ PROJECT/.sierra/files               hashes of the project's files outside git; r
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/id                  the store's id; see sierra.store.ownership_marks
 PROJECT/.sierra/segments/<segment>/ records; see sierra.store.segments
+PROJECT/.sierra/index/              the records of many segments in one file; rebuilt if missing; see sierra.store.index_files
 PROJECT/.sierra/work/<session>/     the work of a session; removed once it is recorded
     lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/  elsewhere
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/; or in the folder that
@@ -113,6 +114,8 @@ class StorePaths:
     gitignore = _Below(".gitignore")
     cachedir_tag = _Below("CACHEDIR.TAG")
     segments = _Below("segments")
+    index = _Below("index")
+    """The folder of indexes, each with the records of many segments; all of it can be built again."""
     work = _Below(WORK)
     files = _Below("files")
     """The cache of hashes of the project's files outside git, which avoids reading all of them again; may be deleted."""

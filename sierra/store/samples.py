@@ -201,7 +201,7 @@ class Frame:
     def _output_files(self) -> dict[str, list[str]]:
         """Return the files of each output, from the segments that hold an effective execution."""
         batches = {row[0][:12] for row in self._snapshot.run("SELECT DISTINCT batch FROM membership")}
-        segments = [segment for segment in self._snapshot.segments if segment.batch in batches]
+        segments = self._snapshot.listing.of_batches(batches)
         files: dict[str, list[str]] = {}
         for segment in recording(self._snapshot.run, segments, MEMBERS):
             for name, path in segment.outputs():

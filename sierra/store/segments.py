@@ -37,6 +37,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -147,12 +148,22 @@ def listed(folder: Path) -> list[Segment]:
 
     The Parquet files are verified when they are read, see `sierra.store.duckdb_file_io`.
     """
-    found = list(on_disk(folder))
+    found = marked(folder, names_in(folder))
+    hidden = out_of_date(found)
+    return sound([segment for segment in found if segment.name not in hidden], folder)
+
+
+def marked(folder: Path, names: Iterable[str]) -> list[Segment]:
+    """Return existing segments with these names, ignored or not. Raises Damaged if a damaged file may hide one."""
+    found = list(_existing(folder, names))
     if not found and not folder.is_dir():
         raise DamagedFile(lost(str(folder)))
     verify(mark for segment in found for mark in segment.marks if not mark.endswith(f"/{OUTPUTS}"))
-    hidden = out_of_date(found)
-    current = [segment for segment in found if segment.name not in hidden]
+    return found
+
+
+def sound(current: list[Segment], folder: Path) -> list[Segment]:
+    """Return segments; those that have lost OUTPUTS are read without it."""
     if all(OUTPUTS not in segment.missing for segment in current) and are_sound(_lists(current)):
         return current
     return [segment if _names_its_tables(segment) else _renamed(segment, folder / segment.name) for segment in current]
@@ -192,9 +203,12 @@ def named_by_themselves(folder: Path, files: Iterable[str]) -> dict[str, str]:
     return named(paths, tables)
 
 
-def out_of_date(segments: Sequence[Segment]) -> set[str]:
-    """Return the names of ignored segments: replaced, or waiting for a segment that does not exist."""
-    names = {segment.name for segment in segments}
+def out_of_date(segments: Sequence[Segment], others: AbstractSet[str] = frozenset()) -> set[str]:
+    """Return the names of ignored segments: replaced, or waiting for a segment that does not exist.
+
+    `others`: the names of further existing segments, without REPLACES and AFTER.
+    """
+    names = {segment.name for segment in segments} | others
     waiting = {segment.name for segment in segments if segment.after is not None and segment.after not in names}
     replaced = {name for segment in segments if segment.name not in waiting for name in segment.replaces}
     return waiting | (replaced & names)
@@ -205,12 +219,20 @@ def on_disk(folder: Path) -> Iterator[Segment]:
 
     One whose folder cannot be read, such as a link to a folder that does not exist, has lost its MANIFEST.
     """
+    return _existing(folder, names_in(folder))
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the sorted names of the entries that may be segments. Raises OSError for a lack of something."""
     try:
-        names = sorted(entry.name for entry in os.scandir(folder) if _may_be_segment(entry))
+        return sorted(entry.name for entry in os.scandir(folder) if _may_be_segment(entry))
     except OSError as error:
         if lacking(error) is not None:
             raise
-        return
+        return []
+
+
+def _existing(folder: Path, names: Iterable[str]) -> Iterator[Segment]:
     for name in names:
         path = f"{folder}/{name}"
         try:

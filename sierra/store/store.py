@@ -17,21 +17,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SqlError
+from sierra.store import index_files
 from sierra.store.connections import Connection, Rows
 from sierra.store.derived_tables import DerivedTables, Rules
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import check_shortage, explain
+from sierra.store.index_files import IndexFile
+from sierra.store.index_reader import Index, attach, facts_of
 from sierra.store.layout import StorePaths
+from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
-from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, is_whole, listed, on_disk
+from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, on_disk
 from sierra.store.sql_names import identifier, stored_names, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes, checked, kinds
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
-from sierra.store.views import Views, outputs, tables_of
+from sierra.store.views import Views, tables_of
 from sierra.util.fs import is_gone, write_whole
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
@@ -97,6 +101,7 @@ class Store:
         """Called with each snapshot that is opened, by whoever may have to interrupt its statements."""
         self._beneath: Path | None = None
         """The folder of another store's segments, which are read too."""
+        self._indexed = True
         self._replays: tuple[str, ...] = ()
         try:
             with open_regular(self.paths.format) as file:
@@ -134,13 +139,13 @@ class Store:
         """Return all segments that are not ignored."""
         shared = Shared(self.paths.reading)
         try:
-            return self._listed()
+            return Listing(self._folders).segments
         finally:
             shared.close()
 
-    def _listed(self) -> list[Segment]:
-        folders = [folder for folder in (self._beneath, self.paths.segments) if folder is not None]
-        return [segment for folder in folders for segment in listed(folder) if is_whole(segment, folder)]
+    @property
+    def _folders(self) -> list[Path]:
+        return [folder for folder in (self._beneath, self.paths.segments) if folder is not None]
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """Return a writer for a segment in `folder`, which must be in this store's file system."""
@@ -167,6 +172,12 @@ class Store:
         """Return this store, for which a process with a limit on its memory executes statements that are not SIERRA's own."""
         other = copy.copy(self)
         other._confined = True
+        return other
+
+    def unindexed(self) -> Store:
+        """Return this store, to be read without an index: for whoever checks or changes the segments themselves."""
+        other = copy.copy(self)
+        other._indexed = False
         return other
 
     @contextlib.contextmanager
@@ -205,12 +216,14 @@ class Store:
         """
         shared = Shared(self.paths.reading)
         try:
+            memory = self.memory if theirs else None
+            usable = self._indexed and self._beneath is None and not self._replays and memory is None
             made = Snapshot(
-                *(self.paths.root, self._listed(), within, shared),
-                beneath=self._beneath,
+                *(self.paths, self._folders, within, shared),
                 rules=self.rules,
                 replays=self._replays,
-                memory=self.memory if theirs else None,
+                memory=memory,
+                indexed=usable,
             )
             self.opened(made)
             made.set_up(self.settings)
@@ -241,7 +254,8 @@ class Store:
 
     def outputs(self) -> list[str]:
         """Return the names of all tables that runs wrote."""
-        return outputs(self.segments())
+        with self.snapshot() as snapshot:
+            return snapshot.views.outputs
 
     def resolve(self, prefix: str) -> Found:
         """Return the object whose id begins with `prefix` (at least 4 digits); for a study, the batch of its last look.
@@ -333,29 +347,61 @@ class Snapshot:
 
     def __init__(
         self,
-        root: Path,
-        segments: Sequence[Segment],
+        paths: StorePaths,
+        folders: Sequence[Path],
         within: str | None = None,
         shared: Shared | None = None,
         *,
-        beneath: Path | None = None,
         rules: Callable[[], Rules] = Rules,
         replays: Sequence[str] = (),
         memory: int | None = None,
+        indexed: bool = False,
     ) -> None:
-        """`shared`: the lock that protects these segments from removal until the snapshot is closed.
+        """`folders`: those of segments; all but the last belong to other stores.
 
-        `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables. `replays`: those
-        that count, see `Store.replayed`. `memory`: see `Store.memory`.
+        `shared`: the lock that protects these segments from removal until the snapshot is closed. `rules` returns the derived
+        tables. `replays`: those that count, see `Store.replayed`. `memory`: see `Store.memory`. `indexed`: use an index, if
+        there is one.
         """
+        self._paths = paths
         self._shared = shared
-        self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []), memory=memory)
         self._reading: Rows | None = None
         self._settled = False
-        self.segments = segments
-        self.views = Views(lambda: self.connection, segments, within, replays)
-        self.derived = DerivedTables(lambda: self.connection, self.views, rules, outputs(segments))
-        self._root = root
+        self._open = partial(self._opened_with, folders, within, replays, rules, memory)
+        self._open(index_files.best(paths) if indexed else None)
+
+    def _opened_with(
+        self,
+        folders: Sequence[Path],
+        within: str | None,
+        replays: Sequence[str],
+        rules: Callable[[], Rules],
+        memory: int | None,
+        file: IndexFile | None,
+    ) -> None:
+        """Open a connection with an index, or without one; also without one that cannot be used."""
+        import duckdb
+
+        self._index: Index | None = None
+        facts = None
+        if file is not None:
+            try:
+                self._opened = Connection(*reversed(folders), attached=attach(file))
+                facts = facts_of(file, lambda statement: self._opened.cursor.execute(statement).fetchall())
+            except duckdb.Error:
+                index_files.remove(file.path)
+        if facts is None:
+            self._opened = Connection(*reversed(folders), memory=memory)
+        self.listing = Listing(folders, facts)
+        if self.listing.facts is not None:
+            self._index = Index(self.run, self.listing, self.listing.facts)
+        self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
+        self.derived = DerivedTables(lambda: self.connection, self.views, rules, self.views.outputs)
+
+    @property
+    def segments(self) -> Sequence[Segment]:
+        """All segments that are not ignored. With an index, each of them is looked at only now."""
+        return self.listing.segments
 
     @property
     def connection(self) -> duckdb.DuckDBPyConnection:
@@ -435,6 +481,8 @@ class Snapshot:
         with self.errors():
             read = self._only_reads(text, parameters)
             tables = tables_of(text)
+            if theirs and tables is None and self._index is not None:  # it may list all tables, also those of the index
+                self._leave_index()
             self.views.make(tables)
             notes = self._derive(read, tables) if theirs else []
             try:
@@ -450,6 +498,13 @@ class Snapshot:
                 told = [*told, *self._units(tables or ())]
             return convert(Answer(answer, "; ".join(told)))
 
+    def _leave_index(self) -> None:
+        """Go on with a new connection, without the index."""
+        settings = self.derived.settings
+        self._opened.close()
+        self._open(None)
+        self.set_up(settings)
+
     def durations(self, output: str, executions: str = "SELECT judgement FROM all_judgements") -> list[str]:
         """Return the columns of an output that have durations, in nanoseconds; `executions` is a query for those that count."""
         layouts = self.values(str, DURATIONS.format(executions=executions), output=output)
@@ -459,7 +514,7 @@ class Snapshot:
 
     def _units(self, tables: Iterable[str]) -> Iterator[str]:
         """Yield a note for each of these tables that has columns of durations."""
-        for table in sorted(set(tables) & {name.lower() for segment in self.segments for name, _ in segment.outputs()}):
+        for table in sorted(set(tables) & {name.lower() for name in self.views.outputs}):
             if columns := self.durations(table):
                 yield f"durations of {table} are in ns: {', '.join(map(repr, columns))}"
 
@@ -476,7 +531,7 @@ class Snapshot:
         try:
             yield
         except duckdb.Error as error:
-            of_files = f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException)
+            of_files = f"{self._paths.segments}/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException)
             if of_files or isinstance(error, duckdb.IOException) or type(error) is duckdb.Error:
                 check_shortage(error)
             if of_files:
@@ -521,7 +576,8 @@ class Snapshot:
 
         The table `experiments` can differ: there a column has one type for all batches.
         """
-        files = [s.files["experiments"] for s in self.segments if s.batch == batch[:12] and "experiments" in s.files]
+        own = self.listing.of_batches([batch[:12]])
+        files = [segment.files["experiments"] for segment in own if "experiments" in segment.files]
         if not files:
             return {}
         rows = self.connection.sql(
@@ -533,7 +589,7 @@ class Snapshot:
 
     def holds(self, table: str) -> bool:
         """Check whether the store has any record of a table; much faster than a query."""
-        return any(table in segment.files for segment in self.segments)
+        return self.views.holds(table)
 
     def add_table(self, name: str, **columns: Iterable[str | int | float | None]) -> None:
         """Make a temporary table on this connection from columns of texts, of whole numbers or of fractions."""

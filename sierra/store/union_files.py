@@ -14,8 +14,9 @@ DuckDB's own union would turn all numbers into texts, true into 1, whole numbers
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
 from sierra.store.sql_names import column_names, identifier
@@ -40,6 +41,21 @@ from sierra.store.verified_files import verify
 
 Fetch = Callable[[str], list[RawRow]]
 """A function that executes a statement and returns its rows."""
+
+
+class Held(NamedTuple):
+    """Rows that are not in a file of their own: those of several segments in an index, with the same columns."""
+
+    sql: str
+    """The expression to put after FROM."""
+    columns: Mapping[str, str]
+    """The types of the columns."""
+    first: str
+    """The name of the first segment, for the position among files."""
+
+
+Source = str | Held
+"""The path of a file, or rows of an index."""
 PLACES = ("filename", "file_row_number")
 """Columns that identify a row's origin; they come after all other columns."""
 TEXT = "_text"
@@ -62,19 +78,27 @@ class Relation:
     """The columns of whole numbers in which nan of some files is missing."""
 
 
-def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: bool = False) -> Relation:
+def relation(
+    fetch: Fetch,
+    files: Sequence[Source],
+    where: str = "true",
+    *,
+    rows: bool = False,
+    known: Mapping[str, Mapping[str, str]] | None = None,
+) -> Relation:
     """Return the rows of these files. Rows that do not meet the condition `where` do not influence the types.
 
-    `rows`: include the columns of `PLACES`. Raises Damaged if one of the files is not the recorded one.
+    `rows`: include the columns of `PLACES`; then all rows must be in files. `known`: the types of the columns of some files.
+    Raises Damaged if one of the files is not the recorded one.
     """
-    verify(files)
-    described = _described(fetch, files)
+    verify(file for file in files if isinstance(file, str))
+    described = _described(fetch, files, known or {})
     names = _names(described)
     types = _by_type(described)
     first = {own: next(iter(types[name])) for name, own in names.items()}
     several = [name for name in names if len(types[name]) > 1 or EXACT_TEXT in types[name]]
     if not several:
-        source = read_parquet(files, union=len(described) > 1, rows=rows, check=False)
+        source = _rows(files, union=len(described) > 1, rows=rows)
         return Relation(source, first, spellings=_spellings(described))
     called = column_names([names[name] + TEXT for name in several], taken=names.values())
     mixed = {name: _mixed(fetch, names[name], beside, types[name], where) for name, beside in zip(several, called, strict=True)}
@@ -96,7 +120,15 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
     )
 
 
-Described = Sequence[tuple[Sequence[str], Mapping[str, str]]]
+def _rows(sources: Sequence[Source], *, union: bool = True, rows: bool = False) -> str:
+    """Return the relation of the rows of files and of an index."""
+    files = [source for source in sources if isinstance(source, str)]
+    parts = [read_parquet(files, union=union, rows=rows, check=False)] if files else []
+    parts += [source.sql for source in sources if isinstance(source, Held)]
+    return parts[0] if len(parts) == 1 else f"({' UNION ALL BY NAME '.join(f'SELECT * FROM {part}' for part in parts)})"
+
+
+Described = Sequence[tuple[Sequence[Source], Mapping[str, str]]]
 """Groups of files that have the same columns, each with the types of these columns."""
 
 
@@ -118,49 +150,59 @@ def _spellings(described: Described) -> dict[str, list[str]]:
     return {next(iter(names)): list(names) for names in found.values() if len(names) > 1}
 
 
-def _by_type(described: Described) -> dict[str, dict[str, list[str]]]:
+def _by_type(described: Described) -> dict[str, dict[str, list[Source]]]:
     """Return the files by column (in lower case) and type."""
-    found: dict[str, dict[str, list[str]]] = {}
+    found: dict[str, dict[str, list[Source]]] = {}
     for files, columns in described:
         for name, kind in columns.items():
             found.setdefault(name.lower(), {}).setdefault(kind, []).extend(files)
     return found
 
 
-def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[str]]:
+def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[Source]]:
     """Return the files by the types that they have in these columns."""
-    found: dict[tuple[str | None, ...], list[str]] = {}
+    found: dict[tuple[str | None, ...], list[Source]] = {}
     for files, columns in described:
         theirs = {name.lower(): kind for name, kind in columns.items()}
         found.setdefault(tuple(map(theirs.get, several)), []).extend(files)
     return found
 
 
-def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[str], *, rows: bool) -> str:
+def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[Source], *, rows: bool) -> str:
     """Return the query for the rows of files that have types `kinds` in the columns `mixed`."""
     those = [(one, kind) for one, kind in zip(mixed, kinds, strict=True) if kind is not None]
     cells = ", ".join(f"{one.cell(kind)} AS {identifier(one.name)}" for one, kind in those)
     texts = "".join(f", {text} AS {identifier(one.beside)}" for one, kind in those if (text := one.text(kind)))
-    scan = read_parquet(files, union=True, rows=rows, check=False)
+    scan = _rows(files, rows=rows)
     return f"SELECT *{f' REPLACE ({cells})' if cells else ''}{texts} FROM {scan}"
 
 
-def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict[str, str]]]:
+def _described(
+    fetch: Fetch, files: Sequence[Source], known: Mapping[str, Mapping[str, str]]
+) -> list[tuple[list[Source], dict[str, str]]]:
     """Return the files grouped by equal columns, with the columns' types, in the order of the files."""
-    groups = [list(files)]
+    unknown = [file for file in files if isinstance(file, str) and file not in known]
+    columns = {file: theirs for some, theirs in read_columns(fetch, unknown) for file in some}
+    groups: dict[tuple[tuple[str, str], ...], list[Source]] = {}
+    for source in files:
+        theirs = source.columns if isinstance(source, Held) else known.get(source) or columns[source]
+        groups.setdefault(tuple(theirs.items()), []).append(source)
+    return [(some, _with_texts(dict(theirs))) for theirs, some in groups.items()]
+
+
+def read_columns(fetch: Fetch, files: Sequence[str]) -> Iterator[tuple[list[str], dict[str, str]]]:
+    """Yield the files with equal columns, and the types of these columns, from the footers of the files."""
+    groups = [list(files)] if files else []
     if len(files) > 1:
         own = {steady(file): file for file in files}
-        places = {file: place for place, file in enumerate(files)}
         alike = (
             f"SELECT list(file_name) FROM (SELECT file_name, list((name, duckdb_type, num_children)) AS columns "
             f"FROM {parquet_schema(files)} GROUP BY file_name) GROUP BY columns"
         )
-        groups = sorted(
-            (sorted((own[file] for file in some), key=places.__getitem__) for (some,) in fetch(alike)),
-            key=lambda some: places[some[0]],
-        )
-    described = (fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1], check=False)}") for some in groups)
-    return [(some, _with_texts({row[0]: row[1] for row in rows})) for some, rows in zip(groups, described, strict=True)]
+        groups = [[own[file] for file in some] for (some,) in fetch(alike)]
+    for some in groups:
+        rows = fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1], check=False)}")
+        yield some, {row[0]: row[1] for row in rows}
 
 
 def _with_texts(columns: Mapping[str, str]) -> dict[str, str]:
@@ -227,12 +269,12 @@ class _Mixed:
         return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
 
 
-def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[str]], where: str) -> _Mixed:
+def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[Source]], where: str) -> _Mixed:
     """Decide how to read a column that has these types, each in some files."""
     column = identifier(name)
 
     def seen(kind: str, what: str) -> int:
-        found = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True, check=False)} WHERE {where}")[0][0]
+        found = fetch(f"SELECT {what} FROM {_rows(kinds[kind])} WHERE {where}")[0][0]
         return int(found or 0)  # NULL if there are no rows
 
     def has_values(kind: str) -> bool:

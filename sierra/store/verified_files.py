@@ -107,6 +107,24 @@ def are_sound(files: Iterable[str]) -> bool:
     return True
 
 
+def begins_with(path: Path, digits: str, store: str) -> bool:
+    """Check that the SHA-256 of a file that is no segment's begins with these digits; hash it once for each of its states.
+
+    `store`: the path of the folder of segments. Raises OSError.
+    """
+    key = f"{path.parent.name}/{path.name}"
+    cache = _cache_of(store)
+    began, before = time.time_ns(), state(str(path))
+    if cache.get(key) == before:
+        return True
+    if not sha256_file(path).startswith(digits) or state(str(path)) != before:
+        return False
+    if before[-1] < began - RACY_NS:
+        cache.put(key, before)
+        _save(store)
+    return True
+
+
 def _verify(files: Iterable[str]) -> None:
     new = [file for file in _in_segments(files) if not _is_known(file)]
     if not new:
@@ -144,12 +162,16 @@ def _in_segments(files: Iterable[str]) -> Iterable[_File]:
 
 def _is_known(file: _File) -> bool:
     """Check whether a file has been verified in its present state, or does not exist."""
-    cache = _caches.get(file.store)
-    if cache is None:
-        cache = _caches[file.store] = Cache(user_verified(file.store), MAX_ENTRIES)
+    cache = _cache_of(file.store)
     with contextlib.suppress(OSError):
         return cache.get(file.key) == state(file.path)
     return is_gone(file.path)
+
+
+def _cache_of(store: str) -> Cache:
+    if store not in _caches:
+        _caches[store] = Cache(user_verified(store), MAX_ENTRIES)
+    return _caches[store]
 
 
 def _hashed(file: _File) -> list[int] | None:

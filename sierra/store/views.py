@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
+from sierra.store.index_reader import CONTENT, Index
+from sierra.store.listing import Listing
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
-from sierra.store.union_files import Fetch, Relation, relation
+from sierra.store.union_files import Fetch, Held, Relation, Source, relation
 from sierra.store.verified_files import verify
 
 if TYPE_CHECKING:
@@ -66,35 +68,38 @@ SETTLED = "settled"
 FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
 
 
-def outputs(segments: Iterable[Segment]) -> list[str]:
-    """Return the names of the tables that runs wrote."""
-    return sorted({name for segment in segments for name, _ in segment.outputs()})
-
-
 class Views:
     """The views of one connection; each is created once."""
 
     def __init__(
         self,
         connection: Callable[[], DuckDBPyConnection],
-        segments: Sequence[Segment],
+        listing: Listing,
         within: str | None = None,
         replays: Sequence[str] = (),
+        index: Index | None = None,
     ) -> None:
-        """`connection` returns the connection, free for a statement. `replays` are those that count: see `Store.replayed`."""
+        """`connection` returns the connection, free for a statement. `replays` are those that count: see `Store.replayed`.
+
+        `index`: the index of the segments that are not in `listing.rest`.
+        """
         self._connection = connection
         self._within = within
         self._replays = replays
+        self._index = index
         self._files: dict[str, list[str]] = {}
         self._outputs: dict[str, list[str]] = {}
-        spelled: dict[str, str] = {}
-        for segment in segments:
+        first = dict(index.spellings()) if index else {}
+        for segment in listing.rest:
             for name, path in segment.files.items():
                 self._files.setdefault(name, []).append(path)
             for name, path in segment.outputs():
-                self._outputs.setdefault(spelled.setdefault(name.lower(), name), []).append(path)
-        self._own = [segment for segment in segments if within is not None and segment.batch == within[:12]]
-        self._segments = segments
+                self._outputs.setdefault(name.lower(), []).append(path)
+                first[name] = min(first.get(name, segment.name), segment.name)
+        self.outputs = sorted(first)
+        """The names of the tables that runs wrote."""
+        self._spelled = {name.lower(): name for name in sorted(first, key=lambda name: first[name], reverse=True)}
+        self._listing = listing
         self.sql_names: dict[str, dict[str, str]] = {}
         """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
         self.notes: list[str] = []
@@ -119,13 +124,17 @@ class Views:
     def make(self, names: Iterable[str] | None = None) -> None:
         """Create the views of these tables and of the tables that they need; of all tables if `names` is None."""
         wanted = None if names is None else {name.lower() for name in names}
-        for name in (*RECORDED, *DERIVED, *sorted(self._outputs)):
+        for name in (*RECORDED, *DERIVED, *sorted(self._spelled.values())):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
 
     def verify(self) -> None:
         """Verify the files of the existing views again, which may have changed since. Raises Damaged."""
-        verify(path for name in self._made for path in (*self._files.get(name, ()), *self._outputs.get(name, ())))
+        verify(path for name in self._made for path in (*self._files.get(name, ()), *self._outputs.get(name.lower(), ())))
+
+    def holds(self, table: str) -> bool:
+        """Check whether the store has any record of a table; much faster than a query."""
+        return table in self._files or (self._index is not None and self._index.holds(table))
 
     def define(self, name: str, body: str) -> None:
         """Create the view of a table from another query than usual. No view that needs this table may exist yet."""
@@ -174,7 +183,7 @@ class Views:
         elif name == "points":
             body = self._points()
         elif name == "all_candidates":
-            body = CANDIDATES if "reused_executions" in self._files else OWN
+            body = CANDIDATES if self.holds("reused_executions") else OWN
         elif name == "sessions" and self._imported:
             body = STANDING_SESSIONS
         elif name == "origins":
@@ -184,7 +193,7 @@ class Views:
         elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions", "all_trials"):
             self._make_recorded(name)
             return
-        elif name in self._outputs:
+        elif self._spelled.get(name.lower()) == name:
             body = self._output(name)
         else:
             return
@@ -211,11 +220,10 @@ class Views:
         self.made.append(identifier(name))
 
     def _recorded(self, name: str, *, older: bool = False) -> str:
-        files = self._files.get(name)
-        if files is None:
+        if not self.holds(name):
             columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in RECORDED[name].columns)
             return f"SELECT {columns} WHERE false"
-        source = self._experiments(files) if name == "experiments" else self._records(name, files, older=older)
+        source = self._experiments() if name == "experiments" else self._records(name, older=older)
         if name in ONCE:
             keys = ONCE[name]
             others = [c for c in self._columns(name, source) if c not in keys]
@@ -231,21 +239,37 @@ class Views:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
 
-    def _records(self, name: str, files: list[str], *, older: bool) -> str:
-        """Return the relation of records in these files; `older`: no file has the later columns."""
-        check = name not in self.unchecked
-        source = records(name, files) if older else read_parquet(files, union=name in LATER, check=check)
-        if name in LATER:
-            later = ", ".join(f"{column} AS {column}" for column in LATER[name])  # DuckDB refuses columns that no file has
-            source = f"(SELECT * REPLACE ({later}) FROM {source})"
+    def _records(self, name: str, *, older: bool) -> str:
+        """Return the relation of records in all segments; `older`: no file has the later columns."""
+        parts = [self._index.rows(name)] if self._index and self._index.holds(name) and name not in CONTENT else []
+        if files := self._files_of(name):
+            source = (
+                records(name, files) if older else read_parquet(files, union=name in LATER, check=name not in self.unchecked)
+            )
+            if name in LATER:
+                later = ", ".join(f"{column} AS {column}" for column in LATER[name])  # DuckDB refuses columns that no file has
+                source = f"(SELECT * REPLACE ({later}) FROM {source})"
+            parts.append(source)
+        source = parts[0] if len(parts) == 1 else f"(SELECT * FROM {parts[0]} UNION ALL BY NAME SELECT * FROM {parts[1]})"
         return counting(source, self._replays) if name == "executions" and self._replays else source
 
-    def _experiments(self, files: list[str]) -> str:
+    def _files_of(self, name: str) -> list[str]:
+        """Return the files of a table of records that are read, in the order of their segments."""
+        if self._index and name in CONTENT:
+            return sorted([*self._files.get(name, ()), *self._index.files(name)], key=segment_of)
+        return self._files.get(name, [])
+
+    def _experiments(self) -> str:
         """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
-        own = [segment.files["experiments"] for segment in self._own if "experiments" in segment.files]
-        found = relation(self._fetch, own or files)
+        found = relation(self._fetch, self._experiment_sources(self._within) or self._experiment_sources())
         self._note("experiments", found, {name: name for name in found.types})
         return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"
+
+    def _experiment_sources(self, batch: str | None = None) -> list[Source]:
+        """Return the files and the indexed rows of experiments in the order of their segments; those of one batch, if named."""
+        files = [file for file in self._files.get("experiments", ()) if batch is None or segment_of(file)[:12] == batch[:12]]
+        indexed = self._index.experiments(batch) if self._index and self._index.holds("experiments") else []
+        return sorted([*files, *indexed], key=lambda one: one.first if isinstance(one, Held) else segment_of(one))
 
     def _fetch(self, statement: str) -> list[RawRow]:
         return self._execute(statement).fetchall()
@@ -268,7 +292,7 @@ class Views:
     @property
     def _imported(self) -> bool:
         """True if any session came in a package."""
-        return "imported_sessions" in self._files
+        return self.holds("imported_sessions")
 
     @property
     def _counted(self) -> str:
@@ -278,7 +302,7 @@ class Views:
     @property
     def _reevaluated(self) -> bool:
         """True if any execution was evaluated by changed rules."""
-        return "judgements" in self._files
+        return self.holds("judgements")
 
     def _executions(self, source: str) -> str:
         if not self._reevaluated:
@@ -288,11 +312,10 @@ class Views:
 
     def _all_judgements(self, *, older: bool = False) -> str:
         """Return the query for all judgements, the first and the later ones, with findings that were added afterwards."""
-        files = self._files.get("executions")
-        if files is None:
+        if not self.holds("executions"):
             columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["all_judgements"].columns)
             return f"SELECT {columns} WHERE false"
-        source = self._records("executions", files, older=older)
+        source = self._records("executions", older=older)
         first = f"SELECT execution AS judgement, ended AS judged_at, lamport AS place, * FROM {source}"
         if self._reevaluated:
             theirs = ", ".join(f"j.{name} AS {name}" for name in ("batch", "status", "reason", "ingest_rules"))
@@ -301,24 +324,22 @@ class Views:
                 f"FROM judgements j JOIN {source} e USING (execution)"
             )
             first = f"{first} UNION ALL BY NAME {later}"
-        if "findings" in self._files:
+        if self.holds("findings"):
             first = (
                 "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
                 f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
             )
-        if "trials" in self._files:
+        if self.holds("trials"):
             first = JUDGED_BY_PEOPLE.format(judgements=first, beginning=quote(INVALID_TRIAL))
         if self._imported:
             return f"SELECT e.*, i.packages AS packages FROM ({first}) e LEFT JOIN imported_sessions i ON i.session = e.session"
         return f"SELECT *, NULL::VARCHAR[] AS packages FROM ({first})"
 
     def _all_artifacts(self, *, older: bool = False) -> str:
-        files = self._files.get("artifacts")
-        return "FROM artifacts" if files is None else f"SELECT * FROM {self._records('artifacts', files, older=older)}"
+        return f"SELECT * FROM {self._records('artifacts', older=older)}" if self.holds("artifacts") else "FROM artifacts"
 
     def _all_trials(self, *, older: bool = False) -> str:
-        files = self._files.get("trials")
-        return "FROM trials" if files is None else f"SELECT * FROM {self._records('trials', files, older=older)}"
+        return f"SELECT * FROM {self._records('trials', older=older)}" if self.holds("trials") else "FROM trials"
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
@@ -362,8 +383,12 @@ class Views:
     def _output(self, name: str) -> str:
         for needed in ("effective", "origins", "points"):
             self._make(needed)
-        files = self._holding(self._outputs[name])
-        found = relation(self._fetch, files, f"execution IN (SELECT judgement FROM ({self._counted}))", rows=True)
+        known = self._output_files(name)
+        files = self._holding(list(known))
+        columns = {file: theirs for file, theirs in known.items() if theirs}
+        found = relation(
+            self._fetch, files, f"execution IN (SELECT judgement FROM ({self._counted}))", rows=True, known=columns
+        )
         axes = self.axes()
         theirs = list(found.types)
         free = column_names(theirs, taken=axes)
@@ -380,12 +405,19 @@ class Views:
             f"FROM {found.sql} o JOIN {counted} c ON o.execution = c.judgement"
         )
 
+    def _output_files(self, name: str) -> dict[str, Mapping[str, str]]:
+        """Return the files of an output in the order of their segments, with their columns if the index has them."""
+        found: dict[str, Mapping[str, str]] = {file: {} for file in self._outputs.get(name.lower(), ())}
+        if self._index:
+            found |= {file.path: file.columns for file in self._index.outputs(name)}
+        return {file: found[file] for file in sorted(found, key=segment_of)} if self._index else found
+
     def _holding(self, files: list[str]) -> list[str]:
         """Return the files that have an effective execution, if columns may differ; columns of other files are not visible."""
         if self._within is not None:
             mine = self._of_batch(files)
             files = [file for file in files if file in mine] or files
-        elif all(map(is_first_part, files)) and not ("findings" in self._files or self._reevaluated or self._imported):
+        elif all(map(is_first_part, files)) and not (self.holds("findings") or self._reevaluated or self._imported):
             return files
         found = {row[0] for row in self._fetch(files_with(files, f"SELECT judgement FROM ({self._counted})"))}
         return [file for file in files if file in found] or files
@@ -396,7 +428,7 @@ class Views:
             row[0][:12]
             for row in self._fetch(f"SELECT DISTINCT batch FROM all_judgements SEMI JOIN ({self._counted}) USING (judgement)")
         }
-        return {path for segment in self._segments if segment.batch in batches for path in segment.files.values()} & set(files)
+        return {file for file in files if segment_of(file)[:12] in batches}
 
 
 LATEST = """
@@ -555,6 +587,11 @@ def _pick(column: str, first: str | None) -> str:
     """
     name = identifier(column)
     return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
+
+
+def segment_of(file: str) -> str:
+    """Return the name of a file's segment."""
+    return file.rpartition("/")[0].rpartition("/")[2]
 
 
 def files_with(files: Sequence[str], judgements: str, column: str = "execution") -> str:

@@ -1,0 +1,242 @@
+"""Building an index: the records of segments, copied into one DuckDB file (see `sierra.store.index_files`).
+
+    segments(seg, name, ignored, replaces, after)   the segments, by number; those that are ignored have no rows
+    replaced(name)                                  the segments that these replace
+    TABLE(seg, …)                                   the rows of a table of records; of `objects`, all columns but the contents
+    experiments_<n>(seg, …), experiment_sets        the rows of `experiments` with equal columns, and these columns
+    outputs(seg, output, file, columns)             the files of outputs
+    column_sets(number, columns)                    the types of their columns
+
+Each file is verified before it is read, so that an index never has rows of a damaged one: a segment with such a file stays out
+of the index, and whoever reads it finds the damage. An index is built by adding the new segments to a copy of the last one, or
+from nothing when it has become twice as large since it was.
+
+A builder holds the lock of readers from the moment when it lists the segments until its index has its name, and whoever
+removes segments takes that lock alone and removes each index. So no index has rows that have been removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import duckdb
+
+from sierra.store import index_files
+from sierra.store.connections import connect
+from sierra.store.duckdb_file_io import read_parquet, steady
+from sierra.store.index_reader import EXPERIMENTS
+from sierra.store.layout import StorePaths
+from sierra.store.read_lock import Shared
+from sierra.store.schema import LATER, RECORDED
+from sierra.store.segments import Segment, marked, names_in, out_of_date, sound
+from sierra.store.sql_names import identifier, quote
+from sierra.store.sql_result import RawRow
+from sierra.store.union_files import read_columns
+from sierra.store.verified_files import are_sound
+from sierra.util.regular_files import read_regular
+
+WORTH = 30
+"""The number of segments that are not in an index from which a process that has recorded some builds one."""
+FOUND = 300
+"""The number from which a process that only reads builds one."""
+KEPT = 2
+"""The number of indexes that are kept: readers may be about to open the last one."""
+STORAGE = "v1.5.0"
+"""The version of DuckDB's file format. By default, DuckDB writes one that no other version reads."""
+BLOCK, LARGE_BLOCK, LARGE = 16_384, 65_536, 10 << 20
+"""The sizes of blocks, and the size of an index from which they are larger: each of some 400 columns takes part of a block."""
+NEW = "new"
+TABLES = {
+    "segments": "seg INTEGER, name VARCHAR, ignored BOOLEAN, replaces BOOLEAN, after VARCHAR",
+    "replaced": "name VARCHAR",
+    "outputs": "seg INTEGER, output VARCHAR, file VARCHAR, columns INTEGER",
+    "column_sets": "number INTEGER, columns VARCHAR",
+    "experiment_sets": "number INTEGER, columns VARCHAR",
+    "base": "segments INTEGER",
+}
+
+
+def keep_up(paths: StorePaths, worth: int = WORTH) -> None:
+    """Build an index if so many segments are in none. Without the right to write, or for lack of something, do nothing."""
+    with contextlib.suppress(OSError, duckdb.Error):
+        if paths.root.stat().st_uid == os.geteuid() and os.access(paths.root, os.W_OK):
+            build(paths, worth)
+
+
+def build(paths: StorePaths, worth: int = 1) -> Path | None:
+    """Build an index if at least so many segments are in none, and return it. Raises OSError and duckdb.Error."""
+    shared = Shared(paths.reading)
+    try:
+        best = index_files.best(paths)
+        if best is None and len(names_in(paths.segments)) < worth:
+            return None
+        with (
+            tempfile.TemporaryDirectory(prefix="sierra-index-") as folder,
+            _Building(paths, Path(folder, "index"), best) as made,
+        ):
+            if not made.add(worth):
+                return None
+            content = made.finish()
+            path = index_files.publish(paths, made.count, content)
+        for old in index_files.published(paths.index)[KEPT:]:
+            index_files.remove(old)
+        return path
+    finally:
+        shared.close()
+
+
+class _Building:
+    """A context manager for an index that is being built."""
+
+    def __init__(self, paths: StorePaths, path: Path, best: index_files.IndexFile | None) -> None:
+        self._folder = paths.segments
+        self._path = path
+        self._connection = connect()
+        self._connection.execute("SET threads = 1")  # with more, small files take up to twice the time of the processor
+        if best is not None:
+            path.write_bytes(read_regular(Path(best.readable)))
+            self._attach(path)
+            [(base,)] = self._fetch(f"SELECT segments FROM {NEW}.base")
+            if len(self._named()) >= 2 * base:
+                self._connection.execute(f"DETACH {NEW}")
+                path.unlink()
+                best = None
+        if best is None:
+            self._begin(len(names_in(self._folder)))
+        self.count = 0
+
+    def __enter__(self) -> _Building:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+
+    def _fetch(self, statement: str) -> list[RawRow]:
+        return self._connection.execute(statement).fetchall()
+
+    def _named(self) -> dict[str, int]:
+        return dict(self._fetch(f"SELECT name, seg FROM {NEW}.segments"))
+
+    def _attach(self, path: Path, options: str = "") -> None:
+        file = quote(steady(str(path)))
+        self._connection.execute(f"ATTACH {file} AS {NEW} (TYPE duckdb, STORAGE_VERSION '{STORAGE}'{options})")
+
+    def _begin(self, segments: int) -> None:
+        """Begin an index without segments."""
+        self._attach(self._path, f", BLOCK_SIZE {BLOCK}")
+        for table, columns in TABLES.items():
+            self._connection.execute(f"CREATE TABLE {NEW}.{table} ({columns})")
+        for table, recorded in RECORDED.items():
+            if table != EXPERIMENTS:
+                kept = [column for column in recorded.columns if column.type != "BLOB"]
+                columns = ", ".join(f"{identifier(column.name)} {column.type}" for column in kept)
+                self._connection.execute(f"CREATE TABLE {NEW}.{table} (seg INTEGER, {columns})")
+        self._connection.execute(f"INSERT INTO {NEW}.base VALUES ({segments})")
+
+    def add(self, worth: int) -> bool:
+        """Add the segments that the index does not name. Return False if there are not so many."""
+        known = self._named()
+        names = names_in(self._folder)
+        new = [name for name in names if name not in known]
+        gone = known.keys() - names
+        if len(new) < worth:
+            return False
+        found = [segment for segment in marked(self._folder, new) if not segment.missing]
+        others = set(names).difference(new)
+        hidden = out_of_date(found, others)
+        waiting = {one.name for one in found if one.after and one.after not in names}
+        added = [one for one in found if one.name not in waiting and (one.name in hidden or _is_sound(one))]
+        replaced = {name for one in added if one.name not in hidden for name in one.replaces}
+        self._connection.execute("BEGIN")
+        self._drop([known[name] for name in gone | (known.keys() & (hidden | replaced))], [known[name] for name in gone])
+        first = max(known.values(), default=0) + 1
+        numbers = {one.name: first + place for place, one in enumerate(added)}
+        self._insert(
+            "segments",
+            ((numbers[one.name], one.name, one.name in hidden, bool(one.replaces), one.after) for one in added),
+        )
+        self._insert("replaced", ((name,) for name in sorted(replaced)))
+        self._add_rows([one for one in sound(added, self._folder) if one.name not in hidden], numbers)
+        self._connection.execute("COMMIT")
+        self.count = len(known) - len(gone) + len(added)
+        return bool(added)
+
+    def _drop(self, ignored: Sequence[int], gone: Sequence[int]) -> None:
+        """Remove the rows of segments that have been replaced since they were added, or that are gone."""
+        if not ignored:
+            return
+        numbers = ", ".join(map(str, ignored))
+        tables = self._fetch(f"SELECT table_name FROM duckdb_columns() WHERE database_name = '{NEW}' AND column_name = 'seg'")
+        for (table,) in tables:
+            if table != "segments":
+                self._connection.execute(f"DELETE FROM {NEW}.{table} WHERE seg IN ({numbers})")
+        self._connection.execute(f"UPDATE {NEW}.segments SET ignored = true WHERE seg IN ({numbers})")
+        self._connection.execute(f"DELETE FROM {NEW}.segments WHERE seg IN ({', '.join(map(str, gone)) or 'NULL'})")
+
+    def _insert(self, table: str, rows: Iterable[tuple[object, ...]]) -> None:
+        columns = [list(column) for column in zip(*rows, strict=True)]
+        if columns:
+            values = ", ".join("unnest(?)" for _ in columns)
+            self._connection.execute(f"INSERT INTO {NEW}.{table} SELECT {values}", columns)
+
+    def _add_rows(self, segments: Sequence[Segment], numbers: Mapping[str, int]) -> None:
+        self._connection.execute("CREATE OR REPLACE TEMP TABLE numbers (segment VARCHAR, seg INTEGER)")
+        self._connection.execute("INSERT INTO numbers SELECT unnest(?), unnest(?)", [list(numbers), list(numbers.values())])
+        files: dict[str, list[str]] = {}
+        for segment in segments:
+            for name, path in segment.files.items():
+                files.setdefault(name, []).append(path)
+        for name, paths in files.items():
+            if name == EXPERIMENTS:
+                self._add_experiments(paths)
+            elif name in RECORDED:
+                schema = {column.name: column.type for column in RECORDED[name].columns} if name in LATER else None
+                kept = ", ".join(identifier(column.name) for column in RECORDED[name].columns if column.type != "BLOB")
+                source = read_parquet(paths, filename=True, schema=schema, check=False)
+                self._connection.execute(
+                    f"INSERT INTO {NEW}.{name} SELECT n.seg, {kept} FROM {source} f "
+                    f"JOIN numbers n ON n.segment = split_part(f.filename, '/', -2) ORDER BY n.seg"
+                )
+        self._add_outputs(segments, numbers)
+
+    def _add_experiments(self, paths: Sequence[str]) -> None:
+        """Add the rows of `experiments`, those with equal columns to one table."""
+        sets = {columns: number for number, columns in self._fetch(f"FROM {NEW}.experiment_sets")}
+        for files, types in read_columns(self._fetch, paths):
+            columns = json.dumps(list(types.items()))
+            source = f"{read_parquet(files, filename=True, check=False)} f"
+            rows = (
+                f"SELECT n.seg, f.* EXCLUDE filename FROM {source} JOIN numbers n ON n.segment = split_part(filename, '/', -2)"
+            )
+            if columns in sets:
+                self._connection.execute(f"INSERT INTO {NEW}.{EXPERIMENTS}_{sets[columns]} {rows} ORDER BY n.seg")
+                continue
+            sets[columns] = number = len(sets) + 1
+            self._connection.execute(f"CREATE TABLE {NEW}.{EXPERIMENTS}_{number} AS {rows} ORDER BY n.seg")
+            self._insert("experiment_sets", [(number, columns)])
+
+    def _add_outputs(self, segments: Iterable[Segment], numbers: Mapping[str, int]) -> None:
+        sets = {columns: number for number, columns in self._fetch(f"FROM {NEW}.column_sets")}
+        known = len(sets)
+        found = {path: (numbers[one.name], output) for one in segments for output, path in one.outputs()}
+        rows: list[tuple[object, ...]] = []
+        for files, types in read_columns(self._fetch, list(found)):
+            number = sets.setdefault(json.dumps(list(types.items())), len(sets) + 1)
+            rows += ((*found[path], Path(path).name, number) for path in files)
+        self._insert("column_sets", [(number, columns) for columns, number in sets.items() if number > known])
+        self._insert("outputs", rows)
+
+    def finish(self) -> bytes:
+        """Return the bytes of the index."""
+        self._connection.execute(f"DETACH {NEW}")  # writes all to the file
+        return self._path.read_bytes()
+
+
+def _is_sound(segment: Segment) -> bool:
+    """Check each file of a segment against what was recorded."""
+    return are_sound([*segment.files.values(), *segment.marks])

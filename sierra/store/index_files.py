@@ -1,0 +1,113 @@
+"""Files of the index: the records of many segments in one file, so that a command does not look at each segment.
+
+    index/<format>-<segments>-<digits>.duckdb
+
+No answer depends on an index. It holds what the segments hold that it names, and can be thrown away at any time: whoever finds
+none, or one that is damaged, reads the segments themselves. `<format>` changes with the tables and with what the index holds,
+so that no other SIERRA's index is used. `<segments>` is the number of segments that it names. `<digits>` is the beginning of
+the SHA-256 of the file: a file never changes, and its name is never used for other bytes.
+
+A file is read as a whole, and hashed, before it is used, because the checksums of DuckDB's own format miss some damage. DuckDB
+then reads exactly these bytes from memory: no lock is needed, and the file may be removed meanwhile. The state of a large
+verified file is kept like that of the files of segments (see `sierra.store.verified_files`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.store.layout import StorePaths
+from sierra.store.schema import RECORDED
+from sierra.store.verified_files import begins_with
+from sierra.util.fs import UNFINISHED_END, write_whole
+from sierra.util.hashing import sha256
+from sierra.util.regular_files import read_regular
+
+CONTENT = 1
+"""The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
+NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
+IN_MEMORY = 64 << 20
+"""The size up to which an index is read into memory."""
+
+_held: dict[str, IndexFile] = {}
+"""The index that this process uses, by the store's folder of indexes."""
+
+
+class IndexFile(NamedTuple):
+    """A verified index."""
+
+    path: Path
+    readable: str
+    """The path by which DuckDB reads the bytes that were verified."""
+
+
+@cache
+def format_now() -> str:
+    """Return the digits of the format that this SIERRA writes and reads."""
+    tables = {name: [(column.name, column.type) for column in table.columns] for name, table in RECORDED.items()}
+    return sha256(json.dumps([CONTENT, tables]).encode())[:8]
+
+
+def published(folder: Path) -> list[Path]:
+    """Return the indexes of the present format, first those of the most segments."""
+    with contextlib.suppress(OSError):
+        now = format_now()
+        return sorted(
+            (path for path in folder.iterdir() if (is_index := NAME.fullmatch(path.name)) and is_index[1] == now), reverse=True
+        )
+    return []
+
+
+def best(paths: StorePaths) -> IndexFile | None:
+    """Return the index of the most segments whose bytes are those that its name promises; None if there is none."""
+    key = str(paths.index)
+    for path in published(paths.index):
+        held = _held.get(key)
+        if held is not None and held.path == path:
+            return held
+        with contextlib.suppress(OSError):
+            if (found := _verified(path, paths)) is not None:
+                _held[key] = found
+                return found
+    return None
+
+
+def _verified(path: Path, paths: StorePaths) -> IndexFile | None:
+    digits = path.stem.rpartition("-")[2]
+    if path.stat().st_size > IN_MEMORY or not hasattr(os, "memfd_create"):
+        return IndexFile(path, str(path)) if begins_with(path, digits, f"{paths.segments}") else None
+    content = read_regular(path)
+    if not sha256(content).startswith(digits):
+        return None
+    descriptor = os.memfd_create("sierra-index", os.MFD_CLOEXEC)
+    with open(descriptor, "wb", closefd=False) as file:
+        file.write(content)
+    return IndexFile(path, f"/proc/self/fd/{descriptor}")
+
+
+def publish(paths: StorePaths, segments: int, content: bytes) -> Path:
+    """Write an index of so many segments. Raises OSError."""
+    paths.index.mkdir(exist_ok=True)
+    path = paths.index / f"{format_now()}-{segments:09d}-{sha256(content)[:16]}.duckdb"
+    write_whole(path, content)
+    return path
+
+
+def remove(path: Path) -> None:
+    """Remove an index that cannot be used, or that is not needed any more; leave it if that is not allowed."""
+    with contextlib.suppress(OSError):
+        path.unlink()
+
+
+def remove_all(paths: StorePaths) -> None:
+    """Remove each index, because it holds what is to be removed from the store. Raises OSError."""
+    with contextlib.suppress(FileNotFoundError):
+        for path in paths.index.iterdir():
+            if NAME.fullmatch(path.name) or re.fullmatch(rf"\.{NAME.pattern}{UNFINISHED_END}", path.name):
+                path.unlink(missing_ok=True)

@@ -1,0 +1,85 @@
+"""The segments of a store at one moment: those that an index names, which are not looked at, and all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.store.segments import Segment, is_whole, listed, marked, names_in, out_of_date, sound
+
+
+class Facts(NamedTuple):
+    """The segments that an index names."""
+
+    numbers: Mapping[str, int]
+    """Their numbers in the index, by name."""
+    ignored: frozenset[str]
+    """Those that were ignored when the index was built: it has none of their rows."""
+    replacing: frozenset[str]
+    """Those that replace others."""
+    replaced: frozenset[str]
+    """The segments that these replace."""
+    after: frozenset[str]
+    """The segments that some of them wait for."""
+    tables: frozenset[str]
+    """The tables of records that have rows in the index."""
+
+
+class Listing:
+    """The current segments in some folders. `rest` are those that the index does not name; `facts` is None without an index."""
+
+    def __init__(self, folders: Sequence[Path], facts: Facts | None = None) -> None:
+        """Look at the folders. Raises Damaged if a damaged or lost file may hide a segment, or a part of one.
+
+        With `facts`, there is one folder.
+        """
+        self.folders = folders
+        self.names: list[str] = []
+        self.without: frozenset[int] = frozenset()
+        """The numbers of segments in the index that are not current any more."""
+        self.facts = facts and self._usable(facts, folders[0])
+        if self.facts is None:
+            self.rest = [segment for folder in folders for segment in listed(folder) if is_whole(segment, folder)]
+
+    def _usable(self, facts: Facts, folder: Path) -> Facts | None:
+        """List the segments that the index does not name. Return None if the index cannot tell which of its own are current."""
+        self.names = names_in(folder)
+        present = set(self.names)
+        gone = facts.numbers.keys() - present
+        if not gone.isdisjoint(facts.replacing) or not facts.after <= present:
+            return None
+        found = marked(folder, (name for name in self.names if name not in facts.numbers))
+        hidden = out_of_date(found, present & facts.numbers.keys()) | (facts.replaced & present)
+        self.rest = sound([segment for segment in found if segment.name not in hidden], folder)
+        self.rest = [segment for segment in self.rest if is_whole(segment, folder)]
+        self.without = frozenset(facts.numbers[name] for name in (gone | (hidden & facts.numbers.keys())) - facts.ignored)
+        return facts
+
+    @cached_property
+    def segments(self) -> list[Segment]:
+        """All current segments, in the order of their names. Raises Damaged."""
+        if self.facts is None:
+            return self.rest
+        known = {segment.name: segment for segment in self.rest}
+        current = set(known) | {name for name, number in self.facts.numbers.items() if self._is_current(name, number)}
+        return self._read([name for name in self.names if name in current])
+
+    def of_batches(self, batches: Iterable[str]) -> list[Segment]:
+        """Return the current segments of batches, which the first 12 digits of their ids name. Raises Damaged."""
+        wanted = set(batches)
+        rest = [segment for segment in self.rest if segment.batch in wanted]
+        if self.facts is None:
+            return rest
+        indexed = [
+            name for name, number in self.facts.numbers.items() if name[:12] in wanted and self._is_current(name, number)
+        ]
+        return sorted(rest + self._read(indexed), key=lambda segment: segment.name)
+
+    def _is_current(self, name: str, number: int) -> bool:
+        return self.facts is not None and number not in self.without and name not in self.facts.ignored
+
+    def _read(self, names: Iterable[str]) -> list[Segment]:
+        folder = self.folders[0]
+        return [segment for segment in sound(marked(folder, names), folder) if is_whole(segment, folder)]
