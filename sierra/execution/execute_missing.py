@@ -154,12 +154,12 @@ class Executor:
 
     def _answer(self) -> None:
         while not (self.interrupted or self.left):
-            recorded = len(self.store.segments())
+            recorded = self.store.names()
             wanted = self._wanted()
             if not wanted or self._is_enough():
                 return
             mine = self.session.claim(wanted)
-            if len(self.store.segments()) != recorded:
+            if self.store.names() != recorded:
                 continue  # claimed runs may have been executed since the store was read
             self.awaited |= wanted - mine
             if not mine:
@@ -349,7 +349,7 @@ class Executor:
         Returns a session on a cluster that can be taken over because its follower has died; otherwise None. Raises Missing
         instead of waiting for supervised trials, because a person decides how long they take.
         """
-        known = len(self.store.segments())
+        known = self.store.names()
         give_up = time.monotonic() + (ENDING_S if self.plan.project.config.trials.supervised else math.inf)
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
@@ -360,7 +360,7 @@ class Executor:
                 self._tally.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
                 recover.finish_dead(self.store, self._options.observer)
-                if len(self.store.segments()) != known:
+                if self.store.names() != known:
                     break
                 if (session := self._adopted(wanted)) is not None:
                     return session

@@ -154,7 +154,7 @@ def batches(store: Store) -> list[ListedBatch]:
     executions may have been removed.
     """
     with store.snapshot() as snapshot:
-        rewritten = any(segment.replaces for segment in snapshot.segments)
+        rewritten = snapshot.listing.rewritten
         rows = snapshot.select(_Batch, BATCHES)
         uncertain = [row.batch for row in rows if row.doubted or rewritten or row.failed != 0 or row.missing != 0]
         counts = {row.batch: row for row in snapshot.select(_Counts, COUNTS, batches=uncertain)} if uncertain else {}

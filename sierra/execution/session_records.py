@@ -44,7 +44,7 @@ from sierra.util.hashing import sha256
 
 if TYPE_CHECKING:
     from sierra.execution.summary import Summary
-STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
+STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN kept_objects USING (sha256)"
 """SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
 
 LASTING = tuple(f"{table}{SUFFIX}" for table in ("executions", "findings", "judgements", "builds"))
@@ -64,7 +64,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
         if is_kept(plan, snapshot):
             return
         _check_axes(batch, snapshot)
-        seen = snapshot.segments
+        seen = set(snapshot.listing.names)
         known = _known_inputs(plan, snapshot)
         stored = shared_files.stored(plan.shared_files, snapshot)
         blobs = set(snapshot.values(str, STORED_BLOBS)) if code.vcs == "none" else set()
@@ -89,7 +89,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     _write_experiments(batch, writer)
     writer.records(_members(batch))
     with sessions.exclusively(store.paths):
-        if store.segments() == seen or not is_kept(plan, store):
+        if store.names() == seen or not is_kept(plan, store):
             store.publish(writer)
 
 

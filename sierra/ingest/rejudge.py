@@ -279,8 +279,10 @@ def _is_hopeless(one: Past, context: Context) -> bool:
 def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
     """Return the sizes of those of these files whose bytes are in the store."""
     snapshot.add_table("digests", sha256=sorted(digests))
-    snapshot.views.make(("objects",))
-    return dict(snapshot.run("SELECT sha256, any_value(size) FROM objects SEMI JOIN digests USING (sha256) GROUP BY sha256"))
+    snapshot.views.make(("kept_objects",))
+    return dict(
+        snapshot.run(f"SELECT sha256, any_value(size) FROM {KEPT_OBJECTS} SEMI JOIN digests USING (sha256) GROUP BY sha256")
+    )
 
 
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:

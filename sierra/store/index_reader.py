@@ -79,7 +79,7 @@ class Index:
 
     def rows(self, table: str) -> str:
         """Return the relation of the indexed rows of a table, with all of its columns in order."""
-        columns = ", ".join(identifier(column.name) for column in RECORDED[table].columns)
+        columns = ", ".join(identifier(column.name) for column in RECORDED[table].columns if column.type != "BLOB")
         return f"(SELECT {columns} FROM {DATABASE}.{table}{self._current})"
 
     @cached_property
@@ -121,9 +121,17 @@ class Index:
         of = f"{DATABASE}.{table} JOIN {DATABASE}.segments s USING (seg){self._current}"
         return [f"{self._folder}/{segment}/{table}.parquet" for (segment,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")]
 
+    def recording(self, judgements: str) -> list[str]:
+        """Return the names of the indexed segments that contain first or later judgements, for which this is a query."""
+        found: set[str] = set()
+        for table, column in (("executions", "execution"), ("judgements", "judgement")):
+            rows = f"(FROM {DATABASE}.{table} WHERE {column} IN ({judgements}))"
+            of = f"{rows} JOIN {DATABASE}.segments s USING (seg){self._current}"
+            found |= {name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")}
+        return sorted(found)
+
     def holding(self, digests: Iterable[str]) -> list[str]:
-        """Return the paths of the indexed files that hold contents with these SHA-256s."""
+        """Return the names of the indexed segments that hold contents with these SHA-256s."""
         wanted = ", ".join(map(quote, digests)) or "NULL"
         of = f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted})) JOIN {DATABASE}.segments s USING (seg){self._current}"
-        found = self._fetch(f"SELECT DISTINCT s.name FROM {of} ORDER BY ALL")
-        return [f"{self._folder}/{segment}/objects.parquet" for (segment,) in found]
+        return [name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of} ORDER BY ALL")]

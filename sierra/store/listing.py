@@ -30,22 +30,29 @@ class Facts(NamedTuple):
 class Listing:
     """The current segments in some folders. `rest` are those that the index does not name; `facts` is None without an index."""
 
-    def __init__(self, folders: Sequence[Path], facts: Facts | None = None) -> None:
-        """Look at the folders. Raises Damaged if a damaged or lost file may hide a segment, or a part of one.
+    def __init__(self, folders: Sequence[Path], facts: Facts | None = None, segments: Sequence[Segment] | None = None) -> None:
+        """Look at the folders; with `facts`, there is one. `segments`: those to read, in place of the current ones.
 
-        With `facts`, there is one folder.
+        Raises Damaged if a damaged or lost file may hide a segment, or a part of one.
         """
         self.folders = folders
-        self.names: list[str] = []
+        self.names = [one.name for one in segments] if segments else [name for one in folders for name in names_in(one)]
+        """The names of all existing segments, ignored or not."""
         self.without: frozenset[int] = frozenset()
         """The numbers of segments in the index that are not current any more."""
         self.facts = facts and self._usable(facts, folders[0])
-        if self.facts is None:
+        if segments is not None:
+            self.rest = list(segments)
+        elif self.facts is None:
             self.rest = [segment for folder in folders for segment in listed(folder) if is_whole(segment, folder)]
+
+    @cached_property
+    def rewritten(self) -> bool:
+        """True if some segments replace others."""
+        return bool(self.facts and self.facts.replacing) or any(segment.replaces for segment in self.rest)
 
     def _usable(self, facts: Facts, folder: Path) -> Facts | None:
         """List the segments that the index does not name. Return None if the index cannot tell which of its own are current."""
-        self.names = names_in(folder)
         present = set(self.names)
         gone = facts.numbers.keys() - present
         if not gone.isdisjoint(facts.replacing) or not facts.after <= present:
@@ -62,20 +69,22 @@ class Listing:
         """All current segments, in the order of their names. Raises Damaged."""
         if self.facts is None:
             return self.rest
-        known = {segment.name: segment for segment in self.rest}
-        current = set(known) | {name for name, number in self.facts.numbers.items() if self._is_current(name, number)}
-        return self._read([name for name in self.names if name in current])
+        return self.named(self.names)
 
     def of_batches(self, batches: Iterable[str]) -> list[Segment]:
         """Return the current segments of batches, which the first 12 digits of their ids name. Raises Damaged."""
         wanted = set(batches)
-        rest = [segment for segment in self.rest if segment.batch in wanted]
+        return self.named(name for name in self.names if name[:12] in wanted)
+
+    def named(self, names: Iterable[str]) -> list[Segment]:
+        """Return the current ones of the segments with these names, in the order of their names. Raises Damaged."""
+        wanted = set(names)
+        rest = [segment for segment in self.rest if segment.name in wanted]
         if self.facts is None:
             return rest
-        indexed = [
-            name for name, number in self.facts.numbers.items() if name[:12] in wanted and self._is_current(name, number)
-        ]
-        return sorted(rest + self._read(indexed), key=lambda segment: segment.name)
+        numbers = self.facts.numbers
+        indexed = sorted(name for name in wanted & numbers.keys() if self._is_current(name, numbers[name]))
+        return sorted(rest + self._read(indexed), key=lambda segment: segment.name) if indexed else rest
 
     def _is_current(self, name: str, number: int) -> bool:
         return self.facts is not None and number not in self.without and name not in self.facts.ignored

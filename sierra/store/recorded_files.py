@@ -29,7 +29,7 @@ from sierra.store.store import Found, Snapshot
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import BESIDE, is_number, text_beside
 from sierra.store.verified_files import is_sound, verify
-from sierra.store.views import ORDER, recording
+from sierra.store.views import ORDER
 from sierra.util.text import natural
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ def recorded(
     snapshot.add_table(
         "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
     )
-    snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
+    snapshot.views.make(("batch_runs", "specs", "all_artifacts", "kept_objects"))
     rows = [(place, nth, Recorded(runs[place], *rest)) for place, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
     rows.sort(key=lambda row: (row[0], PARTS.get(row[2].kind, 1), row[1], natural(row[2].path)))
     return [file for _, _, file in rows]
@@ -215,7 +215,7 @@ listed AS (
     FROM taken t JOIN all_artifacts a USING (execution) WHERE $all
     QUALIFY row_number() OVER (PARTITION BY t.place, a.kind = 'log', a.path ORDER BY a.output) = 1
 ),
-kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
+kept AS (SELECT sha256, any_value(size) AS kept FROM kept_objects GROUP BY sha256)
 SELECT l.place, l.nth, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
        l.output, l.table_layout, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
@@ -241,14 +241,15 @@ class Content:
 def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
     """Yield the contents of these files, each once, in the order of the store."""
     those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
-    yield from _objects(snapshot.segments, those, [file for file in files if not file.from_rows])
+    objects = [file for file in files if not file.from_rows]
+    yield from _objects(snapshot.holding({file.sha256 for file in objects if file.sha256}), those, objects)
     yield from _tables(snapshot, those, [file for file in files if file.from_rows])
 
 
 def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     """Return the segments that contain these judgements."""
     snapshot.add_table("asked", execution=judgements)
-    return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
+    return snapshot.recording("SELECT execution FROM asked")
 
 
 # Objects: they are first located by their digests, then read in the order of the file.
@@ -258,8 +259,8 @@ def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Seq
     wanted: dict[str, list[Recorded]] = {}
     for file in files:
         wanted.setdefault(file.sha256 or "", []).append(file)
-    first = {id(segment) for segment in holding}
-    ordered = sorted(segments, key=lambda segment: id(segment) not in first)
+    first = {segment.name for segment in holding}
+    ordered = sorted(segments, key=lambda segment: segment.name not in first)
     groups = _Groups([segment.files["objects"] for segment in ordered if "objects" in segment.files])
     for digest in sorted(wanted, key=groups.find(wanted)):
         for file in wanted[digest]:

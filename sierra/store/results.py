@@ -50,8 +50,8 @@ def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     """Return recorded files by their SHA-256. Raises Damaged if one is missing or has changed."""
     digests = set(digests)
     snapshot.add_table("digests", sha256=digests)
-    snapshot.views.make(("objects",))
-    statement = "SELECT sha256, content FROM objects SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
+    source = snapshot.views.contents(digests)
+    statement = f"SELECT sha256, content FROM {source} SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
     parts = groupby(snapshot.each(statement, {}), lambda row: row[0])
     found = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
     for digest in digests:

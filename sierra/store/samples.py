@@ -33,7 +33,7 @@ from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.verified_files import verify
-from sierra.store.views import files_with, recording
+from sierra.store.views import files_with
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.scratch import scratch
 from sierra.util.text import counted, like, one_line
@@ -201,9 +201,8 @@ class Frame:
     def _output_files(self) -> dict[str, list[str]]:
         """Return the files of each output, from the segments that hold an effective execution."""
         batches = {row[0][:12] for row in self._snapshot.run("SELECT DISTINCT batch FROM membership")}
-        segments = self._snapshot.listing.of_batches(batches)
         files: dict[str, list[str]] = {}
-        for segment in recording(self._snapshot.run, segments, MEMBERS):
+        for segment in self._snapshot.recording(MEMBERS, batches):
             for name, path in segment.outputs():
                 files.setdefault(name, []).append(path)
         return {name: self._counting(paths) for name, paths in files.items()}

@@ -28,14 +28,14 @@ from sierra.store.layout import StorePaths
 from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
-from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, on_disk
+from sierra.store.segments import FORMAT, FORMATS, Segment, Writer, disk_errors, names_in, on_disk
 from sierra.store.sql_names import identifier, stored_names, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes, checked, kinds
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
-from sierra.store.views import Views, tables_of
+from sierra.store.views import Views, recording, tables_of
 from sierra.util.fs import is_gone, write_whole
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
@@ -143,6 +143,10 @@ class Store:
         finally:
             shared.close()
 
+    def names(self) -> set[str]:
+        """Return the names of all segments, ignored or not: another name is there when something has been recorded."""
+        return {name for folder in self._folders for name in names_in(folder)}
+
     @property
     def _folders(self) -> list[Path]:
         return [folder for folder in (self._beneath, self.paths.segments) if folder is not None]
@@ -219,7 +223,8 @@ class Store:
             memory = self.memory if theirs else None
             usable = self._indexed and self._beneath is None and not self._replays and memory is None
             made = Snapshot(
-                *(self.paths, self._folders, within, shared),
+                *(self.paths.root, None, within, shared),
+                beneath=self._beneath,
                 rules=self.rules,
                 replays=self._replays,
                 memory=memory,
@@ -304,10 +309,14 @@ class Store:
         """Return the content of a recorded file by its SHA-256. Raises NotFound or Damaged."""
         from sierra.util.hashing import sha256
 
-        parts = self.values(bytes, "SELECT DISTINCT ON (part) content FROM objects WHERE sha256 = $d ORDER BY part", d=digest)
-        if not parts:
+        with self.snapshot() as snapshot:
+            source = snapshot.views.contents([digest])
+            rows = snapshot.run(
+                f"SELECT DISTINCT ON (part) content FROM {source} WHERE sha256 = $d ORDER BY part", {"d": digest}
+            )
+        if not rows:
             raise NotFound(f"no recorded file has the SHA-256 {digest}")
-        content = b"".join(parts)
+        content = b"".join(row[0] for row in rows)
         if sha256(content) != digest:
             raise Damaged(f"the recorded file {digest} differs from the record")
         return content
@@ -347,52 +356,48 @@ class Snapshot:
 
     def __init__(
         self,
-        paths: StorePaths,
-        folders: Sequence[Path],
+        root: Path,
+        segments: Sequence[Segment] | None = None,
         within: str | None = None,
         shared: Shared | None = None,
         *,
+        beneath: Path | None = None,
         rules: Callable[[], Rules] = Rules,
         replays: Sequence[str] = (),
         memory: int | None = None,
         indexed: bool = False,
     ) -> None:
-        """`folders`: those of segments; all but the last belong to other stores.
+        """`segments`: those to read; by default, the current ones. `shared`: the lock that protects them from removal until the
+        snapshot is closed.
 
-        `shared`: the lock that protects these segments from removal until the snapshot is closed. `rules` returns the derived
-        tables. `replays`: those that count, see `Store.replayed`. `memory`: see `Store.memory`. `indexed`: use an index, if
-        there is one.
+        `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables. `replays`: those
+        that count, see `Store.replayed`. `memory`: see `Store.memory`. `indexed`: use an index, if there is one.
         """
-        self._paths = paths
+        self._paths = StorePaths(root)
         self._shared = shared
         self._reading: Rows | None = None
         self._settled = False
-        self._open = partial(self._opened_with, folders, within, replays, rules, memory)
-        self._open(index_files.best(paths) if indexed else None)
+        self._given = segments, within, replays, memory, rules
+        self._folders = [*([beneath] if beneath else []), self._paths.segments]
+        self._open(index_files.best(self._paths) if indexed else None)
 
-    def _opened_with(
-        self,
-        folders: Sequence[Path],
-        within: str | None,
-        replays: Sequence[str],
-        rules: Callable[[], Rules],
-        memory: int | None,
-        file: IndexFile | None,
-    ) -> None:
+    def _open(self, file: IndexFile | None) -> None:
         """Open a connection with an index, or without one; also without one that cannot be used."""
         import duckdb
 
+        segments, within, replays, memory, rules = self._given
         self._index: Index | None = None
+        folders = self._folders[::-1]
         facts = None
         if file is not None:
             try:
-                self._opened = Connection(*reversed(folders), attached=attach(file))
+                self._opened = Connection(*folders, attached=attach(file))
                 facts = facts_of(file, lambda statement: self._opened.cursor.execute(statement).fetchall())
             except duckdb.Error:
                 index_files.remove(file.path)
         if facts is None:
-            self._opened = Connection(*reversed(folders), memory=memory)
-        self.listing = Listing(folders, facts)
+            self._opened = Connection(*folders, memory=memory)
+        self.listing = Listing(self._folders, facts, segments)
         if self.listing.facts is not None:
             self._index = Index(self.run, self.listing, self.listing.facts)
         self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
@@ -564,6 +569,22 @@ class Snapshot:
             if isinstance(value, str):
                 checked(value)
         return text
+
+    def recording(self, judgements: str, batches: Iterable[str] | None = None) -> list[Segment]:
+        """Return the segments that contain first or later judgements; `judgements` is a query for these.
+
+        `batches`: the first 12 digits of the batches that have recorded them, if they are known.
+        """
+        wanted = None if batches is None else set(batches)
+        rest = [segment for segment in self.listing.rest if wanted is None or segment.batch in wanted]
+        indexed = self._index.recording(judgements) if self._index else []
+        return self.listing.named([*(one.name for one in recording(self.run, rest, judgements)), *indexed])
+
+    def holding(self, digests: Iterable[str]) -> list[Segment]:
+        """Return the segments that may contain recorded files with these SHA-256s."""
+        indexed = self._index.holding(digests) if self._index else []
+        rest = (segment.name for segment in self.listing.rest if "objects" in segment.files)
+        return self.listing.named([*rest, *indexed])
 
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""

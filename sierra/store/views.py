@@ -63,6 +63,8 @@ ONCE = {
 }
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 
+KEPT_OBJECTS = "kept_objects"
+"""The table of recorded files without their contents: `objects`, for whoever asks only what the store has."""
 SETTLED = "settled"
 """The schema of tables that replace views: see `Views.settle`."""
 FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
@@ -190,7 +192,7 @@ class Views:
             body = ORIGINS if self._imported else NO_ORIGINS
         elif name in DEFINED:
             body = DEFINED[name]
-        elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions", "all_trials"):
+        elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions", "all_trials", KEPT_OBJECTS):
             self._make_recorded(name)
             return
         elif self._spelled.get(name.lower()) == name:
@@ -210,6 +212,7 @@ class Views:
             "all_artifacts": self._all_artifacts,
             "all_sessions": partial(self._recorded, "sessions"),
             "all_trials": self._all_trials,
+            KEPT_OBJECTS: self._kept_objects,
         }
         body = bodies.get(name, partial(self._recorded, name))
         try:
@@ -340,6 +343,22 @@ class Views:
 
     def _all_trials(self, *, older: bool = False) -> str:
         return f"SELECT * FROM {self._records('trials', older=older)}" if self.holds("trials") else "FROM trials"
+
+    def _kept_objects(self, *, older: bool = False) -> str:
+        columns = [column for column in RECORDED["objects"].columns if column.type != "BLOB"]
+        names = ", ".join(identifier(column.name) for column in columns)
+        files = self._files.get("objects", [])
+        parts = [f"SELECT {names} FROM {read_parquet(files, check='objects' not in self.unchecked)}"] if files else []
+        parts += [f"SELECT {names} FROM {self._index.rows('objects')}"] if self._index and self._index.holds("objects") else []
+        return " UNION ALL ".join(parts) or f"SELECT {', '.join(f'NULL::{c.type} AS {c.name}' for c in columns)} WHERE false"
+
+    def contents(self, digests: Iterable[str]) -> str:
+        """Return the relation of `objects` in the files that may have contents with these SHA-256s."""
+        names = set(self._index.holding(digests)) if self._index else set()
+        files = [*self._files.get("objects", ()), *(f"{self._listing.folders[0]}/{name}/objects.parquet" for name in names)]
+        if files:
+            return read_parquet(sorted(files, key=segment_of))
+        return f"(SELECT {', '.join(f'NULL::{c.type} AS {c.name}' for c in RECORDED['objects'].columns)} WHERE false)"
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":

@@ -196,7 +196,7 @@ def _without(table: pa.Table, names: AbstractSet[str]) -> pa.Table:
 
 
 def _tables(store: Store) -> set[str]:
-    return {name for segment in store.segments() for name, _ in segment.outputs()}
+    return set(store.outputs())
 
 
 KINDS: dict[str, Callable[[Side, Side], Iterator[str]]] = {
