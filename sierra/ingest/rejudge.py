@@ -280,9 +280,8 @@ def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
     """Return the sizes of those of these files whose bytes are in the store."""
     snapshot.add_table("digests", sha256=sorted(digests))
     snapshot.views.make(("kept_objects",))
-    return dict(
-        snapshot.run(f"SELECT sha256, any_value(size) FROM {KEPT_OBJECTS} SEMI JOIN digests USING (sha256) GROUP BY sha256")
-    )
+    sizes = "SELECT sha256, any_value(size) FROM kept_objects SEMI JOIN digests USING (sha256) GROUP BY sha256"
+    return dict(snapshot.run(sizes))
 
 
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
