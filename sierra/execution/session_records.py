@@ -44,7 +44,7 @@ from sierra.util.hashing import sha256
 
 if TYPE_CHECKING:
     from sierra.execution.summary import Summary
-STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN kept_objects USING (sha256)"
+STORED_BLOBS = 'SELECT blob FROM blobs SEMI JOIN "kept objects" USING (sha256)'
 """SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
 
 LASTING = tuple(f"{table}{SUFFIX}" for table in ("executions", "findings", "judgements", "builds"))

@@ -105,9 +105,10 @@ def stored(rows: Sequence[SharedFileRow], snapshot: Snapshot) -> set[str]:
     """Return the SHA-256 of those files whose content the store has."""
     if not rows or not snapshot.holds("objects"):
         return set()
-    snapshot.views.make(("kept_objects",))
+    snapshot.views.make(("kept objects",))
     snapshot.add_table("asked_files", sha256=sorted({row.sha256 for row in rows}))
-    return {found for (found,) in snapshot.run("SELECT DISTINCT sha256 FROM kept_objects SEMI JOIN asked_files USING (sha256)")}
+    asked = 'SELECT DISTINCT sha256 FROM "kept objects" SEMI JOIN asked_files USING (sha256)'
+    return {found for (found,) in snapshot.run(asked)}
 
 
 def recorded(store: Store, shared: str) -> list[SharedFileRow]:

@@ -279,8 +279,8 @@ def _is_hopeless(one: Past, context: Context) -> bool:
 def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
     """Return the sizes of those of these files whose bytes are in the store."""
     snapshot.add_table("digests", sha256=sorted(digests))
-    snapshot.views.make(("kept_objects",))
-    sizes = "SELECT sha256, any_value(size) FROM kept_objects SEMI JOIN digests USING (sha256) GROUP BY sha256"
+    snapshot.views.make(("kept objects",))
+    sizes = 'SELECT sha256, any_value(size) FROM "kept objects" SEMI JOIN digests USING (sha256) GROUP BY sha256'
     return dict(snapshot.run(sizes))
 
 

@@ -24,6 +24,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from sierra.errors import Damaged, Missing
+from sierra.store import index_files
 from sierra.store.connections import connect, keep_order
 from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
@@ -373,6 +374,7 @@ def tidy(paths: StorePaths, aside: Path) -> int:
                 sync(paths.segments)
             (paths.segments / segment.name).rename(aside / segment.name)
         if unused:
+            index_files.remove_all(paths)  # they hold rows of these segments
             sync(paths.segments)
     shutil.rmtree(aside, ignore_errors=True)
     return len(unused)

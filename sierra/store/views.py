@@ -63,8 +63,8 @@ ONCE = {
 }
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 
-KEPT_OBJECTS = "kept_objects"
-"""The table of recorded files without their contents: `objects`, for whoever asks only what the store has."""
+KEPT_OBJECTS = "kept objects"
+"""The table of recorded files without their contents, for whoever asks only what the store has. No output has such a name."""
 SETTLED = "settled"
 """The schema of tables that replace views: see `Views.settle`."""
 FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
@@ -129,6 +129,8 @@ class Views:
         for name in (*RECORDED, *DERIVED, *sorted(self._spelled.values())):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
+        if wanted is not None and KEPT_OBJECTS in wanted:
+            self._make(KEPT_OBJECTS)
 
     def verify(self) -> None:
         """Verify the files of the existing views again, which may have changed since. Raises Damaged."""

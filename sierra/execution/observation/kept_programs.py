@@ -38,7 +38,7 @@ SELECT DISTINCT f.path, f.use, f.sha256
 FROM observations o JOIN executions e USING (execution) JOIN files_read f USING (files)
 WHERE e.session = $s AND starts_with(f.path, $inside) AND f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL ORDER BY ALL
 """
-STORED = "SELECT DISTINCT sha256 FROM kept_objects WHERE list_contains($d, sha256)"
+STORED = 'SELECT DISTINCT sha256 FROM "kept objects" WHERE list_contains($d, sha256)'
 
 
 def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
