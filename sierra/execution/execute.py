@@ -22,6 +22,7 @@ from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.execution.sum_up import of_session
 from sierra.execution.summary import Summary
+from sierra.store import index_builder
 from sierra.store.store import Store
 from sierra.util.lazy_logger import Log
 
@@ -89,6 +90,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)
         if session.paths not in executor.left:
             session_records.close(plan, store, session, summary, begun)
+            index_builder.keep_up(store.paths)
         return summary
     except Exception:
         session_records.withdraw(store, session)

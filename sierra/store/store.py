@@ -377,6 +377,7 @@ class Snapshot:
         self._shared = shared
         self._reading: Rows | None = None
         self._settled = False
+        self._has_tables = False
         self._given = segments, within, replays, memory, rules
         self._folders = [*([beneath] if beneath else []), self._paths.segments]
         self._open(index_files.best(self._paths) if indexed else None)
@@ -485,30 +486,45 @@ class Snapshot:
 
         with self.errors():
             read = self._only_reads(text, parameters)
-            tables = tables_of(text)
-            if theirs and tables is None and self._index is not None:  # it may list all tables, also those of the index
+            if theirs and tables_of(text) is None:  # it may list all tables, also those of the index
                 self._leave_index()
-            self.views.make(tables)
-            notes = self._derive(read, tables) if theirs else []
             try:
-                answer = self._answer(text, parameters)
-            except duckdb.CatalogException:  # a table name that `tables_of` does not recognize: main.runs
-                self.views.make()
-                answer = self._answer(text, parameters)
-            if answer is None:
-                raise SqlError("the statement returns no rows; use SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
-            # a list of all tables does not need notes on columns
-            told = notes if tables is None else self.views.notes
-            if theirs and DESCRIBES.match(read):
-                told = [*told, *self._units(tables or ())]
-            return convert(Answer(answer, "; ".join(told)))
+                return self._asked(read, text, parameters, convert, theirs=theirs)
+            except (Damaged, duckdb.IOException, duckdb.InternalException, duckdb.FatalException):
+                if not self._leave_index():
+                    raise
+                return self._asked(read, text, parameters, convert, theirs=theirs)
 
-    def _leave_index(self) -> None:
-        """Go on with a new connection, without the index."""
+    def _asked(
+        self, read: str, text: str, parameters: Mapping[str, object], convert: Callable[[Answer], Converted], *, theirs: bool
+    ) -> Converted:
+        import duckdb
+
+        tables = tables_of(text)
+        self.views.make(tables)
+        notes = self._derive(read, tables) if theirs else []
+        try:
+            answer = self._answer(text, parameters)
+        except duckdb.CatalogException:  # a table name that `tables_of` does not recognize: main.runs
+            self.views.make()
+            answer = self._answer(text, parameters)
+        if answer is None:
+            raise SqlError("the statement returns no rows; use SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
+        # a list of all tables does not need notes on columns
+        told = notes if tables is None else self.views.notes
+        if theirs and DESCRIBES.match(read):
+            told = [*told, *self._units(tables or ())]
+        return convert(Answer(answer, "; ".join(told)))
+
+    def _leave_index(self) -> bool:
+        """Go on with a new connection, without the index. Return False if there is none, or if that would lose tables."""
+        if self._index is None or self._has_tables:
+            return False
         settings = self.derived.settings
         self._opened.close()
         self._open(None)
         self.set_up(settings)
+        return True
 
     def durations(self, output: str, executions: str = "SELECT judgement FROM all_judgements") -> list[str]:
         """Return the columns of an output that have durations, in nanoseconds; `executions` is a query for those that count."""
@@ -616,10 +632,12 @@ class Snapshot:
         """Make a temporary table on this connection from columns of texts, of whole numbers or of fractions."""
         values = {column: list(given) for column, given in columns.items()}
         kinds = {column: KINDS.get(type(given[0]), "VARCHAR") if given else "VARCHAR" for column, given in values.items()}
+        self._has_tables = True
         self.connection.execute(f"CREATE OR REPLACE TEMP TABLE {identifier(name)} AS {unnested(kinds)}", [*values.values()])
 
     def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
         self._opened.note(statement)
+        self._has_tables |= statement.lstrip()[:6].upper() == "CREATE"
         with self.errors():
             return self.connection.execute(statement, parameters or {}).fetchall()
