@@ -1,0 +1,129 @@
+"""The index: no answer depends on it, whatever has become of it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.store import index_builder, index_files
+from sierra.store.layout import StorePaths
+from sierra.store.schema import DERIVED, RECORDED
+from sierra.store.store import Store
+from tests import stores
+
+STATEMENTS = (
+    *(f"SELECT * FROM {name} ORDER BY ALL" for name in (*RECORDED, *DERIVED)),
+    "SELECT * FROM swarm ORDER BY ALL",
+    "SELECT * FROM notes ORDER BY ALL",
+    "DESCRIBE runs",
+    "SHOW TABLES",
+    "SHOW ALL TABLES",
+    "SELECT table_name FROM duckdb_tables() ORDER BY ALL",
+)
+
+
+@pytest.fixture
+def project(recorded: Path, tmp_path: Path) -> Path:
+    return stores.copy(recorded, tmp_path / "project")
+
+
+def paths_of(root: Path) -> StorePaths:
+    return StorePaths(root / ".sierra")
+
+
+def answers(root: Path) -> list[object]:
+    store = Store(root / ".sierra")
+    found: list[object] = [store.sql(statement).to_pylist() for statement in STATEMENTS]
+    found.append(sorted(segment.name for segment in store.segments()))
+    found.append(store.outputs())
+    return found
+
+
+def keep(root: Path) -> Path:
+    """Move an index aside, and return its new place."""
+    [path] = index_files.published(paths_of(root).index)
+    return path.rename(root / path.name)
+
+
+def test_answers_are_the_same_with_an_index_and_without(project: Path) -> None:
+    without = answers(project)
+    assert index_builder.build(paths_of(project)) is not None
+    assert answers(project) == without
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.listing.rest == []
+
+
+def test_an_index_knows_only_the_segments_before_it(project: Path) -> None:
+    """New segments are read as well as it, and added to the next one."""
+    assert index_builder.build(paths_of(project)) is not None
+    sierra.open(project).run("population_size=7", runs=1, figures=False)
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert 0 < len(snapshot.listing.rest) < len(snapshot.listing.names)
+    old = answers(project)
+    assert index_builder.build(paths_of(project)) is not None
+    assert answers(project) == old
+    shutil.rmtree(project / ".sierra" / "index")
+    assert answers(project) == old
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def swap(path: Path) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[:16384] + content[20480:24576] + content[16384:20480] + content[24576:])
+
+
+def shorten(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def replace(path: Path) -> None:
+    path.write_text("not an index\n")
+
+
+@pytest.mark.parametrize("damage", [flip, swap, shorten, replace])
+def test_a_damaged_index_is_not_used(project: Path, damage: Callable[[Path], None]) -> None:
+    without = answers(project)
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    damage(path)
+    assert answers(project) == without
+
+
+def test_an_index_of_another_store_changes_no_answer(project: Path, tmp_path: Path) -> None:
+    without = answers(project)
+    other = stores.copy(project, tmp_path / "other")
+    sierra.open(other).run("population_size=9", runs=1, figures=False)
+    path = index_builder.build(paths_of(other))
+    assert path is not None
+    (project / ".sierra" / "index").mkdir()
+    shutil.copy(path, project / ".sierra" / "index")
+    assert answers(project) == without
+
+
+def test_what_is_removed_is_in_no_index(project: Path) -> None:
+    opened = sierra.open(project)
+    batch = opened.batches[-1].batch
+    path = index_builder.build(paths_of(project))
+    assert path is not None and batch.encode() in path.read_bytes()
+    opened.remove(batch)
+    for left in (project / ".sierra").rglob("*"):
+        assert left.is_dir() or batch.encode() not in left.read_bytes()
+
+
+def test_a_store_that_may_not_be_written_is_read_with_its_index(project: Path) -> None:
+    assert index_builder.build(paths_of(project)) is not None
+    for path in [project / ".sierra", project / ".sierra" / "index"]:
+        path.chmod(0o555)
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.listing.rest == []
+    for path in [project / ".sierra", project / ".sierra" / "index"]:
+        path.chmod(0o755)
