@@ -116,6 +116,12 @@ class Index:
             if output.lower() == name.lower()
         ]
 
+    def highest(self, tables: Iterable[str], column: str) -> int:
+        """Return the highest value of a column of whole numbers in the rows of these tables, current or not."""
+        each = " UNION ALL ".join(f"SELECT max({column}) AS value FROM {DATABASE}.{table}" for table in tables)
+        [(highest,)] = self._fetch(f"SELECT coalesce(max(value), 0) FROM ({each})")
+        return int(highest)
+
     def files(self, table: str) -> list[str]:
         """Return the paths of the files of a table whose contents stay in the segments."""
         of = f"{DATABASE}.{table} JOIN {DATABASE}.segments s USING (seg){self._current}"

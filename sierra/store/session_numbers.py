@@ -1,7 +1,7 @@
 """Lamport numbers of sessions: the next one is 1 more than the highest known number (see `sierra.store.lamport_clock`).
 
 Segments never change, so each is read only once. A cache file in the store keeps the highest number of the segments that
-were read. The file may be deleted, and it is ignored if its checksum is wrong.
+were read and are not in the index. The file may be deleted, and it is ignored if its checksum is wrong.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ def _recorded(paths: StorePaths) -> int:
     """Return the highest number in all segments."""
     highest, seen = _load(paths.numbers)
     with Store(paths.root).snapshot() as snapshot:
-        new = [segment for segment in snapshot.segments if segment.name not in seen]
-        highest = max(highest, highest_of(snapshot, new))
+        unindexed = snapshot.listing.rest
+        new = [segment for segment in unindexed if segment.name not in seen]
+        highest = max(highest, highest_of(snapshot, new), number_of(snapshot.highest_indexed(ORDERED, "lamport")))
     if new:
-        _save(paths.numbers, highest, [segment.name for segment in snapshot.segments])
+        _save(paths.numbers, highest, [segment.name for segment in unindexed])
     return highest
 
 

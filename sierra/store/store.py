@@ -602,6 +602,10 @@ class Snapshot:
         rest = (segment.name for segment in self.listing.rest if "objects" in segment.files)
         return self.listing.named([*rest, *indexed])
 
+    def highest_indexed(self, tables: Iterable[str], column: str) -> int:
+        """Return the highest value of a column of whole numbers in the indexed rows of these tables; 0 without an index."""
+        return self._index.highest(tables, column) if self._index else 0
+
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
         with self.errors():

@@ -38,13 +38,15 @@ MAX_STORES = 64
 """The number of stores whose files are kept."""
 AGAIN_S = 1.0
 """The time for which a cache that has been written is not written again, except at the end of the process."""
+PART = 0.02
+"""The largest part of the time that goes to writing a cache before the end of the process."""
 
 damage: dict[str, None] = {}
 """Messages about the damaged files that this process has found. The command line reports them if nobody else has."""
 _caches: dict[str, Cache] = {}
 """The cache of each store that was read, by the path of its folder of segments."""
 _saved: dict[str, float] = {}
-"""The time at which each cache was written last."""
+"""The time from which each cache may be written again."""
 _written: dict[tuple[int, ...], str] = {}
 """The SHA-256 of files that this process has written, by their state."""
 
@@ -213,11 +215,13 @@ def _recorded(file: _File) -> str:
 
 def _save(store: str) -> None:
     """Write the cache of a store, but seldom: many calls of `verify` with few files each must not write it each time."""
-    if time.monotonic() < _saved.get(store, 0.0) + AGAIN_S:
+    began = time.monotonic()
+    if began < _saved.get(store, 0.0):
         return
     _make_room(_caches[store].path)
     _caches[store].save()
-    _saved[store] = time.monotonic()
+    now = time.monotonic()
+    _saved[store] = now + max(AGAIN_S, (now - began) / PART)
 
 
 @atexit.register

@@ -115,8 +115,9 @@ def test_what_is_removed_is_in_no_index(project: Path) -> None:
     path = index_builder.build(paths_of(project))
     assert path is not None and batch.encode() in path.read_bytes()
     opened.remove(batch)
-    for left in (project / ".sierra").rglob("*"):
+    for left in (project / ".sierra" / "segments").rglob("*"):
         assert left.is_dir() or batch.encode() not in left.read_bytes()
+    assert not list(paths_of(project).index.iterdir())
 
 
 def test_a_store_that_may_not_be_written_is_read_with_its_index(project: Path) -> None:
