@@ -24,7 +24,7 @@ from sierra.execution import recover, sessions, unrecorded
 from sierra.execution.observer import Observer
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
-from sierra.store import ownership_marks, session_log_file, unfinished_files
+from sierra.store import index_builder, ownership_marks, session_log_file, unfinished_files
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
@@ -160,6 +160,7 @@ def collect(
             with sessions.exclusively(paths):
                 tidy(paths, session.paths.root / "old")
                 left = len(out_of_use(paths))
+    index_builder.keep_up(paths)
     kept = len(recovered.left_out)
     removed = replace(first, sessions=max(first.sessions - kept, 0), left=left)
     return replace(removed, recovered=recovered.executions, unrecorded=recovered.left_out)

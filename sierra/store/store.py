@@ -81,6 +81,10 @@ class Found(NamedTuple):
     """A batch to which it belongs; of a study, the batch of its last look, or None before the first."""
 
 
+_looked_at: set[Path] = set()
+"""The stores of which this process has made sure that an index has most of their segments."""
+
+
 class Store:
     """A store. It is cheap to create and holds no open files; any number of instances may be used at the same time."""
 
@@ -222,6 +226,8 @@ class Store:
         try:
             memory = self.memory if theirs else None
             usable = self._indexed and self._beneath is None and not self._replays and memory is None
+            if usable:
+                self._index_many()
             made = Snapshot(
                 *(self.paths.root, None, within, shared),
                 beneath=self._beneath,
@@ -236,6 +242,15 @@ class Store:
         except BaseException:
             shared.close()
             raise
+
+    def _index_many(self) -> None:
+        """Build an index if very many segments are in none, once in a process: whoever only records some builds it earlier."""
+        from sierra.store import index_builder
+
+        if self.paths.root not in _looked_at:
+            _looked_at.add(self.paths.root)
+            if len(names_in(self.paths.segments)) >= index_builder.FOUND:
+                index_builder.keep_up(self.paths, index_builder.FOUND)
 
     @property
     def memory(self) -> int | None:

@@ -32,6 +32,7 @@ from sierra.packages.archive import Archive
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.manifest import PackageManifest
 from sierra.packages.reading.received import records
+from sierra.store import index_builder
 from sierra.store.compaction import Compaction, groups
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of, stamp
@@ -132,6 +133,7 @@ def import_package(store: Store, path: Path, observer: Observer | None = None) -
             return seen <= now and not any("imports" in segment.files for segment in new)
 
         transaction.publish(store.paths, session, prepare, valid=valid)
+        index_builder.keep_up(store.paths)
         return _result(store, received, made[-1])
 
 
