@@ -61,7 +61,7 @@ FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
 """Files that are the same in every store, but that `format` may have the number of the former format."""
 DERIVED = frozenset(("files", "numbers"))
 """Files that are derived from others, and made again if they are missing."""
-FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images", "logs", "build", "try", "extracted"))
+FOLDERS = frozenset(("segments", "index", "work", "damaged", "kept", "images", "logs", "build", "try", "extracted"))
 
 
 @dataclass(slots=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import sessions
-from sierra.maintenance import check_files, check_records
+from sierra.maintenance import check_files, check_index, check_records
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
@@ -76,7 +76,7 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
         try:
             tell("checking records")
             records = [] if found.unchecked else check_records.check(read, root)  # they need all files
-            findings = [*_contents(read), *records, *_sessions(paths), *_strange(paths)]
+            findings = [*_contents(read), *records, *check_index.check(paths, found), *_sessions(paths), *_strange(paths)]
             findings += [Finding(Kind.LEFT, f"segments/{name}", REPLACED) for name in found.left]
             executions = _count(read)
         finally:

@@ -24,7 +24,7 @@ from sierra.execution import recover, sessions, unrecorded
 from sierra.execution.observer import Observer
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
-from sierra.store import index_builder, ownership_marks, session_log_file, unfinished_files
+from sierra.store import index_builder, index_files, ownership_marks, session_log_file, unfinished_files
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
@@ -191,9 +191,10 @@ def _unfinished(paths: StorePaths, project: Path | None) -> Iterator[Path]:
     yield from filter(scratch.is_abandoned, paths.extracted.glob("*"))
     yield from map(Path, worker.abandoned_by(lambda owner: ownership_marks.executes_in(paths, Path(owner))))
     own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
-    for path in (*own, *unfinished(paths)):
+    for path in (*own, *unfinished(paths), *index_files.unfinished(paths)):
         if worker.birth(int(path.name.rpartition(".")[2])) is None:
             yield path
+    yield from index_files.useless(paths)
 
 
 REFERRED = """

@@ -132,7 +132,8 @@ def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
             _make_room(paths, paths.root / name)
             write_whole(paths.root / name, FIXED[name].encode())
         yield f"{name}: written again"
-    for name in sorted({finding.path for finding in checked.report.findings if finding.kind is Kind.DAMAGED} & DERIVED):
+    damaged = {finding.path for finding in checked.report.findings if finding.kind is Kind.DAMAGED}
+    for name in sorted(name for name in damaged if name in DERIVED or name.startswith(f"{paths.index.name}/")):
         if not dry_run:
             _make_room(paths, paths.root / name)
             (paths.root / name).unlink(missing_ok=True)

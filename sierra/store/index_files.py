@@ -32,6 +32,7 @@ from sierra.util.regular_files import read_regular
 CONTENT = 1
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
 NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
+UNFINISHED = re.compile(rf"\.{NAME.pattern}{UNFINISHED_END}")
 IN_MEMORY = 64 << 20
 """The size up to which an index is read into memory."""
 
@@ -72,13 +73,19 @@ def best(paths: StorePaths) -> IndexFile | None:
         if held is not None and held.path == path:
             return held
         with contextlib.suppress(OSError):
-            if (found := _verified(path, paths)) is not None:
+            if (found := verified(path, paths)) is not None:
                 _held[key] = found
                 return found
     return None
 
 
-def _verified(path: Path, paths: StorePaths) -> IndexFile | None:
+def is_current(path: Path) -> bool:
+    """Check that an index has the format that this SIERRA reads."""
+    return path.name.startswith(f"{format_now()}-")
+
+
+def verified(path: Path, paths: StorePaths) -> IndexFile | None:
+    """Return an index whose bytes are those that its name promises; else None. Raises OSError."""
     digits = path.stem.rpartition("-")[2]
     if path.stat().st_size > IN_MEMORY or not hasattr(os, "memfd_create"):
         return IndexFile(path, str(path)) if begins_with(path, digits, f"{paths.segments}") else None
@@ -105,9 +112,24 @@ def remove(path: Path) -> None:
         path.unlink()
 
 
+def unfinished(paths: StorePaths) -> list[Path]:
+    """Return indexes that were still being written; the end of their names is the id of the process."""
+    with contextlib.suppress(OSError):
+        return [path for path in paths.index.iterdir() if UNFINISHED.fullmatch(path.name)]
+    return []
+
+
+def useless(paths: StorePaths) -> list[Path]:
+    """Return the indexes of other versions of SIERRA, and those that are damaged."""
+    with contextlib.suppress(OSError):
+        found = [path for path in paths.index.iterdir() if NAME.fullmatch(path.name)]
+        return [path for path in found if not is_current(path) or verified(path, paths) is None]
+    return []
+
+
 def remove_all(paths: StorePaths) -> None:
     """Remove each index, because it holds what is to be removed from the store. Raises OSError."""
     with contextlib.suppress(FileNotFoundError):
         for path in paths.index.iterdir():
-            if NAME.fullmatch(path.name) or re.fullmatch(rf"\.{NAME.pattern}{UNFINISHED_END}", path.name):
+            if NAME.fullmatch(path.name) or UNFINISHED.fullmatch(path.name):
                 path.unlink(missing_ok=True)

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import duckdb
 import pytest
 
 import sierra
@@ -128,3 +129,18 @@ def test_a_store_that_may_not_be_written_is_read_with_its_index(project: Path) -
         assert snapshot.listing.rest == []
     for path in [project / ".sierra", project / ".sierra" / "index"]:
         path.chmod(0o755)
+
+
+def test_fsck_compares_an_index_with_the_segments(project: Path) -> None:
+    assert index_builder.build(paths_of(project)) is not None
+    opened = sierra.open(project)
+    assert not opened.fsck().findings
+    path = keep(project)
+    connection = duckdb.connect(str(path))
+    connection.execute("UPDATE executions SET status = 'failed'")
+    connection.close()
+    index_files.publish(paths_of(project), 12, path.read_bytes())
+    [finding] = opened.fsck().findings
+    assert finding.path.startswith("index/") and "its rows of executions are not those of the segments" in finding.what
+    opened.repair()
+    assert not opened.fsck().findings and not list(paths_of(project).index.iterdir())
