@@ -85,6 +85,9 @@ SETTLED_NS = 2_000_000_000
 _known: dict[str, tuple[int, Segment]] = {}
 """Segments without REPLACES and AFTER that were read, and the time of their folders' last change, by path."""
 
+_names: dict[str, tuple[int, list[str]]] = {}
+"""The names in folders of segments, with the time of the folders' last change, by path."""
+
 
 @dataclass(frozen=True, slots=True)
 class Segment:
@@ -224,12 +227,19 @@ def on_disk(folder: Path) -> Iterator[Segment]:
 
 def names_in(folder: Path) -> list[str]:
     """Return the sorted names of the entries that may be segments. Raises OSError for a lack of something."""
+    path = str(folder)
     try:
-        return sorted(entry.name for entry in os.scandir(folder) if _may_be_segment(entry))
+        changed = folder.stat().st_mtime_ns
+        if path not in _names or _names[path][0] != changed:
+            names = sorted(entry.name for entry in os.scandir(folder) if _may_be_segment(entry))
+            if time.time_ns() - changed <= SETTLED_NS:
+                return names
+            _names[path] = changed, names
     except OSError as error:
         if lacking(error) is not None:
             raise
         return []
+    return list(_names[path][1])
 
 
 def _existing(folder: Path, names: Iterable[str]) -> Iterator[Segment]:
