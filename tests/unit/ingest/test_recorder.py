@@ -331,6 +331,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, Summary]:
     return project, run(project, f"n={','.join(map(str, range(len(FAULTS))))}")
 
 
+@pytest.mark.integration
 def test_one_faulty_run_of_each_experiment_fails(faulty: tuple[Project, Summary]) -> None:
     _, summary = faulty
     assert (summary.failed, summary.missing) == (len(FAULTS), 0)
