@@ -52,6 +52,8 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
         return None
     width = len(rows[first])
     above = [place for place in rows if place < first]
+    if any(len(rows[place]) == width and all(map(reads_as_number, rows[place])) for place in above):
+        return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
     keys: dict[str, Key] = {}
     if above:
