@@ -42,6 +42,10 @@ class TimeKind(StrEnum):
     TIME = "time"
 
 
+WITHOUT_DAYS = (TimeKind.CLOCK, TimeKind.TIME)
+DAYS = "; if its clock passes midnight, let the run write the day, too: 1:00:00:05, or a date"
+
+
 def kind_of(run: Callable[[str], Sequence[Sequence[Any]]], relation: str, column: str, kind: str) -> TimeKind | None:
     """Return the form of the times in a column of this type; None if they are numbers, or no times.
 

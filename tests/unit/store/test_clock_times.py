@@ -100,6 +100,7 @@ first = datetime.datetime(2024, 5, 1 + seed % 3, 23, 59, 58)
 times = [first + datetime.timedelta(seconds=second) for second in range(4)]
 open("iso.csv", "w").write("stamp,v\\n" + "".join(f"{at.isoformat()},{n * i}\\n" for i, at in enumerate(times)))
 open("clock.csv", "w").write("time,v\\n" + "".join(f"00:00:{10 * i:02d},{n * i}\\n" for i in range(4)))
+open("night.csv", "w").write("time,v\\n23:59:58,1\\n23:59:59,2\\n00:00:00,3\\n")
 open("words.csv", "w").write("when,v\\n" + "".join(f"step {i},{n * i}\\n" for i in range(4)))
 pq.write_table(pa.table({"at": times, "v": range(4)}), "moments.parquet")
 """
@@ -133,4 +134,7 @@ def test_statistics_and_figures_have_seconds_and_say_so(tmp_path: Path) -> None:
         assert [line[lines[0].index("t")] for line in lines[1:5]] == times
     [drawing] = folder.glob("figures/*/iso_v_timeseries.svg")
     assert "stamp [s]" in drawing.read_text() or "stamp (s)" in drawing.read_text()
+    said = quick(folder, "stats", "night", "v").stderr
+    assert "whose time goes back" in said
+    assert "if its clock passes midnight, let the run write the day, too: 1:00:00:05, or a date" in said
     assert quick(folder, "stats", "words", "v").stderr.startswith("sierra: output 'words': its time 'when' has values")
