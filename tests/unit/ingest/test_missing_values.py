@@ -17,8 +17,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sierra.config.output_tables import Output
+from sierra.ingest.model import Form, Shape
+from sierra.ingest.read import read
+from tests import plugins, samples
 from tests.projects import CONFIG, make, quick
-from tests.readings import read_file
+from tests.readings import read_file, written
 
 VALUES = [1.5, -1.0, 2.5, -2.0]
 
@@ -166,6 +169,39 @@ def test_bags_have_missing_values_but_not_in_what_says_where_a_message_was(tmp_p
     reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/joints",), **keys)
     assert not reading.faults
     assert [row["position"] for row in rows] == [[-1.0, 2.0], []]
+
+
+READER = """
+import numpy as np
+from sierra.plugin import NoOptions
+class Made:
+    contract = 1
+    Options = NoOptions
+    def __init__(self, options): pass
+    def read(self, path):
+        return {
+            "mixed": [-1, "NA", 2.5, None],
+            "typed": np.array([2**62, -1, 0, 7]),
+            "own": [np.int64(-1), np.int64(3), np.int64(0), np.int64(-2)],
+            "flag": [True, False, None, True],
+        }
+"""
+
+
+def test_reader_of_another_package_has_missing_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "marks", {"sierra.readers mark": "Made"}, READER)))
+    shape = Shape("mark", reader=json.dumps({"package": "marks 1", "options": {}}), form=Form(na=(-1, "NA", 0)), name="t")
+    (tmp_path / "target").mkdir()
+    target = tmp_path / "target" / "table.parquet"
+    reading = read(samples.database(2), [written(tmp_path / "t.mark", 0, b"x")], shape, target)
+    assert not reading.faults
+    found = {name: values for name, values in pq.read_table(target).to_pydict().items() if name not in ("run", "execution")}
+    assert found == {
+        "mixed": [None, None, 2.5, None],
+        "typed": [2**62, None, None, 7],
+        "own": [None, 3, None, -2],
+        "flag": [True, False, None, True],
+    }
 
 
 def test_json_keeps_flags_and_lists_beside_missing_values(tmp_path: Path) -> None:
