@@ -40,4 +40,4 @@ def test_names_with_a_clock_are_no_difference_between_packages(tmp_path: Path) -
     assert said.count("_1.csv differs in 1 run") == 2
     assert "_0.csv differs" not in said
     [table] = (line for line in said.splitlines() if line.startswith("results: table log"))
-    assert table.partition(": ")[2].partition(": ")[2] == "row 3: 'v' was 1 and is 6; largest difference 5 (relative 5); in 1 of 4 rows"
+    assert table.endswith(": row 3: 'v' was 1 and is 6; largest difference 5 (relative 5); in 1 of 4 rows")
