@@ -33,6 +33,7 @@ from sierra.util.hashing import short as digits
 from sierra.util.text import counted, few, verb
 
 COMMENT = "the first line is a comment; begin with the column names, without {mark!r} ({keys} leaves comments out)"
+UNITS = "units are below its names ({keys} reads it)"
 HEADER = "its names are not in its first line ({keys} reads it)"
 TEXTS = 4
 """The largest number of texts that a proposal for `na` lists."""
@@ -280,7 +281,7 @@ class TableWarnings:
         mark = keys.get("comment")
         if isinstance(mark, str) and self._content(output).lstrip().startswith(mark.encode()):
             return COMMENT.format(mark=mark, keys=named)
-        return HEADER.format(keys=named)
+        return (UNITS if keys.get("units_row") else HEADER).format(keys=named)
 
     def _content(self, output: str) -> bytes:
         """Return the content of the file of one run; nothing if the store does not have it."""

@@ -708,6 +708,10 @@ TEXTS: list[tuple[str, str | None]] = [
         LOOKS_NUMERIC
         + 'leave cells without a number empty instead of writing \'NA\' (4 such cells), or set na = ["NA", "n/a"] in',
     ),
+    (
+        "v\n(m)\n0\n1\n",
+        LOOKS_NUMERIC.partition("most")[0] + "units are below its names ([outputs.out] file",
+    ),
     ("t;v\n0;1,5\n1;2.5\n2;3\n", LOOKS_NUMERIC + "it has '1,5' and '2.5'; write all of them as plain numbers"),
     ("t;v\n0;1,234\n1;2.5\n2;3\n", LOOKS_NUMERIC + "it has '1,234' and '2.5'; write all of them as plain numbers"),
     ("t,v\n0,1_0\n1,2\n2,3\n", LOOKS_NUMERIC + "write '1_0' as a plain number, or leave the cell empty (2 such cells)"),
