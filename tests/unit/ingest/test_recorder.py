@@ -709,6 +709,19 @@ TEXTS: list[tuple[str, str | None]] = [
         LOOKS_NUMERIC
         + 'leave cells without a number empty instead of writing \'NA\' (4 such cells), or set na = ["NA", "n/a"] in',
     ),
+    (
+        "v\n(m)\n0\n1\n",
+        LOOKS_NUMERIC.partition("most")[0] + "units are below its names ([outputs.out] file",
+    ),
+    ("t;v\n0;1,5\n1;2.5\n2;3\n", LOOKS_NUMERIC + "it has '1,5' and '2.5'; write all of them as plain numbers"),
+    ("t;v\n0;1,234\n1;2.5\n2;3\n", LOOKS_NUMERIC + "it has '1,234' and '2.5'; write all of them as plain numbers"),
+    ("t,v\n0,1_0\n1,2\n2,3\n", LOOKS_NUMERIC + "write '1_0' as a plain number, or leave the cell empty (2 such cells)"),
+    ("t,v\n0,1.#INFO\n1,2\n2,3\n", LOOKS_NUMERIC + "write '1.#INFO' as a plain number, or leave the cell empty"),
+    (
+        "t,v\n0, 3B\n1, 2MiB\n",
+        LOOKS_NUMERIC + "some have the unit 'B' or 'MiB'; write all in the same unit, or convert them to 'B', for example: "
+        """[tables.out""",
+    ),
     ("t,v\n0,ab\n", None),
     ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
     ("t,v\n0,2020-01-01\n", None),
@@ -736,6 +749,14 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(tmp_p
         names = ((f"output 'out{place}'", "output 'out'"), (f"[outputs.out{place}]", "[outputs.out]"))
         found[place] = [note.replace(*names[0]).replace(*names[1])[: len(said or "")] for note in of_place]
     assert found == {place: [said] * (said is not None) for place, (_, said) in enumerate(TEXTS)}
+    proposals = [json.loads(note.partition(" sql = ")[2]) for note in notes if "[tables." in note]
+    assert len(proposals) == 2
+    for sql, cells, values in zip(
+        proposals, (["1.5ms", "+8e2 us"], [" 3B", "2MiB "]), ([0.0015, 0.0008], [3, 2_097_152]), strict=True
+    ):
+        name = sql.rpartition(" ")[2]
+        table = f"(SELECT 1 AS run, 0 AS t, unnest({cells}) AS v)"
+        assert [row[2] for row in duckdb.sql(sql.replace(f"FROM {name}", f"FROM {table}")).fetchall()] == pytest.approx(values)
 
 
 @pytest.mark.integration
