@@ -408,9 +408,9 @@ def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, pl
         return f"{mixed}; write all in the same unit, without its name"
     [base] = known
     called = _plain(column)
-    number = f"regexp_extract({called}, '^[-+0-9.eE]+')::DOUBLE"
-    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:g}" for unit in units)
-    factor = f"CASE regexp_extract({called}, '[^-+0-9.eE ]+$') {cases} END"
+    number = f"regexp_extract(trim({called}), '^[-+0-9.eE]+')::DOUBLE"
+    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:.15g}" for unit in units)
+    factor = f"CASE regexp_extract(trim({called}), '[^-+0-9.eE ]+$') {cases} END"
     table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
     sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"
     key = re.sub(r"\W", "_", f"{output}_{column}")

@@ -738,6 +738,16 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(tmp_p
 
 
 @pytest.mark.integration
+def test_cells_with_units_are_converted_exactly_by_the_proposal(make: Make, noted: Callable[[], list[str]]) -> None:
+    project = make("write('t,size,took\\n0, 3GiB,1.5ms \\n1,7 MiB , 800us\\n2,5B,2ns\\n')")
+    assert not run(project, runs=1).failed
+    proposed = [json.loads(note.split("sql = ")[1]) for note in noted() if "convert them to" in note]
+    found = [[tuple(row.values())[1:] for row in project.sql(f"{sql} ORDER BY run, t").to_pylist()] for sql in proposed]
+    sizes, times = [(0, 3 * 2**30), (1, 7 * 2**20), (2, 5)], [(0, 0.0015), (1, 0.0008), (2, 2e-9)]
+    assert found == [sizes * (len(found[0]) // 3), times * (len(found[1]) // 3)]
+
+
+@pytest.mark.integration
 def test_comments_and_wrong_delimiters_are_noted_with_what_is_right(make: Make, noted: Callable[[], list[str]]) -> None:
     lines = "write('# a, b\\nt,v\\n0,1\\n1,2\\n', 'commented.csv')\nwrite('t,v\\n0,1\\n1,2\\n')\n"
     lines += "write('setting,value\\nlength,3\\nt,v\\n0,1\\n1,2\\n', 'preamble.csv')"
