@@ -134,7 +134,8 @@ usual AS (
 ),
 used AS (
     SELECT DISTINCT name, execution, run, place, scope,
-           coalesce(doubtful, runs > 1 AND runs >= $usual * all_runs OR is_usual AND usual_scopes >= $usual * scopes) AS doubtful
+           coalesce(doubtful, (runs > 1 AND runs >= $usual * all_runs) OR (is_usual AND usual_scopes >= $usual * scopes))
+               AS doubtful
     FROM usual
 ),
 doubtful AS (

@@ -458,8 +458,8 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
     for why, files in kept.items():
         first = PurePosixPath(next(iter(files)))
         message = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
-        some = "or more " if len(files) == NOTED_AT_MOST else ""
-        these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
+        others = f"{len(files) - 1} or more others" if len(files) == NOTED_AT_MOST else counted(len(files) - 1, "other")
+        these = f"{str(first)!r} and {others} are" if len(files) > 1 else f"{str(first)!r} is"
         yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {message}"
 
 

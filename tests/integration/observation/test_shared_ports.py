@@ -89,9 +89,7 @@ def execute(tmp_path: Path, require: Callable[..., str]) -> Callable[..., tuple[
     """Execute runs with a server; return how many count, and what SIERRA has said. Check that none has another run's data."""
     require("strace")
 
-    def execute(
-        arguments: str, *, runs: int = 4, jobs: int = 2, sizes: str = "1,2", observe: str = "first"
-    ) -> tuple[int, str]:
+    def execute(arguments: str, *, runs: int = 4, jobs: int = 2, sizes: str = "1,2", observe: str = "first") -> tuple[int, str]:
         folder = tmp_path / "project"
         command = f"python3 {{project}}/server.py {{input}} {arguments.replace(' ', ' {seed} ', 1)}"
         config = projects.CONFIG.replace("python3 sim.py {input}", command).replace("runs = 2", f"runs = {runs}")

@@ -893,7 +893,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write(good, 'x_y.tsv'); write('', 'a.txt')", toml))
     assert [note for note in noted() if "seeds" not in note] == [
         "'x_y.csv' makes the table 'x_y_2', because the table 'x_y' is that of 'x-y'",
-        "'logs/1.csv' and 1 others are kept as files: undeclared and in a subfolder "
+        "'logs/1.csv' and 1 other are kept as files: undeclared and in a subfolder "
         '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
         "'x_y.tsv' is kept as a file: undeclared, and another file already makes the table of that name "
         '([outputs.NAME] file = "x_y.tsv" makes it a table)',
