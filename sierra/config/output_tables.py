@@ -322,6 +322,11 @@ def part_of(base: str, path: str) -> tuple[int, int, str] | None:
     return (0, 0, re.sub("[^0-9]", "", date)) if date else (NUMBERED, -int(number), "") if number else NEWEST
 
 
+def with_rotation(path: str, others: Iterable[str]) -> str:
+    """Return the path of a file, with `{rotation}` if older parts of it are among the others."""
+    return path + ROTATION if any((part_of(path, other) or NEWEST) < NEWEST for other in others) else path
+
+
 def newest_of(path: str) -> str | None:
     """Return the name of the newest part of a rotated file, if a path has the name of an older part; else None."""
     found = _OLDER.fullmatch(path)

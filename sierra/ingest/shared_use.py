@@ -48,7 +48,10 @@ class Kind(NamedTuple):
     wider: str = ""
     """Another query, for what a second run is to be observed; by default the same."""
     usual: float = 0.0
-    """The part of the runs with such uses that have a name in common, below which it is by chance."""
+    """The part of the runs with such uses that have a name in common, below which it is by chance, as for ports at random.
+
+    The part of all runs counts, and that of the runs of an experiment, if it is reached in this part of the experiments.
+    """
     on_host: bool = False
     """True if executions on different hosts never share them."""
 
@@ -76,7 +79,7 @@ PORTS = Kind(
     "{names} {verb} used by several runs at the same time",
     "execute with --jobs 1, in a container, or use {port}",
     CHANNELS.format(listened="true"),
-    usual=0.1,
+    usual=0.5,
     on_host=True,
 )
 KINDS = (FILES, PORTS)
@@ -116,14 +119,24 @@ last AS (
     FROM (SELECT unnest([ordinal, -1]) AS scope, reason, run, place FROM observed WHERE ok) GROUP BY ALL
 ),
 witnesses AS (SELECT scope, reason, arg_max(run, last, 2) AS runs, max(last, 2) AS lasts FROM last GROUP BY ALL),
+alike AS (
+    SELECT *, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) AS runs,
+           count(DISTINCT run) FILTER (doubtful IS NULL) OVER () AS all_runs,
+           count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY scope, name) AS near,
+           count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY scope) AS all_near
+    FROM ({{uses}}) JOIN mine USING (execution)
+),
+usual AS (
+    SELECT *, near > 1 AND near >= $usual * all_near AS is_usual,
+           count(DISTINCT scope) FILTER (near > 1 AND near >= $usual * all_near) OVER () AS usual_scopes,
+           count(DISTINCT scope) FILTER (all_near > 1) OVER () AS scopes
+    FROM alike
+),
 used AS (
     SELECT DISTINCT name, execution, run, place, scope,
-           coalesce(doubtful, alike > 1 AND alike >= $usual * all_alike) AS doubtful
-    FROM (
-        SELECT *, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) AS alike,
-               count(DISTINCT run) FILTER (doubtful IS NULL) OVER () AS all_alike
-        FROM ({{uses}}) JOIN mine USING (execution)
-    )
+           coalesce(doubtful, (runs > 1 AND runs >= $usual * all_runs) OR (is_usual AND usual_scopes >= $usual * scopes))
+               AS doubtful
+    FROM usual
 ),
 doubtful AS (
     SELECT d.name, d.scope, coalesce(bool_or(

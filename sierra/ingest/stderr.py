@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from sierra.store.endings import ON_OUTPUT
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
 from sierra.util.kept_log import kept_of
 from sierra.util.text import one_line
@@ -59,7 +60,8 @@ def error_at_end(directory: str) -> str | None:
     content = kept_of(f"{directory}/{RUN_STDERR}", READ)[0]
     if any(_lines(content)):
         return error_line(content)
-    return error_line(kept_of(f"{directory}/{RUN_STDOUT}", READ)[0], words=False)
+    found = error_line(kept_of(f"{directory}/{RUN_STDOUT}", READ)[0], words=False)
+    return found and found + ON_OUTPUT
 
 
 def error_line(content: bytes, *, words: bool = True) -> str | None:

@@ -414,7 +414,7 @@ def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, pl
     called = _plain(column)
     cell = f"trim({called})"
     number = f"regexp_extract({cell}, '^[-+0-9.eE]+')::DOUBLE"
-    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]!r}" for unit in units)
+    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:.15g}" for unit in units)
     factor = f"CASE regexp_extract({cell}, '[^-+0-9.eE ]+$') {cases} END"
     table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
     sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"
@@ -466,8 +466,8 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
     for why, files in kept.items():
         first = PurePosixPath(next(iter(files)))
         message = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
-        some = "or more " if len(files) == NOTED_AT_MOST else ""
-        these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
+        others = f"{len(files) - 1} or more others" if len(files) == NOTED_AT_MOST else counted(len(files) - 1, "other")
+        these = f"{str(first)!r} and {others} are" if len(files) > 1 else f"{str(first)!r} is"
         yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {message}"
 
 

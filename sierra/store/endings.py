@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -19,6 +21,10 @@ class Kind(StrEnum):
 
 
 NAMED = 3
+ON_OUTPUT = " (on standard output)"
+"""The end of an error that a run has printed there."""
+WORD = re.compile(r"(?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*:")
+"""The beginning of most messages: an error word, or the name of an exception."""
 LAST = """
 WITH last AS (
     SELECT e.run, arg_max(e.execution, e.lamport) AS execution, arg_max(e.status, e.lamport) AS status
@@ -95,5 +101,13 @@ def _errors(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
     first, *others = texts[Kind.ERROR]
     more = f" (and {counted(len(others), 'other message')})" if others else ""
     ends = f"{verb(row.runs, 'was', 'were')} successful, but what {verb(row.runs, 'it', 'they')} printed ends with an error"
-    cure = 'stderr in [success] makes such runs fail: a pattern, or "empty"'
+    cure = f"stderr = {_pattern([one.text for one in texts[Kind.ERROR]])} in [success] makes such runs fail"
+    if any(one.text.endswith(ON_OUTPUT) for one in texts[Kind.ERROR]):
+        cure = f"let the command print it on standard error; then {cure}"
     return f"{row.runs} of {counted(row.of, 'run')} {ends}: {first.text}{more} ({cure})"
+
+
+def _pattern(texts: Sequence[str]) -> str:
+    """Return the value of `stderr` that finds all of these messages, in TOML; words if there is no simple one."""
+    words = dict.fromkeys(found and f"^{re.escape(found[0])}" for found in map(WORD.match, texts))
+    return json.dumps("|".join(map(str, words))) if None not in words and len(words) <= NAMED else "a pattern for these lines"

@@ -136,10 +136,10 @@ def with_outputs(words: Sequence[str], root: Path) -> tuple[str, ...]:
     return tuple(new)
 
 
-def with_ports(words: Sequence[str]) -> tuple[str, ...]:
+def with_ports(words: Sequence[str], root: Path) -> tuple[str, ...]:
     """Return the words with `{port}`, `{port2}`, … instead of the numbers of ports, unless another host is named."""
     found = find(words)
-    if any(_parts(one) & HOSTS and not one.is_number and not LOCAL.fullmatch(one.value) for one in found):
+    if any(_parts(one) & HOSTS and not _is_here(one, root) for one in found):
         return tuple(words)
     ports = [one for one in found if "port" in _parts(one) and one.value.isdecimal() and int(one.value) in PORT_NUMBERS]
     named = dict(zip(dict.fromkeys(one.value for one in ports), PORT_NAMES, strict=False))
@@ -150,6 +150,11 @@ def with_ports(words: Sequence[str]) -> tuple[str, ...]:
     for number, name in named.items():
         new = [re.sub(rf"(?<=[\w\].]:){number}(?!\d)", f"{{{name}}}", word) for word in new]
     return tuple(new)
+
+
+def _is_here(argument: Argument, root: Path) -> bool:
+    """Return whether the value is this host, a number, or a program of the project, and so no other host."""
+    return argument.is_number or bool(LOCAL.fullmatch(argument.value)) or (root / argument.value).exists()
 
 
 def _parts(argument: Argument) -> set[str]:

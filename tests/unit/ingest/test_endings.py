@@ -106,6 +106,15 @@ def test_runs_that_end_with_a_traceback_are_counted_wherever_runs_are_shown(stre
     assert quick(root, "report").returncode == 0
     assert any(note in re.sub(r"\s+", " ", page.read_text()) for page in root.rglob("*.html"))
     assert "1 of 1 run was successful, but what it printed ends with an error: RuntimeError" in quick(root, "try").stderr
+    cure = 'stderr = "^RuntimeError:" in [success] makes such runs fail)'
+    if stream == "stdout":
+        cure = f"let the command print it on standard error; then {cure}"
+        assert f"{note} (on standard output) ({cure}" in done.stderr
+        return
+    assert f"{note} ({cure}" in done.stderr
+    (root / "sierra.toml").write_text(f'{CONFIG}[success]\nstderr = "^RuntimeError:"\n')
+    failed = quick(root, *QUERY)
+    assert (failed.returncode, "6 evaluated again" in failed.stdout) == (1, True)
 
 
 @pytest.mark.integration

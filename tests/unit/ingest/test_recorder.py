@@ -760,6 +760,17 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(tmp_p
 
 
 @pytest.mark.integration
+def test_cells_with_units_are_converted_exactly_by_the_proposal(make: Make, noted: Callable[[], list[str]]) -> None:
+    project = make("write('t,size,took\\n0, 3GiB,1.5ms \\n1,7 MiB , 800us\\n2,5B,2ns\\n')")
+    assert not run(project, runs=1).failed
+    proposed = [json.loads(note.split("sql = ")[1]) for note in noted() if "convert them to" in note]
+    found = [[tuple(row.values())[1:] for row in project.sql(f"{sql} ORDER BY run, t").to_pylist()] for sql in proposed]
+    sizes, times = [(0, 3 * 2**30), (1, 7 * 2**20), (2, 5)], [(0, 0.0015), (1, 0.0008), (2, 2e-9)]
+    assert found[0] == sizes * (len(found[0]) // 3)
+    assert [row[1] for row in found[1]] == pytest.approx([took for _, took in times] * (len(found[1]) // 3), rel=1e-12)
+
+
+@pytest.mark.integration
 def test_comments_and_wrong_delimiters_are_noted_with_what_is_right(make: Make, noted: Callable[[], list[str]]) -> None:
     lines = "write('# a, b\\nt,v\\n0,1\\n1,2\\n', 'commented.csv')\nwrite('t,v\\n0,1\\n1,2\\n')\n"
     lines += "write('setting,value\\nlength,3\\nt,v\\n0,1\\n1,2\\n', 'preamble.csv')"
@@ -904,7 +915,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write(good, 'x_y.tsv'); write('', 'a.txt')", toml))
     assert [note for note in noted() if "seeds" not in note] == [
         "'x_y.csv' makes the table 'x_y_2', because the table 'x_y' is that of 'x-y'",
-        "'logs/1.csv' and 1 others are kept as files: undeclared and in a subfolder "
+        "'logs/1.csv' and 1 other are kept as files: undeclared and in a subfolder "
         '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
         "'x_y.tsv' is kept as a file: undeclared, and another file already makes the table of that name "
         '([outputs.NAME] file = "x_y.tsv" makes it a table)',
