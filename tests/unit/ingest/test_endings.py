@@ -159,6 +159,27 @@ def test_processes_that_still_ran_are_named(around: str, tmp_path: Path) -> None
     assert "processes were still running when the command ended: python3 sim.py" in failed.stdout
 
 
+SERVICE = f"""\
+before = "sh before.sh"
+{CONFIG}
+[services.helper]
+command = "sh daemons.sh"
+ready = {{ file = "{{run}}/ready" }}
+[success]
+leftovers = "fail"
+"""
+DAEMONS = 'touch "$SIERRA_RUN_DIR/ready"\nsetsid sh -c "while sleep 0.05; do setsid sleep 1 & done" &\nsleep 0.1\n'
+
+
+@pytest.mark.integration
+def test_processes_of_services_and_of_commands_before_the_run_are_not_named(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", SERVICE, simulator=SIMULATOR + "\nimport time\ntime.sleep(0.3)\n")
+    (root / "daemons.sh").write_text(DAEMONS.replace("sleep 0.1", "sleep 100"))
+    (root / "before.sh").write_text(DAEMONS)
+    done = quick(root, *QUERY)
+    assert (done.returncode, "still running" in done.stderr) == (0, False), done.stdout
+
+
 @pytest.mark.integration
 def test_processes_that_end_just_after_the_command_are_not_named(tmp_path: Path) -> None:
     root = make(tmp_path / "p", simulator=SIMULATOR + "\nimport subprocess\nsubprocess.Popen(['sleep', '0.02'])\n")
