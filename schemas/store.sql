@@ -481,7 +481,7 @@ CREATE TABLE channels (
 -- Remarks on how executions ended, beside their status.
 CREATE TABLE endings (
     "execution" VARCHAR,  -- the execution
-    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends) or after marker (it was ended because its marker was met)
+    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard error) or after marker (it was ended because its marker was met)
     "text" VARCHAR  -- the process: its program and the first words; the error message; the seconds from marker to end
 );
 

@@ -410,7 +410,7 @@ def _endings(one: Judgement) -> Iterator[EndingRow]:
     if result.after_marker is not None:
         yield EndingRow(result.execution, Kind.AFTER_MARKER, f"{result.after_marker:g}")
     elif one.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
-        yield EndingRow(result.execution, Kind.ERROR, error)
+        yield EndingRow(result.execution, *error)
 
 
 def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[ArtifactRow]:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from sierra.store.endings import Kind
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
 from sierra.util.kept_log import kept_of
 from sierra.util.text import one_line
@@ -51,15 +52,16 @@ TRACEBACK = "Traceback (most recent call last):"
 IGNORED = "Exception ignored in"
 
 
-def error_at_end(directory: str) -> str | None:
-    """Return the line with the error with which a run's standard error ends; None if there is none.
+def error_at_end(directory: str) -> tuple[Kind, str] | None:
+    """Return the line with the error with which what a run has printed ends, and where that is; None if there is none.
 
     `directory` is the run's folder. At most 64 KiB of its logs are read.
     """
-    content = kept_of(f"{directory}/{RUN_STDERR}", READ)[0]
-    if any(_lines(content)):
-        return error_line(content)
-    return error_line(kept_of(f"{directory}/{RUN_STDOUT}", READ)[0], words=False)
+    kind, content = Kind.ERROR, kept_of(f"{directory}/{RUN_STDERR}", READ)[0]
+    if not any(_lines(content)):
+        kind, content = Kind.ERROR_ON_STDOUT, kept_of(f"{directory}/{RUN_STDOUT}", READ)[0]
+    error = error_line(content, words=kind is Kind.ERROR)
+    return None if error is None else (kind, error)
 
 
 def error_line(content: bytes, *, words: bool = True) -> str | None:

@@ -15,9 +15,16 @@ class Kind(StrEnum):
 
     LEFT_RUNNING = "left running"
     ERROR = "error"
+    ERROR_ON_STDOUT = "error on stdout"
     AFTER_MARKER = "after marker"
 
 
+CURES = {
+    Kind.ERROR: 'stderr in [success] makes such runs fail: a pattern, or "empty"',
+    Kind.ERROR_ON_STDOUT: 'on standard output; marker = "stdout" and contains in [success] make runs fail that do not print '
+    "a text, such as the last line of good runs",
+}
+"""What to do against errors that runs print, by where they print them."""
 NAMED = 3
 LAST = """
 WITH last AS (
@@ -62,8 +69,9 @@ def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
     if left := affected.get(Kind.LEFT_RUNNING):
         cure = 'let the command wait for them; leftovers = "fail" in [success] makes such runs fail'
         yield f"{_left_running(left, texts)} ({cure})"
-    if bad := affected.get(Kind.ERROR):
-        yield _errors(bad, texts)
+    for kind, cure in CURES.items():
+        if bad := affected.get(kind):
+            yield _errors(bad, texts[kind], cure)
 
 
 def left_running(store: Store, batch: str) -> str:
@@ -91,9 +99,8 @@ def _left_running(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
     return f"{where} processes were still running when the command ended, and were ended: {named}"
 
 
-def _errors(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
-    first, *others = texts[Kind.ERROR]
+def _errors(row: _Remark, texts: list[_Remark], cure: str) -> str:
+    first, *others = texts
     more = f" (and {counted(len(others), 'other message')})" if others else ""
     ends = f"{verb(row.runs, 'was', 'were')} successful, but what {verb(row.runs, 'it', 'they')} printed ends with an error"
-    cure = 'stderr in [success] makes such runs fail: a pattern, or "empty"'
     return f"{row.runs} of {counted(row.of, 'run')} {ends}: {first.text}{more} ({cure})"

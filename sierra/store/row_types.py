@@ -524,7 +524,8 @@ class EndingRow(NamedTuple):
     kind: Annotated[
         str,
         "left running (a process that still ran when the command had ended, and was ended), error (the error message with "
-        "which standard error of a successful execution ends) or after marker (it was ended because its marker was met)",
+        "which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard "
+        "error) or after marker (it was ended because its marker was met)",
     ]
     text: Annotated[
         str,

@@ -99,6 +99,7 @@ def test_runs_that_end_with_a_traceback_are_counted_wherever_runs_are_shown(stre
     note = "6 of 6 runs were successful, but what they printed ends with an error: RuntimeError: GPU buffer overflow"
     done = quick(root, *QUERY)
     assert (done.returncode, done.stderr.count(note)) == (0, 1)
+    assert ('(on standard output; marker = "stdout" and contains' in done.stderr) is (stream == "stdout")
     assert note not in quick(root, *QUERY).stderr  # nothing was executed
     batch = sql(root, "SELECT batch, run FROM batch_runs LIMIT 1")[0]
     assert note in quick(root, "show", batch["batch"]).stdout
