@@ -32,7 +32,7 @@ OF_CONDUCTOR = re.compile(r"== (?:before|after): |\[(?!info\]|warn|debug|error|f
 """Lines of services, and those before the output of other commands (see `sierra.worker.conductor`)."""
 OF_ROBOT = re.compile(r"==> .* <==")
 """The line before the log of a robot (see `sierra.runners.robots.joint_logs`)."""
-PREFIX = re.compile(r"(?:\[[\d:.,TZ+/ -]*\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
+PREFIX = re.compile(r"(?:\[[\d:.,TZ+/ -]*(?:ms)?\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
 """A time, or the bracket of a level, before a message."""
 LEVEL = re.compile(r"\[?(?:info|debug|warn(?:ing)?|trace|notice)\b", re.I)
 ERROR = re.compile(
@@ -46,8 +46,13 @@ CRASH = re.compile(
     r"terminate called |.*\b(?:Segmentation fault|Bus error|Floating point exception|Illegal instruction|core dumped)|"
     r"Aborted(?: \(core dumped\))?$|Execution halted$|.* panicked at "
 )
-NUMBER = re.compile(r"[\s:=\])(!]*[-+]?(?:\d[\d.e+-]*|nan|inf)\s*(?:[%,;|/(]|$)|[\s\w-]*[:=]\s*[-+]?\d[\d.e+-]*\s*%?$", re.I)
+NUMBER = re.compile(
+    r"[\s:=\])(!]*(?:[-+]?(?:\d[\d.e+-]*|nan|inf)\s*(?:[%,;|/(]|[a-z]{0,3}$)|none$)|[\s\w()=.-]*[:=]\s*[-+]?\d[\d.e+-]*\s*%?$",
+    re.I,
+)
 """The rest of a line that reports a number, such as `error: 0.001` or `ERROR RATE: 0.1`."""
+TRAILER = re.compile(r"Last command: |Quitting \(on error\)|in expression starting at |exit status \d+$")
+"""Lines with which LAMMPS, SUMO, Julia and Go end after an error message."""
 TRACEBACK = "Traceback (most recent call last):"
 IGNORED = "Exception ignored in"
 
@@ -149,7 +154,8 @@ def _crash(lines: Sequence[str]) -> str | None:
 
 def _word(lines: Sequence[str]) -> str | None:
     """Return the last line if it begins with an error word. Indented lines below it, such as those of a stack, belong to it."""
-    end = next((place for place in range(len(lines) - 1, -1, -1) if not lines[place][:1].isspace()), None)
+    belongs = (line[:1].isspace() or TRAILER.match(line) for line in reversed(lines))
+    end = next((len(lines) - 1 - place for place, more in enumerate(belongs) if not more), None)
     if end is None:
         return None
     line = message = lines[end]

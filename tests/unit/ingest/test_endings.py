@@ -52,6 +52,8 @@ QUERY = ("run", "population_size=1,2", "--runs", "3", "--no-figures")
         ("2026-11-27 10:00:00,123 Fatal error: no GPU", "2026-11-27 10:00:00,123 Fatal error: no GPU"),
         ("Error in solve(a) : singular\nExecution halted\n", "Execution halted"),
         ("10 %\r50 %\rError: cut\r\n", "Error: cut"),
+        ("ERROR: Lost atoms: original 40 current 39\nLast command: run 100\n", "ERROR: Lost atoms: original 40 current 39"),
+        ("2024-05-01 10:00:00 [1,234ms] [Error] [kit] no GPU\n", "2024-05-01 10:00:00 [1,234ms] [Error] [kit] no GPU"),
         ("Error: caf\udce9 closed\n", "Error: caf\ufffd closed"),
     ],
 )
@@ -77,6 +79,9 @@ def test_the_error_at_the_end_is_found(printed: str, error: str) -> None:
         "Error rate: 0.1\n",
         "ERROR RATE: 0.1 %\n",
         "Errors: 0\n",
+        "Error: 0.5 m\n",
+        "Error: none\n",
+        "error (L2) at t=10: 0.01\n",
         "MeanSquaredError: 0.02\n",
         "Failed runs: 0\n",
         "no error\n",
