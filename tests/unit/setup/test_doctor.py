@@ -10,6 +10,7 @@ from sierra.worker import worker
 from tests.projects import quick
 
 
+@pytest.mark.integration
 def test_temporary_files_need_a_folder_with_a_short_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(worker, "temporary_folders", lambda: ["/scratch", "/tmp"])
     assert "ok       temporary files: those of runs are below /scratch\n" in quick(tmp_path, "doctor").stdout
