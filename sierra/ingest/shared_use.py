@@ -76,7 +76,8 @@ SELECT execution, name, CASE
     WHEN use IN ('reused', 'in_use', 'connected') THEN true
     WHEN use = 'listened' AND name NOT IN (SELECT name FROM ({NEARBY}) WHERE use = 'searched') THEN {{listened}}
     ELSE false END AS doubtful
-FROM channels WHERE use <> 'searched' AND (use <> 'connected' OR name IN (SELECT name FROM ({NEARBY}) WHERE {LISTENING}))
+FROM channels
+WHERE use NOT IN ('searched', 'given') AND (use <> 'connected' OR name IN (SELECT name FROM ({NEARBY}) WHERE {LISTENING}))
 """
 DISPLAY = "regexp_matches(name, '^@?/tmp/[.]X11-unix/X[0-9]+$')"
 """An X server that cannot lock a display takes another one, or ends before it has bound anything (see `xvfb-run -a`)."""

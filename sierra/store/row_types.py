@@ -574,7 +574,7 @@ class FileWrittenRow(NamedTuple):
 
 
 class ChannelRow(NamedTuple):
-    """Ports, sockets, multicast groups, shared memory and message queues that observed executions used on their host."""
+    """Ports that executions were given, and ports, sockets, groups, shared memory and queues that observed ones used."""
 
     execution: Annotated[str, "the execution"]
     name: Annotated[
@@ -584,9 +584,9 @@ class ChannelRow(NamedTuple):
     ]
     use: Annotated[
         str,
-        "listened; reused (listened with an option by which others may have the same name at the same time, or something that "
-        "belongs to all); in_use (another program had it); searched (the same, but then the process chose another one); "
-        "connected (to a server that is not the execution's own)",
+        "given (by {port}); listened; reused (listened with an option by which others may have the same name at the same time, "
+        "or something that belongs to all); in_use (another program had it); searched (the same, but then the process chose "
+        "another one); connected (to a server that is not the execution's own)",
     ]
 
 

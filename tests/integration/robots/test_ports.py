@@ -32,4 +32,8 @@ def test_each_robot_gets_ports_of_its_own(fleet: Fleet, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     rows = projects.sql(project, "SELECT port, word, variable FROM swarm")
     assert len(rows) == 6
+    given = projects.sql(project, "SELECT name FROM channels WHERE use = 'given'")
+    assert sorted(row["name"] for row in given) == sorted(
+        f"127.0.0.1:{row[name]}" for row in rows for name in ("port", "variable")
+    )
     assert all(20_000 <= row["port"] == row["word"] != row["variable"] >= 20_000 for row in rows)
