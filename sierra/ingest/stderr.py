@@ -83,13 +83,13 @@ def against(rule: str, directory: str) -> str | None:
     """Return why a run fails by the rule `stderr` of `[success]`, with the line that it printed; None if it does not fail."""
     if not rule:
         return None
-    pattern = None if rule == EMPTY else re.compile(rule.encode())
+    pattern = None if rule == EMPTY else re.compile(rule)
     try:
         with Path(directory, RUN_STDERR).open("rb") as file:
             for line in file:
-                plain = ESCAPES.sub(b"", line).rstrip(b"\r\n")
-                if pattern.search(plain) if pattern else plain.strip() and not _is_title(plain.decode("utf-8", "replace")):
-                    shown = one_line(plain.decode("utf-8", "replace").rpartition("\r")[2])[:SHOWN]
+                plain = ESCAPES.sub(b"", line).rstrip(b"\r\n").decode("utf-8", "replace")
+                if pattern.search(plain) if pattern else plain.strip() and not _is_title(plain):
+                    shown = one_line(plain.rpartition("\r")[2])[:SHOWN]
                     rather = "should be empty" if pattern is None else f"must not have {rule!r}"
                     return f"standard error {rather}: {shown}"
     except FileNotFoundError:

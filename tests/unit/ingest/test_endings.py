@@ -10,7 +10,7 @@ import pytest
 
 from sierra.config.project_file import parse
 from sierra.errors import ConfigError
-from sierra.ingest.stderr import error_line
+from sierra.ingest.stderr import against, error_line
 from tests.projects import CONFIG, SIMULATOR, make, quick, sql
 
 TRACED = 'Traceback (most recent call last):\n  File "sim.py", line 5, in <module>\n    f()\n    ^^^\n'
@@ -91,6 +91,14 @@ def test_the_error_at_the_end_is_found(printed: str, error: str) -> None:
 )
 def test_what_is_no_error_at_the_end_is_not_taken_as_one(printed: str) -> None:
     assert error_line(printed.encode()) is None
+
+
+def test_a_rule_on_standard_error_may_have_letters_that_are_not_ascii(tmp_path: Path) -> None:
+    (tmp_path / "stderr").write_text("ready\nservice caf\u00e9\n")
+    assert (
+        against("caf[\u00e8\u00e9]$", str(tmp_path)) == "standard error must not have 'caf[\u00e8\u00e9]$': service caf\u00e9"
+    )
+    assert against("caf[\u00e8]", str(tmp_path)) is None
 
 
 def prints(text: str, stream: str = "stderr") -> str:
