@@ -17,12 +17,17 @@ class Kind(StrEnum):
 
     LEFT_RUNNING = "left running"
     ERROR = "error"
+    ERROR_ON_STDOUT = "error on stdout"
     AFTER_MARKER = "after marker"
 
 
+CURES = {
+    Kind.ERROR: "stderr = {pattern} in [success] makes such runs fail",
+    Kind.ERROR_ON_STDOUT: 'on standard output; marker = "stdout" and contains in [success] make runs fail that do not print '
+    "a text, such as the last line of good runs",
+}
+"""What to do against errors that runs print, by where they print them; `pattern` finds those that were seen."""
 NAMED = 3
-ON_OUTPUT = " (on standard output)"
-"""The end of an error that a run has printed there."""
 WORD = re.compile(r"(?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*:")
 """The beginning of most messages: an error word, or the name of an exception."""
 LAST = """
@@ -68,8 +73,9 @@ def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
     if left := affected.get(Kind.LEFT_RUNNING):
         cure = 'let the command wait for them; leftovers = "fail" in [success] makes such runs fail'
         yield f"{_left_running(left, texts)} ({cure})"
-    if bad := affected.get(Kind.ERROR):
-        yield _errors(bad, texts)
+    for kind, cure in CURES.items():
+        if bad := affected.get(kind):
+            yield _errors(bad, texts[kind], cure.format(pattern=_pattern([one.text for one in texts[kind]])))
 
 
 def left_running(store: Store, batch: str) -> str:
@@ -97,13 +103,10 @@ def _left_running(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
     return f"{where} processes were still running when the command ended, and were ended: {named}"
 
 
-def _errors(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
-    first, *others = texts[Kind.ERROR]
+def _errors(row: _Remark, texts: list[_Remark], cure: str) -> str:
+    first, *others = texts
     more = f" (and {counted(len(others), 'other message')})" if others else ""
     ends = f"{verb(row.runs, 'was', 'were')} successful, but what {verb(row.runs, 'it', 'they')} printed ends with an error"
-    cure = f"stderr = {_pattern([one.text for one in texts[Kind.ERROR]])} in [success] makes such runs fail"
-    if any(one.text.endswith(ON_OUTPUT) for one in texts[Kind.ERROR]):
-        cure = f"let the command print it on standard error; then {cure}"
     return f"{row.runs} of {counted(row.of, 'run')} {ends}: {first.text}{more} ({cure})"
 
 

@@ -66,6 +66,8 @@ class Guess:
     """True if the command is probably wrong, or its program does not exist, so that no run is tried."""
     notes: tuple[str, ...]
     """Warnings about values that may be wrong."""
+    ports: Mapping[str, str] = field(default_factory=dict)
+    """The paths of ports in the template, with the names of placeholders for them."""
     templates: Mapping[str, str] = field(default_factory=dict)
     """Several templates by name, with their paths."""
     files: tuple[str, ...] = ()
@@ -252,6 +254,9 @@ def _seed(guess: Guess) -> Iterator[str]:
     if guess.unset and guess.template:
         sets = ", ".join(f"{{ set = {quoted(place)}, value = 1 }}" for place in guess.unset)
         yield f"# changes = [{sets}]  # values if a query does not vary them"
+    if guess.ports:
+        sets = ", ".join(f"{{ set = {quoted(path)}, value = {quoted(f'{{{name}}}')} }}" for path, name in guess.ports.items())
+        yield f"# changes = [{sets}]  # free ports, if each run starts a server"
 
 
 def _example(guess: Guess, xml: str, other: str, argument: str) -> str:

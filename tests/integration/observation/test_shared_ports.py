@@ -172,11 +172,11 @@ def test_runs_that_share_the_port_of_their_experiment_do_not_count(execute: Call
     assert good < 6
 
 
-@pytest.fixture
-def outside() -> Iterator[int]:
+@contextlib.contextmanager
+def outside(port: int = 0) -> Iterator[int]:
     """Serve connections at a port, as a program that no run has started."""
     with contextlib.ExitStack() as open_until_the_end:
-        server = open_until_the_end.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server = open_until_the_end.enter_context(socket.create_server(("127.0.0.1", port)))
 
         def serve() -> None:
             with contextlib.suppress(OSError):  # the end of the test
@@ -190,8 +190,27 @@ def outside() -> Iterator[int]:
         thread.join()
 
 
-def test_a_server_that_no_run_has_started_gets_a_note(execute: Callable[..., tuple[int, str]], outside: int) -> None:
-    good, said = execute(f"outside {outside}")
-    assert good == 8
-    assert f"runs at the same time used a server that no run has started: 127.0.0.1:{outside}; if runs change its state" in said
-    assert "no run has started" not in execute(f"outside {outside} 1", jobs=1)[1]
+def test_a_server_that_no_run_has_started_gets_a_note(execute: Callable[..., tuple[int, str]]) -> None:
+    with outside() as port:
+        good, said = execute(f"outside {port}")
+        assert good == 8
+        assert f"runs at the same time used a server that no run has started: 127.0.0.1:{port}; if runs change" in said
+        assert "no run has started" not in execute(f"outside {port} 1", jobs=1)[1]
+
+
+def test_the_servers_of_an_earlier_batch_do_not_count(execute: Callable[..., tuple[int, str]]) -> None:
+    port = free()
+    assert execute(f"fixed {port}", runs=1, jobs=1)[0] == 2
+    with outside(port):
+        good, said = execute(f"outside {port}")
+    assert good == 2 + 8
+    assert "no run has started" in said
+
+
+def test_programs_that_choose_a_display_each_share_none(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    require("xvfb-run")
+    command = "xvfb-run -a python3 sim.py {input}"
+    root = projects.make(tmp_path / "p", projects.CONFIG.replace("python3 sim.py {input}", command).replace("= 2", "= 3"))
+    done = projects.quick(root, "run", "population_size=1,2", "--jobs", "2", "--no-figures")
+    assert (done.returncode, projects.sql(root, OK)) == (0, [{"n": 6}]), done.stdout
