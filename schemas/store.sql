@@ -471,17 +471,17 @@ CREATE TABLE files_written (
     "use" VARCHAR  -- written, removed, or reread (written and read again, so that other executions may have written it meanwhile); reread_new if the execution made the name itself, or a folder above it, and had not removed it before
 );
 
--- Ports, sockets, multicast groups, shared memory and message queues that observed executions used on their host.
+-- Ports that executions were given, and ports, sockets, groups, shared memory and queues that observed ones used.
 CREATE TABLE channels (
     "execution" VARCHAR,  -- the execution
     "name" VARCHAR,  -- its name: 127.0.0.1:PORT for any address of the host, with /udp for UDP; GROUP:PORT/udp; @NAME for an abstract Unix socket; the path of another one, as in files_read; or `shared memory KEY`, `semaphore KEY`, `message queue KEY`
-    "use" VARCHAR  -- listened; reused (listened with an option by which others may have the same name at the same time, or something that belongs to all); in_use (another program had it); searched (the same, but then the process chose another one); connected (to a server that is not the execution's own)
+    "use" VARCHAR  -- given (by {port}); listened; reused (listened with an option by which others may have the same name at the same time, or something that belongs to all); in_use (another program had it); searched (the same, but then the process chose another one); connected (to a server that is not the execution's own)
 );
 
 -- Remarks on how executions ended, beside their status.
 CREATE TABLE endings (
     "execution" VARCHAR,  -- the execution
-    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends) or after marker (it was ended because its marker was met)
+    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard error) or after marker (it was ended because its marker was met)
     "text" VARCHAR  -- the process: its program and the first words; the error message; the seconds from marker to end
 );
 

@@ -695,5 +695,7 @@ class Result:
     """The names of the robots that took the places of the run; empty for a run without robots."""
     left_running: tuple[str, ...] = ()
     """Some of the processes that still ran when its command had ended, and were ended: their programs with the first words."""
+    ports: tuple[int, ...] = ()
+    """Its ports in the places of `{port}`, `{port2}`, …, as far as its command, inputs and variables have these."""
     after_marker: float | None = None
     """It was ended so many seconds after its marker was met, which counts as an end by itself; None if it was not."""

@@ -45,6 +45,7 @@ def outputs(
     """
     from sierra.cli.open_project import project
     from sierra.cli.render_outputs import lines, unread_lines
+    from sierra.config.output_tables import ROTATION, Output
 
     opened = project()
     if write:
@@ -58,12 +59,14 @@ def outputs(
             every = all(table.declared or table.name in written for table in found.tables)
             nothing = "all tables are declared; nothing was changed" if every else "nothing was changed"
             print(f"{opened.file}: added {names}" if written else f"{opened.file}: {nothing}")
-            if any(one.name in written for one in found.unread):
+            parts = [Output(file=str(keys["file"])) for keys in written.values() if str(keys["file"]).endswith(ROTATION)]
+            added = [one for one in found.unread if one.name in written or any(new.matches(one.path) for new in parts)]
+            if added:
                 print("the next sierra run makes tables of files that were none; it executes nothing again for that")
             for table in found.tables:
                 if not table.declared and table.name not in written:
                     print(f"not declared any more: [outputs.{table.name}] file = {json.dumps(table.file)} had other keys too")
-            for line in unread_lines(found.runs, [one for one in found.unread if one.name not in written]):
+            for line in unread_lines(found.runs, [one for one in found.unread if one not in added]):
                 print(line)
         return
     found = opened.outputs(*(query or ()), target=target)

@@ -139,7 +139,8 @@ class Output(Table):
     na: tuple[StrictStr | StrictInt | Annotated[Finite, Strict()], ...] = Field(
         (),
         description="what stands for a missing value: texts such as `NA`, and numbers such as `-1`, however they are written; "
-        "in a CSV file, a text that is a number matches only cells that are written in the same way",
+        "in a CSV file, a text that is a number matches only cells that are written in the same way; values within lists stay, "
+        "and so do indices, dimensions, topics and times of receipt",
     )
     widths: tuple[PositiveInt, ...] = Field(
         (), description="number of characters of each column of a text file without separators (fixed width)"
@@ -305,6 +306,8 @@ def _unused(table: Table, keys: Iterable[str]) -> frozenset[str]:
 
 NEWEST = (2, 0, "")
 """The place of the newest part, as `part_of` returns it."""
+NUMBERED = 1
+"""The first number in the place of a part that has a number."""
 
 
 def part_of(base: str, path: str) -> tuple[int, int, str] | None:
@@ -316,7 +319,12 @@ def part_of(base: str, path: str) -> tuple[int, int, str] | None:
     if found is None:
         return None
     number, date = found[1], found[2]
-    return (0, 0, re.sub("[^0-9]", "", date)) if date else (1, -int(number), "") if number else NEWEST
+    return (0, 0, re.sub("[^0-9]", "", date)) if date else (NUMBERED, -int(number), "") if number else NEWEST
+
+
+def with_rotation(path: str, others: Iterable[str]) -> str:
+    """Return the path of a file, with `{rotation}` if older parts of it are among the others."""
+    return path + ROTATION if any((part_of(path, other) or NEWEST) < NEWEST for other in others) else path
 
 
 def newest_of(path: str) -> str | None:

@@ -482,7 +482,9 @@ class Gallery:
             if output.files > 1:
                 hint = f". A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
             else:
-                hint = suggest_tables.of_single_rows(self.frame, output, self.time(output)) if seen.doubled else ""
+                time = self.time(output)
+                passes = not seen.doubled and self._time_kind(output, time) in clock_times.WITHOUT_DAYS
+                hint = suggest_tables.of_single_rows(self.frame, output, time) if seen.doubled else clock_times.DAYS * passes
             if not hint:
                 raise
             raise UsageError(f"{error}{hint}") from error

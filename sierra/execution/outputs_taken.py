@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from sierra.config.output_tables import FILE_FORMAT, NEWEST, ROTATION, Output, part_of
+from sierra.config.output_tables import FILE_FORMAT, Output, with_rotation
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
 from sierra.ingest import open_names, robot_files
@@ -301,8 +301,7 @@ def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     tables: dict[str, dict[str, Key]] = {}
     for name, (file, same) in _undeclared_tables(found).items():
         rates = [column for column in same[0].rates if all(column in table.rates for table in same)]
-        older = any((part_of(file, one.path) or NEWEST) < NEWEST for one in found.unread)
-        tables[name] = {"file": file + ROTATION if older else file}
+        tables[name] = {"file": with_rotation(file, (one.path for one in found.unread))}
         tables[name] |= {} if sum(table.runs for table in same) >= found.runs else {"required": False}
         tables[name] |= {"rates": rates} if rates else {}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}

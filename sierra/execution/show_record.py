@@ -325,6 +325,9 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         packages=snapshot.values(str, PACKAGES, s=row.session),
         robots=snapshot.select(RobotRow, "SELECT * FROM robots WHERE execution = $e ORDER BY place", e=identity),
         trials=snapshot.select(TrialRow, "SELECT * FROM all_trials WHERE execution = $e ORDER BY lamport", e=identity),
+        ports=snapshot.values(
+            str, "SELECT name FROM channels WHERE execution = $e AND use = 'given' ORDER BY name", e=identity
+        ),
         endings=snapshot.select(EndingRow, "SELECT * FROM endings WHERE execution = $e ORDER BY ALL", e=identity),
     )
 

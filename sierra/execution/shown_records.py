@@ -365,6 +365,8 @@ class ShownExecution:
     robots: Sequence[RobotRow] = ()
     trials: Sequence[TrialRow] = ()
     """Remarks that people made on it, the one that counts last."""
+    ports: Sequence[str] = ()
+    """The ports that it was given in the places of `{port}`, `{port2}`, …"""
     endings: Sequence[EndingRow] = ()
     """Remarks on how it ended, beside its status."""
 
@@ -374,7 +376,7 @@ class ShownExecution:
         robots = [_without_nulls(_without(one._asdict(), "execution")) for one in self.robots]
         trials = [_without_nulls(_without(one._asdict(), "execution", "lamport")) for one in self.trials]
         endings = [_without(one._asdict(), "execution") for one in self.endings]
-        own = {"robots": robots, "trials": trials, "endings": endings, "artifacts": artifacts}
+        own = {"robots": robots, "trials": trials, "ports": list(self.ports), "endings": endings, "artifacts": artifacts}
         return {"kind": self.kind, **_without_nulls(self.row._asdict()), **members, **own}
 
 

@@ -29,8 +29,8 @@ SMALL = 1 << 20
 """The size in bytes of files that are read at once."""
 COMMENTS = 'if such lines are comments, set comment = "#" in [outputs.…]'
 QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
-BLANK_END = re.compile(rb"(?<=\n)((\r?\n)+\r?|\r)\Z|(?<=\r)\r+\Z")
-"""Lines without a character at the end of a file."""
+BLANK_END = re.compile(rb"(\r?\n)(?:(?:\r?\n)+\r?|\r)|(\r)\r+")
+"""The end of a line, with lines without a character after it."""
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Control characters that are not allowed in column names."""
 
@@ -63,7 +63,7 @@ class Csv(Text):
                 yield file
                 continue
             content = Path(file.path).read_bytes()
-            whole = BLANK_END.sub(b"", content)
+            whole = _without_blank_end(content)
             if len(whole) < len(content):
                 counted = self._counts_blank_ends() if counted is None else counted
             if len(whole) == len(content) or counted:
@@ -82,7 +82,7 @@ class Csv(Text):
     def _counts_blank_ends(self) -> bool:
         """Check if blank lines at the end of a sibling were recorded as rows, by an earlier version."""
         content, rows = self.siblings.example() or (b"", 0)
-        whole = BLANK_END.sub(b"", content)
+        whole = _without_blank_end(content)
         return len(whole) < len(content) and rows > whole.count(b"\n") - self.shape.header
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
@@ -302,6 +302,12 @@ class Csv(Text):
             if types[name] == "DOUBLE" and cell and not reads_as_number(cell):
                 return f"text in the numeric column {name!r}: {cell[:80]!r}"
         return None
+
+
+def _without_blank_end(content: bytes) -> bytes:
+    filled = content.rstrip(b"\r\n")
+    found = BLANK_END.fullmatch(content, len(filled))
+    return content if found is None else filled + (found[1] or found[2])
 
 
 def _first_record(file: Written) -> str:

@@ -119,7 +119,8 @@ class CsvAsFound(Rewriter):
 
     def advice(self, source: Source) -> str:
         form = self.shape.form
-        now = {"comment": form.comment, "skip": form.skip, "delimiter": self.shape.delimiter, "header": self.shape.header}
+        own = {"delimiter": self.shape.delimiter, "header": self.shape.header}
+        now = {**own, "comment": form.comment, "skip": form.skip, "units_row": form.units_row}
         try:
             keys = keys_of(next(source.pieces(), b"")) or {}
         except UnreadableError:

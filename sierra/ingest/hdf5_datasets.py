@@ -12,6 +12,7 @@ import math
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,7 @@ class Hdf5Datasets(Columnar):
         indices = dict(zip(INDICES, places, strict=False))
         if twice := sorted(indices.keys() & columns.keys()):
             raise UnreadableError(f"the dataset {twice[0]!r} has the name of an index")
+        self.shape = replace(self.shape, places=tuple(indices))
         return pa.table(indices | {name: plain(name, array) for name, array in columns.items()})
 
     def count(self, source: Source, written: int) -> int:

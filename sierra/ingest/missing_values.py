@@ -48,7 +48,12 @@ class MissingValues:
         return False
 
     def condition(self, column: str, kind: str) -> str:
-        """Return the SQL condition that a value of a column of this type stands for a missing one; "" if none can."""
+        """Return the SQL condition that a value of a column of this type stands for a missing one; "" if none can.
+
+        Values within lists stay.
+        """
+        if kind.endswith("]"):
+            return ""
         if is_number(kind):
             return " OR ".join(self._number_conditions(column, kind))
         text = column if kind == "VARCHAR" else f"CAST({column} AS VARCHAR)"

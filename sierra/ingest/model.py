@@ -93,6 +93,8 @@ class Shape:
     """The names of the columns for the numbers in the files' names."""
     lengths: tuple[str, ...] = ()
     """The columns that have only the number of the items of a list, as found in earlier files."""
+    places: tuple[str, ...] = ()
+    """The columns that say where a value was in a file, such as indices, as found in earlier files; `na` is not for these."""
     nans: tuple[str, ...] = ()
     """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
     name: str = ""

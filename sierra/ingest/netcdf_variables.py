@@ -13,7 +13,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from sierra.ingest.base import UnreadableError
@@ -84,6 +84,7 @@ class NetcdfVariables(Columnar):
         own = {name: _column(name, one) for name, one in found.items() if name not in columns}
         if len(columns) < len(dimensions):
             raise UnreadableError(f"the variable {first!r} has a dimension twice")
+        self.shape = replace(self.shape, places=dimensions)
         return pa.table(columns | own)
 
     def count(self, source: Source, written: int) -> int:

@@ -13,6 +13,7 @@ import re
 import struct
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from sierra.ingest.base import UnreadableError
@@ -51,6 +52,7 @@ class NumpyArrays(Columnar):
         indices = dict(zip(INDICES, places, strict=False))
         if twice := sorted(indices.keys() & arrays.keys()):
             raise UnreadableError(f"the array {twice[0]!r} has the name of an index")
+        self.shape = replace(self.shape, places=tuple(indices))
         return pa.table(indices | {name: plain(name, array) for name, array in arrays.items()})
 
     def count(self, source: Source, written: int) -> int:

@@ -107,7 +107,7 @@ class Parquet(TableReader):
     def _valued(self, files: Sequence[Written], name: str, column: str, kind: str) -> str:
         """Return the SQL expression for a column in its type, in which values that stand for missing ones are NULL."""
         value = _cast(column, kind)
-        if not self._missing or kind.startswith(DURATION):
+        if not self._missing or kind.startswith(DURATION) or name in self.shape.places:
             return value
         own = {self._found[file.path][name] for file in files} - {EMPTY}
         missing = self._missing.condition(column, next(iter(own)) if len(own) == 1 else kind) if own else ""

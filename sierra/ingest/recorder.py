@@ -31,7 +31,15 @@ from sierra.store import endings, equal_runs
 from sierra.store.endings import Kind
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
-from sierra.store.row_types import ArtifactRow, DuplicateRow, EndingRow, ExecutionRow, FileWrittenRow, IngestRulesRow
+from sierra.store.row_types import (
+    ArtifactRow,
+    ChannelRow,
+    DuplicateRow,
+    EndingRow,
+    ExecutionRow,
+    FileWrittenRow,
+    IngestRulesRow,
+)
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.store.views import INVALID_TRIAL
@@ -351,6 +359,8 @@ class Recorder:
         writer.records(new.values())
         writer.records(row for one in found for row in one.written)
         writer.records(row for one in found for row in one.channels)
+        given = ((one.result.execution, port) for one in self._pending for port in one.result.ports)
+        writer.records(ChannelRow(execution, f"127.0.0.1:{port}", "given") for execution, port in dict.fromkeys(given))
         own = (
             (one.result.execution, path)
             for one in self._pending
@@ -410,7 +420,7 @@ def _endings(one: Judgement) -> Iterator[EndingRow]:
     if result.after_marker is not None:
         yield EndingRow(result.execution, Kind.AFTER_MARKER, f"{result.after_marker:g}")
     elif one.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
-        yield EndingRow(result.execution, Kind.ERROR, error)
+        yield EndingRow(result.execution, *error)
 
 
 def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[ArtifactRow]:

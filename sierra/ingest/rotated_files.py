@@ -10,7 +10,7 @@ import gzip
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from sierra.config.output_tables import part_of
+from sierra.config.output_tables import NUMBERED, part_of
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.independent_row_count import described
 from sierra.ingest.messages import shown
@@ -30,6 +30,7 @@ def join(files: Sequence[Written], shape: Shape, target: Path) -> Written:
 
     Raises UnreadableError.
     """
+    _check_parts(files, shape.rotated)
     if len(files) == 1:
         return files[0]
     whole, lines = bytearray(), 0
@@ -61,6 +62,19 @@ def join(files: Sequence[Written], shape: Shape, target: Path) -> Written:
     else:
         target.write_bytes(whole)
     return described(newest, target)
+
+
+def _check_parts(files: Sequence[Written], base: str) -> None:
+    """Raise UnreadableError if two files are the same part, such as `data.csv.1` and `data.csv.1.gz`, or if one is missing."""
+    names: dict[tuple[int, int, str] | None, str] = {}
+    for file in files:
+        first = names.setdefault(part_of(base, file.name), file.name)
+        if first != file.name:
+            raise UnreadableError(f"its parts {shown(first)} and {shown(file.name)} are the same part; keep one of them")
+    numbers = sorted(-place[1] for place in names if place and place[0] == NUMBERED)
+    absent = next((number for number in range(1, max(numbers, default=0)) if number not in numbers), None)
+    if absent is not None:
+        raise UnreadableError(f"its part {absent} is missing, but there is {numbers[-1]}")
 
 
 def _head(content: bytes, shape: Shape) -> tuple[Sequence[bytes], int]:

@@ -8,11 +8,11 @@ this name, all most likely did. Those that overlapped another one in time fail, 
 did. If only one run was observed, the caller has another one observed, or else decides (`settle`) as if both had written it.
 
 A port is doubtful if it was in use, or if the execution connected to it and no process of its own listened there; see the
-table `channels`. Which ports are the executions' own is seen by those that observed executions bound: a port that none has
-bound is that of a service that runs do not start, and that they may share. An execution that listened on a port of its own is
-doubtful for the comparison with others alone (`wider`), because the next one may fail to bind it. So it is if two runs
-listened on the same port, unless a run was seen to take another one when the first was in use: such a program looks for a free
-one.
+table `channels`. Which ports are the executions' own is seen by those that observed executions bound: those of the batch, and
+others at the same time. A port that none has bound is that of a service that runs do not start, and that they may share. An
+execution that listened on a port of its own is doubtful for the comparison with others alone (`wider`), because the next one
+may fail to bind it. So it is if two runs listened on the same port, unless a run was seen to take another one when the first
+was in use: such a program looks for a free one.
 
 A `Kind` of things that executions may share is a query for what observed executions used, and words.
 """
@@ -48,7 +48,10 @@ class Kind(NamedTuple):
     wider: str = ""
     """Another query, for what a second run is to be observed; by default the same."""
     usual: float = 0.0
-    """The part of the runs with such uses that have a name in common, below which it is by chance."""
+    """The part of the runs with such uses that have a name in common, below which it is by chance, as for ports at random.
+
+    The part of all runs counts, and that of the runs of an experiment, if it is reached in this part of the experiments.
+    """
     on_host: bool = False
     """True if executions on different hosts never share them."""
 
@@ -62,28 +65,41 @@ FILES = Kind(
     "execute with --jobs 1, in a container, or pass {output}",
 )
 LISTENING = "use IN ('listened', 'reused', 'in_use', 'searched')"
+NEARBY = """
+SELECT name, use FROM channels JOIN all_judgements e USING (execution) WHERE EXISTS (
+    FROM (
+        SELECT min(started) AS started, max(ended) AS ended FROM all_judgements
+        WHERE run IN (SELECT run FROM batch_runs WHERE batch = $batch) GROUP BY session
+    ) s WHERE e.started <= s.ended AND e.ended >= s.started
+)
+"""
+"""The uses by executions of a batch, and by others while one of its sessions executed."""
 CHANNELS = f"""
 SELECT execution, name, CASE
-    WHEN use IN ('reused', 'in_use') OR (use = 'connected' AND name IN (SELECT name FROM channels WHERE {LISTENING})) THEN true
-    WHEN use = 'listened' AND name NOT IN (SELECT name FROM channels WHERE use = 'searched') THEN {{listened}}
+    WHEN use IN ('reused', 'in_use', 'connected') THEN true
+    WHEN use = 'listened' AND name NOT IN (SELECT name FROM ({NEARBY}) WHERE use = 'searched') THEN {{listened}}
     ELSE false END AS doubtful
-FROM channels WHERE use <> 'searched' AND (use <> 'connected' OR name IN (SELECT name FROM channels WHERE {LISTENING}))
+FROM channels
+WHERE use NOT IN ('searched', 'given') AND (use <> 'connected' OR name IN (SELECT name FROM ({NEARBY}) WHERE {LISTENING}))
 """
+DISPLAY = "regexp_matches(name, '^@?/tmp/[.]X11-unix/X[0-9]+$')"
+"""An X server that cannot lock a display takes another one, or ends before it has bound anything (see `xvfb-run -a`)."""
 PORTS = Kind(
     "channels",
     LISTENING,
-    CHANNELS.format(listened="NULL"),
+    CHANNELS.format(listened=f"CASE WHEN {DISPLAY} THEN false END"),
     "{names} {verb} used by several runs at the same time",
     "execute with --jobs 1, in a container, or use {port}",
     CHANNELS.format(listened="true"),
-    usual=0.1,
+    usual=0.5,
     on_host=True,
 )
 KINDS = (FILES, PORTS)
 OUTSIDE = PORTS._replace(
     uses=f"""
 SELECT execution, name, true AS doubtful FROM channels WHERE use = 'connected' AND starts_with(name, '127.0.0.1:')
-AND name <> '127.0.0.1:53' AND name NOT IN (SELECT name FROM channels WHERE {LISTENING})
+AND name <> '127.0.0.1:53'
+AND name NOT IN (SELECT name FROM ({NEARBY}) WHERE {LISTENING})
 """
 )
 """Servers of this host, without those for names, that no observed run has started."""
@@ -116,14 +132,24 @@ last AS (
     FROM (SELECT unnest([ordinal, -1]) AS scope, reason, run, place FROM observed WHERE ok) GROUP BY ALL
 ),
 witnesses AS (SELECT scope, reason, arg_max(run, last, 2) AS runs, max(last, 2) AS lasts FROM last GROUP BY ALL),
+alike AS (
+    SELECT *, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) AS runs,
+           count(DISTINCT run) FILTER (doubtful IS NULL) OVER () AS all_runs,
+           count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY scope, name) AS near,
+           count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY scope) AS all_near
+    FROM ({{uses}}) JOIN mine USING (execution)
+),
+usual AS (
+    SELECT *, near > 1 AND near >= $usual * all_near AS is_usual,
+           count(DISTINCT scope) FILTER (near > 1 AND near >= $usual * all_near) OVER () AS usual_scopes,
+           count(DISTINCT scope) FILTER (all_near > 1) OVER () AS scopes
+    FROM alike
+),
 used AS (
     SELECT DISTINCT name, execution, run, place, scope,
-           coalesce(doubtful, alike > 1 AND alike >= $usual * all_alike) AS doubtful
-    FROM (
-        SELECT *, count(DISTINCT run) FILTER (doubtful IS NULL) OVER (PARTITION BY name) AS alike,
-               count(DISTINCT run) FILTER (doubtful IS NULL) OVER () AS all_alike
-        FROM ({{uses}}) JOIN mine USING (execution)
-    )
+           coalesce(doubtful, (runs > 1 AND runs >= $usual * all_runs) OR (is_usual AND usual_scopes >= $usual * scopes))
+               AS doubtful
+    FROM usual
 ),
 doubtful AS (
     SELECT d.name, d.scope, coalesce(bool_or(
@@ -280,7 +306,9 @@ def notes(store: Store, context: Context) -> Iterator[str]:
         if not snapshot.holds(OUTSIDE.table):
             return
         snapshot.views.make((OUTSIDE.table, "observations", "batch_runs", "all_judgements"))
-        names = [_Shared(name, True, []) for name in snapshot.values(str, USED_OUTSIDE, session=context.session)]
+        names = [
+            _Shared(name, True, []) for name in snapshot.values(str, USED_OUTSIDE, batch=context.batch, session=context.session)
+        ]
         if any(one.session == context.session for one in _overlapping(snapshot, context, OUTSIDE, names, math.inf)):
             said = few([one.name for one in names], NAMED)
             yield (

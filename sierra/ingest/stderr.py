@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from sierra.store.endings import Kind
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
 from sierra.util.kept_log import kept_of
 from sierra.util.text import one_line
@@ -31,7 +32,7 @@ OF_CONDUCTOR = re.compile(r"== (?:before|after): |\[(?!info\]|warn|debug|error|f
 """Lines of services, and those before the output of other commands (see `sierra.worker.conductor`)."""
 OF_ROBOT = re.compile(r"==> .* <==")
 """The line before the log of a robot (see `sierra.runners.robots.joint_logs`)."""
-PREFIX = re.compile(r"(?:\[[\d:.,TZ+/ -]*\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
+PREFIX = re.compile(r"(?:\[[\d:.,TZ+/ -]*(?:ms)?\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
 """A time, or the bracket of a level, before a message."""
 LEVEL = re.compile(r"\[?(?:info|debug|warn(?:ing)?|trace|notice)\b", re.I)
 ERROR = re.compile(
@@ -45,21 +46,27 @@ CRASH = re.compile(
     r"terminate called |.*\b(?:Segmentation fault|Bus error|Floating point exception|Illegal instruction|core dumped)|"
     r"Aborted(?: \(core dumped\))?$|Execution halted$|.* panicked at "
 )
-NUMBER = re.compile(r"[\s:=\])(!]*[-+]?(?:\d[\d.e+-]*|nan|inf)\s*(?:[%,;|/(]|$)|[\s\w-]*[:=]\s*[-+]?\d[\d.e+-]*\s*%?$", re.I)
+NUMBER = re.compile(
+    r"[\s:=\])(!]*(?:[-+]?(?:\d[\d.e+-]*|nan|inf)\s*(?:[%,;|/(]|[a-z]{0,3}$)|none$)|[\s\w()=.-]*[:=]\s*[-+]?\d[\d.e+-]*\s*%?$",
+    re.I,
+)
 """The rest of a line that reports a number, such as `error: 0.001` or `ERROR RATE: 0.1`."""
+TRAILER = re.compile(r"Last command: |Quitting \(on error\)|in expression starting at |exit status \d+$")
+"""Lines with which LAMMPS, SUMO, Julia and Go end after an error message."""
 TRACEBACK = "Traceback (most recent call last):"
 IGNORED = "Exception ignored in"
 
 
-def error_at_end(directory: str) -> str | None:
-    """Return the line with the error with which a run's standard error ends; None if there is none.
+def error_at_end(directory: str) -> tuple[Kind, str] | None:
+    """Return the line with the error with which what a run has printed ends, and where that is; None if there is none.
 
     `directory` is the run's folder. At most 64 KiB of its logs are read.
     """
-    content = kept_of(f"{directory}/{RUN_STDERR}", READ)[0]
-    if any(_lines(content)):
-        return error_line(content)
-    return error_line(kept_of(f"{directory}/{RUN_STDOUT}", READ)[0], words=False)
+    kind, content = Kind.ERROR, kept_of(f"{directory}/{RUN_STDERR}", READ)[0]
+    if not any(_lines(content)):
+        kind, content = Kind.ERROR_ON_STDOUT, kept_of(f"{directory}/{RUN_STDOUT}", READ)[0]
+    error = error_line(content, words=kind is Kind.ERROR)
+    return None if error is None else (kind, error)
 
 
 def error_line(content: bytes, *, words: bool = True) -> str | None:
@@ -76,13 +83,13 @@ def against(rule: str, directory: str) -> str | None:
     """Return why a run fails by the rule `stderr` of `[success]`, with the line that it printed; None if it does not fail."""
     if not rule:
         return None
-    pattern = None if rule == EMPTY else re.compile(rule.encode())
+    pattern = None if rule == EMPTY else re.compile(rule)
     try:
         with Path(directory, RUN_STDERR).open("rb") as file:
             for line in file:
-                plain = ESCAPES.sub(b"", line).rstrip(b"\r\n")
-                if pattern.search(plain) if pattern else plain.strip() and not _is_title(plain.decode("utf-8", "replace")):
-                    shown = one_line(plain.decode("utf-8", "replace").rpartition("\r")[2])[:SHOWN]
+                plain = ESCAPES.sub(b"", line).rstrip(b"\r\n").decode("utf-8", "replace")
+                if pattern.search(plain) if pattern else plain.strip() and not _is_title(plain):
+                    shown = one_line(plain.rpartition("\r")[2])[:SHOWN]
                     rather = "should be empty" if pattern is None else f"must not have {rule!r}"
                     return f"standard error {rather}: {shown}"
     except FileNotFoundError:
@@ -147,7 +154,8 @@ def _crash(lines: Sequence[str]) -> str | None:
 
 def _word(lines: Sequence[str]) -> str | None:
     """Return the last line if it begins with an error word. Indented lines below it, such as those of a stack, belong to it."""
-    end = next((place for place in range(len(lines) - 1, -1, -1) if not lines[place][:1].isspace()), None)
+    belongs = (line[:1].isspace() or TRAILER.match(line) for line in reversed(lines))
+    end = next((len(lines) - 1 - place for place, more in enumerate(belongs) if not more), None)
     if end is None:
         return None
     line = message = lines[end]

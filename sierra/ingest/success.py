@@ -22,7 +22,7 @@ STOPPED = {
     Status.STOPPED: "was stopped by the operator",
     Status.INTERRUPTED: "was interrupted",
 }
-AFTER_MARKER = "; its marker was met: with after_marker in [limits], such runs are ended and count"
+AFTER_MARKER = "; its marker was met: with a short after_marker in [limits], such runs are ended and count"
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from sierra.util.hashing import short as digits
 from sierra.util.text import counted, few, verb
 
 COMMENT = "the first line is a comment; begin with the column names, without {mark!r} ({keys} leaves comments out)"
+UNITS = "units are below its names ({keys} reads it)"
 HEADER = "its names are not in its first line ({keys} reads it)"
 TEXTS = 4
 """The largest number of texts that a proposal for `na` lists."""
@@ -280,7 +281,7 @@ class TableWarnings:
         mark = keys.get("comment")
         if isinstance(mark, str) and self._content(output).lstrip().startswith(mark.encode()):
             return COMMENT.format(mark=mark, keys=named)
-        return HEADER.format(keys=named)
+        return (UNITS if keys.get("units_row") else HEADER).format(keys=named)
 
     def _content(self, output: str) -> bytes:
         """Return the content of the file of one run; nothing if the store does not have it."""
@@ -336,8 +337,10 @@ class TableWarnings:
                 )
             ]
             names = [row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")]
-        looks = [one for one in rows if one.look != "number"]
-        numbers = sum(one.cells for one in rows if one.look in ("number", "comma", "thousands?", "grouped", "wrapped"))
+        looks = [one for one in rows if one.look not in ("number", "point")]
+        if any(one.look in ("comma", "thousands?") for one in looks):
+            looks += [one for one in rows if one.look == "point"]
+        numbers = sum(one.cells for one in rows if one.look in ("number", "point", "comma", "thousands?", "grouped", "wrapped"))
         units = [one for one in looks if one.look.startswith("unit ")]
         united = sum(one.cells for one in units if _unit(one) in FACTORS) or max((one.cells for one in units), default=0)
         if 2 * (numbers + united) <= sum(one.cells for one in rows if one.look != "missing"):
@@ -371,7 +374,8 @@ def _instead(output: str, name: str, column: str, looks: Sequence[_Look], plain:
     forms = [one for one in looks if one not in missing]
     if any(one.look == "flag" for one in forms):
         return f"it has {_examples(forms)} beside numbers; write the same words everywhere, or only 0 and 1"
-    if forms and (missing or len({one.look for one in forms if one.look != "thousands?"}) > 1):
+    kinds = {one.look for one in forms if one.look != "thousands?"}
+    if forms and (missing or len(kinds) > 1 or "point" in kinds):
         return f"it has {_examples([*forms, *missing])}; write all of them as plain numbers"
     if forms:
         first = next((one for one in forms if one.look in ("comma", "grouped")), forms[0])  # they say what the comma is
@@ -408,9 +412,10 @@ def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, pl
         return f"{mixed}; write all in the same unit, without its name"
     [base] = known
     called = _plain(column)
-    number = f"regexp_extract({called}, '^[-+0-9.eE]+')::DOUBLE"
-    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:g}" for unit in units)
-    factor = f"CASE regexp_extract({called}, '[^-+0-9.eE ]+$') {cases} END"
+    cell = f"trim({called})"
+    number = f"regexp_extract({cell}, '^[-+0-9.eE]+')::DOUBLE"
+    cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:.15g}" for unit in units)
+    factor = f"CASE regexp_extract({cell}, '[^-+0-9.eE ]+$') {cases} END"
     table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
     sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"
     key = re.sub(r"\W", "_", f"{output}_{column}")
@@ -427,7 +432,10 @@ def _of_missing(output: str, looks: Sequence[_Look]) -> str:
     """Return what to write instead of texts among numbers."""
     cells, texts = sum(one.cells for one in looks), [text for one in looks for text in one.texts]
     first = next((one for one in looks if one.look == "missing"), looks[0])
-    message = f"leave cells without a number empty instead of writing {first.example!r} ({counted(cells, 'such cell')})"
+    such = counted(cells, "such cell")
+    if any(re.search("[0-9]", text) for text in texts):
+        return f"write {first.example!r} as a plain number, or leave the cell empty ({such})"
+    message = f"leave cells without a number empty instead of writing {first.example!r} ({such})"
     if len(texts) > TEXTS:
         return message
     return f"{message}, or set na = {json.dumps(texts, ensure_ascii=False)} in [outputs.{output}]"
@@ -458,8 +466,8 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
     for why, files in kept.items():
         first = PurePosixPath(next(iter(files)))
         message = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
-        some = "or more " if len(files) == NOTED_AT_MOST else ""
-        these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
+        others = f"{len(files) - 1} or more others" if len(files) == NOTED_AT_MOST else counted(len(files) - 1, "other")
+        these = f"{str(first)!r} and {others} are" if len(files) > 1 else f"{str(first)!r} is"
         yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {message}"
 
 
@@ -492,14 +500,15 @@ WITH cells AS (
     SELECT trim(cell) AS cell FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
 ), looking AS (
     SELECT cell, CASE
-        WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN 'number'
+        WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN
+            CASE WHEN contains(cell, '.') THEN 'point' ELSE 'number' END
         WHEN regexp_full_match(cell, '[-+]?[1-9][0-9]{{0,2}},[0-9]{{3}}') THEN 'thousands?'
         WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
         WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',._][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
         WHEN regexp_full_match(lower(cell), '{missing}') THEN 'missing'
         WHEN regexp_full_match(lower(cell), 'true|false|yes|no') THEN 'flag'
         WHEN regexp_full_match(cell, '[A-Za-z_][A-Za-z0-9_.]*[(] *[[]?{number}[]]? *(,.*)?[)]|[[]{number}[]]') THEN 'wrapped'
-        WHEN regexp_full_match(cell, '{number} *[^-+0-9eE.,;:_ ][^0-9]*') THEN
+        WHEN regexp_full_match(cell, '{number} *[^-+0-9eE.,;:_# ][^0-9]*') THEN
             'unit ' || regexp_extract(cell, '^{number} *(.*)$', 3)
         ELSE 'other' END AS look
     FROM cells

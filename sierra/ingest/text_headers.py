@@ -18,6 +18,13 @@ READ = 1 << 16
 """The number of bytes at the beginning of a file that are looked at."""
 MARK = re.compile(r"\s*(#|@|%|//|!)")
 """The beginnings of comments."""
+UNIT = re.compile(
+    r"\[.*\]|\(.*\)|[-%1]|([munpkMGc\u00b5\u03bc]?(s|m|g|W|J|V|A|N|Pa|Hz|B|bps)|min|h|d|K|C|F|deg|degC|\u00b0C|rad|mol)"
+    r"([/*^.][-\w/*^.]*)?"
+)
+"""The units in a line below the names of columns."""
+MISSING = frozenset(["na", "n/a", "null", "none", "-", "--", "?"])
+"""Texts of cells without a value."""
 MOST = 200
 """The largest number of lines above the first row."""
 Key = str | bool | int | list[str]
@@ -52,18 +59,28 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
         return None
     width = len(rows[first])
     above = [place for place in rows if place < first]
+    if any(len(rows[place]) == width and all(map(reads_as_number, rows[place])) for place in above):
+        return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
     keys: dict[str, Key] = {}
+    is_plain = all(cell in {"", *MISSING} or reads_as_number(cell) for place in rows if place >= first for cell in rows[place])
+    if has_units := len(above) == 2 and _are_units(rows[above[1]]) and not _are_units(rows[above[0]]):
+        above.pop()
     if above:
         head = above[-1]
         names = rows[head]
         skips = len(above) > 1 or (head > 0 and not marks)
+        if skips and not is_plain:
+            return None  # a row of texts is no header
+        keys |= {"units_row": True} if has_units else {}
         keys |= {"skip": head} if skips else {}
         keys |= _comment(mark for place, mark in marks.items() if place > head or not skips)
     elif (head := first - 1) in marks and (names := _marked_names(lines[head], delimiter, width)):
         keys |= {"skip": head} if head else {}
         if max(marks) > head:  # comments within the table, of which its names could not be told
             return None
+    elif not is_plain:
+        return None  # its first line may be a header with numbers in it
     else:
         blank = any(not line.strip() for line in lines[:first])  # without names, an empty line may be a row
         keys |= {"skip": first} if blank else {}
@@ -101,6 +118,11 @@ def _first_row(rows: Mapping[int, Sequence[str]]) -> int | None:
     return first
 
 
+def _are_units(cells: Sequence[str]) -> bool:
+    return all(map(UNIT.fullmatch, cells))
+
+
 def _are_names(cells: Sequence[str], width: int) -> bool:
     unique = len({cell.lower() for cell in cells}) == len(cells)
-    return len(cells) == width and unique and not any(map(reads_as_number, cells)) and all(cells)
+    words = all(cell and cell.lower() not in MISSING and not reads_as_number(cell) for cell in cells)
+    return len(cells) == width and unique and words

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -15,10 +17,19 @@ class Kind(StrEnum):
 
     LEFT_RUNNING = "left running"
     ERROR = "error"
+    ERROR_ON_STDOUT = "error on stdout"
     AFTER_MARKER = "after marker"
 
 
+CURES = {
+    Kind.ERROR: "stderr = {pattern} in [success] makes such runs fail",
+    Kind.ERROR_ON_STDOUT: 'on standard output; marker = "stdout" and contains in [success] make runs fail that do not print '
+    "a text, such as the last line of good runs",
+}
+"""What to do against errors that runs print, by where they print them; `pattern` finds those that were seen."""
 NAMED = 3
+WORD = re.compile(r"(?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*:")
+"""The beginning of most messages: an error word, or the name of an exception."""
 LAST = """
 WITH last AS (
     SELECT e.run, arg_max(e.execution, e.lamport) AS execution, arg_max(e.status, e.lamport) AS status
@@ -62,8 +73,9 @@ def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
     if left := affected.get(Kind.LEFT_RUNNING):
         cure = 'let the command wait for them; leftovers = "fail" in [success] makes such runs fail'
         yield f"{_left_running(left, texts)} ({cure})"
-    if bad := affected.get(Kind.ERROR):
-        yield _errors(bad, texts)
+    for kind, cure in CURES.items():
+        if bad := affected.get(kind):
+            yield _errors(bad, texts[kind], cure.format(pattern=_pattern([one.text for one in texts[kind]])))
 
 
 def left_running(store: Store, batch: str) -> str:
@@ -91,9 +103,14 @@ def _left_running(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
     return f"{where} processes were still running when the command ended, and were ended: {named}"
 
 
-def _errors(row: _Remark, texts: Mapping[str, list[_Remark]]) -> str:
-    first, *others = texts[Kind.ERROR]
+def _errors(row: _Remark, texts: list[_Remark], cure: str) -> str:
+    first, *others = texts
     more = f" (and {counted(len(others), 'other message')})" if others else ""
     ends = f"{verb(row.runs, 'was', 'were')} successful, but what {verb(row.runs, 'it', 'they')} printed ends with an error"
-    cure = 'stderr in [success] makes such runs fail: a pattern, or "empty"'
     return f"{row.runs} of {counted(row.of, 'run')} {ends}: {first.text}{more} ({cure})"
+
+
+def _pattern(texts: Sequence[str]) -> str:
+    """Return the value of `stderr` that finds all of these messages, in TOML; words if there is no simple one."""
+    words = dict.fromkeys(found and f"^{re.escape(found[0])}" for found in map(WORD.match, texts))
+    return json.dumps("|".join(map(str, words))) if None not in words and len(words) <= NAMED else "a pattern for these lines"

@@ -31,7 +31,7 @@ Columns = Mapping[str, Collection[str]]
 
 Groups = tuple[tuple[str, ...], ...]
 """Groups of runs that have the same data."""
-OWN_COLUMNS = frozenset({"run", "# experiment", "# number", "# rowid", "# t"})
+OWN_COLUMNS = frozenset({"run", "file", "# experiment", "# number", "# rowid", "# t"})
 """Columns of the view `data` that are no data of a run."""
 LARGEST_SEEDS = (900_000_000, 65_535, 2**16, 32_767, 10**9, 10**8, 10**6)
 """Largest seeds of programs: LAMMPS and Pythia, and numbers of 16 bits; and round numbers."""
@@ -71,7 +71,7 @@ SELECT a.output, a.path, bool_or(contains(lower(a.table_layout), 'seed')) AS see
 WHERE a.kind = 'table' AND a.rows > 0 AND a.execution IN ({MEMBERS}) GROUP BY a.output, a.path ORDER BY ALL
 """
 OF_FILES = """
-SELECT m.experiment, m.run, coalesce(list_sort(list((a.path, a.sha256)))::VARCHAR, '') AS content
+SELECT m.experiment, m.run, coalesce(list(a.sha256 ORDER BY a.path)::VARCHAR, '') AS content
 FROM membership m LEFT JOIN all_artifacts a
     ON a.execution = m.judgement AND a.kind IN ('table', 'file') AND a.output = $output
 GROUP BY ALL

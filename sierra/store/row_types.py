@@ -524,7 +524,8 @@ class EndingRow(NamedTuple):
     kind: Annotated[
         str,
         "left running (a process that still ran when the command had ended, and was ended), error (the error message with "
-        "which standard error of a successful execution ends) or after marker (it was ended because its marker was met)",
+        "which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard "
+        "error) or after marker (it was ended because its marker was met)",
     ]
     text: Annotated[
         str,
@@ -573,7 +574,7 @@ class FileWrittenRow(NamedTuple):
 
 
 class ChannelRow(NamedTuple):
-    """Ports, sockets, multicast groups, shared memory and message queues that observed executions used on their host."""
+    """Ports that executions were given, and ports, sockets, groups, shared memory and queues that observed ones used."""
 
     execution: Annotated[str, "the execution"]
     name: Annotated[
@@ -583,9 +584,9 @@ class ChannelRow(NamedTuple):
     ]
     use: Annotated[
         str,
-        "listened; reused (listened with an option by which others may have the same name at the same time, or something that "
-        "belongs to all); in_use (another program had it); searched (the same, but then the process chose another one); "
-        "connected (to a server that is not the execution's own)",
+        "given (by {port}); listened; reused (listened with an option by which others may have the same name at the same time, "
+        "or something that belongs to all); in_use (another program had it); searched (the same, but then the process chose "
+        "another one); connected (to a server that is not the execution's own)",
     ]
 
 

@@ -50,7 +50,7 @@ import time
 TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
     import socket
-    from typing import IO, Callable, Container, Iterable, Mapping, NoReturn, NotRequired, Sequence, TypedDict
+    from typing import IO, Callable, Iterable, Mapping, NoReturn, NotRequired, Sequence, TypedDict
 
     class Service(TypedDict):
         """A service: see `sierra.model.Service`."""
@@ -89,6 +89,7 @@ if TYPE_CHECKING:
         """The limits of the run with which `Marker` begins."""
 
 
+COMMAND = {"SIERRA_COMMAND": "1"}  # a variable of the run's command, which services and the tracer do not have
 REPORT = os.path.join("home", ".sierra-conductor")  # in the run's folder, removed with `home`
 SHARED_FILE = "shared"  # in the folder of shared services
 PORT = re.compile("\2(\\w+)\2")
@@ -356,13 +357,12 @@ class Conductor:
         """Execute the run's command; return its status."""
         argv = [self._filled(word) for word in self._plan["argv"]]
         self._check_told()
-        before = set(run_processes())
         try:
-            process = start(argv, output=None, errors=None)
+            process = start(argv, output=None, errors=None, command=True)
         except (OSError, ValueError) as error:
             raise Failed("could not be started: " + explain(error, argv), 127) from error
         marker = Marker(self._folder, self._plan["marker"]) if "marker" in self._plan else None
-        status = self._await(process, marker=marker, ended=lambda: self._note_left(process.pid, before))
+        status = self._await(process, marker=marker, ended=self._note_left)
         self._check_told()
         self._check_services()
         if self.after_marker is not None:
@@ -371,11 +371,10 @@ class Conductor:
             raise Failed("%s; the commands in `after` were not executed" % described(status), status)
         return status
 
-    def _note_left(self, command: int, before: Container[int]) -> None:
-        """Note the processes of a command that still run, unless they were told to end."""
+    def _note_left(self) -> None:
+        """Note the processes of the command that still run, unless they were told to end."""
         if self._kill_at == float("inf"):
-            services = [started.process.pid for started in self._services]
-            self.left = still_running(lambda: (pid for pid in run_processes(services) if pid not in before and pid != command))
+            self.left = still_running(processes_of_command)
 
     def _await(
         self,
@@ -392,7 +391,7 @@ class Conductor:
         while is_running(process):
             now = time.monotonic()
             late = deadline is not None and now >= deadline
-            if marker and self._kill_at == float("inf") and marker.is_over(now):
+            if marker and self._kill_at == float("inf") and marker.is_over(now) and is_running(process):
                 self.after_marker = marker.seconds
                 self._end_current()
             if late or self._told or self._ended_service() or self._ended_shared():
@@ -448,9 +447,10 @@ class Conductor:
             raise Failed("it was told to end (SIGTERM)", -signal.SIGTERM)
 
 
-def start(argv: Sequence[str], *, output: int | None, errors: int | None) -> subprocess.Popen[bytes]:
-    """Start a program in a session of its own."""
-    return subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, start_new_session=True)
+def start(argv: Sequence[str], *, output: int | None, errors: int | None, command: bool = False) -> subprocess.Popen[bytes]:
+    """Start a program in a session of its own; `command`: it is the run's command."""
+    variables = {**os.environ, **COMMAND} if command else None
+    return subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, start_new_session=True, env=variables)
 
 
 def is_running(process: subprocess.Popen[bytes]) -> bool:
@@ -479,26 +479,12 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def run_processes(left_out: Iterable[int] = ()) -> Iterable[int]:
-    """Yield the living processes of this run, by SIERRA_EXECUTION, without this one, `left_out`, and what those started."""
-    mark = b"SIERRA_EXECUTION=" + os.environb.get(b"SIERRA_EXECUTION", b"")
-    ended = {os.getpid(), *left_out}
+def processes_of_command() -> Iterable[int]:
+    """Yield the living processes that the command of this run has started."""
+    own = {"SIERRA_EXECUTION": os.environ.get("SIERRA_EXECUTION", ""), **COMMAND}
+    marks = {os.fsencode("%s=%s" % one) for one in own.items()}
     for pid in sorted(int(name) for name in entries_of("/proc") if name.isdigit()):
-        if (
-            pid not in ended
-            and mark in read(pid, "environ").split(b"\0")
-            and is_alive(pid)
-            and ended.isdisjoint(ancestors(pid))
-        ):
-            yield pid
-
-
-def ancestors(pid: int) -> Iterable[int]:
-    """Yield the parents of a process, but this one."""
-    while pid > 1:
-        fields = read(pid, "stat").rpartition(b")")[2].split()
-        pid = int(fields[1]) if fields else 0
-        if pid != os.getpid():
+        if marks.issubset(read(pid, "environ").split(b"\0")) and is_alive(pid):
             yield pid
 
 

@@ -627,7 +627,8 @@ CONTENT = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC"))
 BOTH, EMPTIED, ALONE = range(3)
 """Uses of a file that a run has written: opened for writing and reading, the same and emptied, or only read."""
 LOCK_BYTES = 64
-LOCK = re.compile(rb"(?:.*[/._-])?lo?ck(?:file)?", re.I | re.S)
+LOCK = re.compile(rb"(?:.*[/._-])?lo?ck(?:file)?|.*/server-[0-9]+\.xkm", re.I | re.S)
+"""Names of locks, and of files that only the X server reads that has locked the display of this number."""
 FOLDERS = frozenset((b"O_PATH", b"O_DIRECTORY"))
 WRITING = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC", b"O_CREAT"))
 MADE = b""

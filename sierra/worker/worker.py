@@ -33,7 +33,8 @@ time of that moment plus the elapsed time by a monotonic clock. `ended` is `star
 system clock have no effect: no run has a negative duration, or a duration below its CPU time.
 
 In argv, environment and input files, a mark that begins with PORT_MARK stands for a free port, which this worker chooses before
-the run begins, and holds until it has ended (see `conductor.Ports`). The worker in a shared container gets jobs without marks.
+the run begins, and holds until it has ended (see `conductor.Ports`). Its `end` has these `ports`, in the order of the marks.
+The worker in a shared container gets jobs without marks.
 
 A job of a cluster may use the devices that its scheduler has allotted. In an environment (and in a client's argv), the
 character \\1 followed by a name from DEVICES stands for the value of the worker's variable of that name, or for nothing if
@@ -304,6 +305,7 @@ class Remains(TypedDict):
     observed: NotRequired[bool]
     delay_s: NotRequired[float]
     left_running: NotRequired[list[str]]
+    ports: NotRequired[list[int]]
     after_marker: NotRequired[float]
 
 
@@ -1298,6 +1300,8 @@ class Worker:
             remains["left_running"] = list(left)
         if after_marker is not None:
             remains["after_marker"] = after_marker
+        if job.get("own_ports"):
+            remains["ports"] = list(job["own_ports"])
         if job.get("waits") and not held and running.meter:
             remains["delay_s"] = wall if running.meter.since is None else running.meter.since - running.started
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))

@@ -261,6 +261,7 @@ def test_plugin_scheduler_refuses_forbidden_directives_and_unknown_keys(spool: P
     succeed(spool, "ls")
 
 
+@pytest.mark.integration
 def test_engine_of_another_package_starts_runs(project: Path) -> None:
     nice_simulator(project)
     layer = images.layer(("bin/python3", b"#!/bin/sh\n"))

@@ -62,7 +62,7 @@ class BagTopics(Rewriter):
         with opened(source) as bag:
             index = bag.index()
             table = TopicTable(index, self.shape.form)
-            self.shape = replace(self.shape, lengths=table.lengths)
+            self.shape = replace(self.shape, lengths=table.lengths, places=(*table.places, *table.lengths))
             self._counted = sum(index[channel] for channel in table.channels)
             return write(table, self._messages(bag, table), target)
 
@@ -169,6 +169,11 @@ class TopicTable:
     def lengths(self) -> tuple[str, ...]:
         """The columns that have only the number of the items of a list."""
         return tuple(field.name for field in self.fields if field.kind in ("length", "bytes"))
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """The columns with the topic of a message, the parts of it that have names, and when it was received."""
+        return tuple(self.schema.names[: len(self.names) + 2])
 
     def decoded(self, channel: Channel, data: bytes) -> tuple[Any, ...]:
         return self._types[channel].decoded(data)

@@ -40,6 +40,8 @@ COMPARED = 20
 """The largest number of runs with other results whose values are compared."""
 BESIDE = ("run", "execution", "number", "file")
 """Columns of outputs that are not values, as the independent variables are not."""
+ROWS = ("row", "row_number")
+"""The names of the column with the number of a row, which depends on the order in which runs were recorded."""
 
 
 class Side(NamedTuple):
@@ -192,7 +194,8 @@ def _axes(store: Store) -> list[str]:
 
 
 def _without(table: pa.Table, names: AbstractSet[str]) -> pa.Table:
-    return table.drop_columns([name for name in table.column_names if name in names])
+    number = next((name for name in table.column_names if name in ROWS), "")  # the first is not a column of the output itself
+    return table.drop_columns([name for name in table.column_names if name in names or name == number])
 
 
 def _tables(store: Store) -> set[str]:

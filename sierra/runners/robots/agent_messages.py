@@ -154,6 +154,7 @@ class End(_Part):
     observed: bool = False
     delay_s: float = 0.0
     left_running: list[Text] = Field(default_factory=list)
+    ports: list[Annotated[int, Field(ge=1, le=65535)]] = Field(default_factory=list)
     after_marker: Amount | None = None
 
 

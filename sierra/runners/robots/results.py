@@ -71,6 +71,8 @@ def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
         record["left_out"] = left_out[: worker.MOST_NAMED]
     if left := list(dict.fromkeys(name for end in ends for name in end.get("left_running", ()))):
         record["left_running"] = left[: worker.MOST_NAMED]
+    if ports := [port for end in ends for port in end.get("ports", ())]:
+        record["ports"] = ports
     if after := [seconds for end in ends if (seconds := end.get("after_marker")) is not None]:
         record["after_marker"] = max(after)
     return record

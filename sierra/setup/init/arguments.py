@@ -25,7 +25,6 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 OUTPUTS = frozenset(["o", "out", "output", "outdir", "outfile", "outputs", "results", "logdir"])
 HOSTS = frozenset(["address", "host", "hostname", "ip", "server"])
 LOCAL = re.compile(r"localhost|127\.[0-9.]+|0\.0\.0\.0|::1?|")
-PORT_NUMBERS = range(1024, 65536)
 OF_OUTPUTS = frozenset(["dir", "directory", "file", "folder", "path", "prefix", "to"])
 
 
@@ -136,12 +135,12 @@ def with_outputs(words: Sequence[str], root: Path) -> tuple[str, ...]:
     return tuple(new)
 
 
-def with_ports(words: Sequence[str]) -> tuple[str, ...]:
+def with_ports(words: Sequence[str], root: Path) -> tuple[str, ...]:
     """Return the words with `{port}`, `{port2}`, … instead of the numbers of ports, unless another host is named."""
     found = find(words)
-    if any(_parts(one) & HOSTS and not one.is_number and not LOCAL.fullmatch(one.value) for one in found):
+    if any(variables.words_of(one.name) & HOSTS and not _is_here(one, root) for one in found):
         return tuple(words)
-    ports = [one for one in found if "port" in _parts(one) and one.value.isdecimal() and int(one.value) in PORT_NUMBERS]
+    ports = [one for one in found if variables.is_port(one.name, one.value)]
     named = dict(zip(dict.fromkeys(one.value for one in ports), PORT_NAMES, strict=False))
     new = list(words)
     for one in ports:
@@ -152,9 +151,9 @@ def with_ports(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(new)
 
 
-def _parts(argument: Argument) -> set[str]:
-    """Return the words in the name of an argument, also of one such as `remotePort`."""
-    return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", argument.name)}
+def _is_here(argument: Argument, root: Path) -> bool:
+    """Return whether the value is this host, a number, or a program of the project, and so no other host."""
+    return argument.is_number or bool(LOCAL.fullmatch(argument.value)) or (root / argument.value).exists()
 
 
 def _is_output(argument: Argument, root: Path) -> bool:

@@ -132,7 +132,7 @@ def _check(root: Path, template: str | None, text: str) -> str:
             raise UsageError(f"command: there is no {word} in {root}; use a path relative to that folder")
     if template and not _has_input(words):
         words = [_with_input(word, template) for word in words]
-    command = joined(_placed(word, root.resolve()) for word in arguments.with_ports(arguments.with_outputs(words, root)))
+    command = joined(_placed(word, root.resolve()) for word in arguments.with_ports(arguments.with_outputs(words, root), root))
     found = platform({"template": template} if template else {}, command)[1]
     commands.command(found, root, declared=Declared() if template else _any(found.command()))
     return command

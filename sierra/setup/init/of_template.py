@@ -60,6 +60,7 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         source=source.choose(root, inputs.paths, options.source, ask),
         next=variables.first_query(platform, content, chosen),
         unset=tuple(unset),
+        ports=variables.ports(free),
         given=options.command is not None or ask is not None,
         doubtful=bool(wrong),
         notes=(

@@ -13,6 +13,7 @@ from functools import partial
 from itertools import count
 from typing import TypeVar
 
+from sierra.config.change_tables import PORT_NAMES
 from sierra.design.factorial_design import GROUPED
 from sierra.design.overwritten import SOME_SEED
 from sierra.errors import QueryError, SierraError, UsageError
@@ -38,6 +39,7 @@ SEEDS = frozenset(["rng", "rngrun", "random_state", "randomstate", "random-state
 """Names of seeds without the word."""
 GENERIC = frozenset(["value", "val", "default", "data"])
 SELDOM = frozenset(["id", "name", "version", "port", "threads", "jobs", "workers", "verbosity"])
+PORT_NUMBERS = range(1024, 65536)
 POPULATION = "population_size"
 OF_PLATFORMS = (f"{POPULATION}.Log8", "scale=0.5,1,2")
 """First queries over criteria of platforms, the better one first."""
@@ -88,9 +90,27 @@ def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
         short, element = _called(path)
         proposed = (re.sub(r"\W", "_", name, flags=re.ASCII) for name in (short, f"{element}_{short}"))
         name = next((name for name in proposed if not refused(name, {*found, *known})), None)
-        if name and path != robots and short.lower() not in SELDOM and len(found) <= SHOWN:
+        seldom = short.lower() in SELDOM or is_port(short, numbers[path])
+        if name and path != robots and not seldom and len(found) <= SHOWN:
             found[name] = path
     return found
+
+
+def ports(numbers: Mapping[str, str]) -> dict[str, str]:
+    """Return the paths of ports, with the names of placeholders for them: the same one for the same number."""
+    found = {path: value for path, value in numbers.items() if is_port(_called(path)[0], value)}
+    names = dict(zip(dict.fromkeys(found.values()), PORT_NAMES, strict=False))
+    return {path: names[value] for path, value in found.items() if value in names}
+
+
+def is_port(name: str, value: str) -> bool:
+    """Return whether a value is the number of a port, by its name."""
+    return "port" in words_of(name) and value.isdecimal() and int(value) in PORT_NUMBERS
+
+
+def words_of(name: str) -> set[str]:
+    """Return the words in a name, also in one such as `remotePort`."""
+    return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", name)}
 
 
 def refused(name: str, known: Iterable[str]) -> str | None:

@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.config.output_tables import with_rotation
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
 from sierra.ingest import open_names
@@ -87,11 +88,15 @@ def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) ->
 
 
 def patterns(first: Trial, second: Trial | None = None) -> dict[str, str]:
-    """Return the patterns for tables whose files have another name in each run, by path. One run alone shows dates only."""
-    trials = [one for one in (first, second) if one is not None]
-    found = open_names.patterns([[file.path for file in one.files if file.table] for one in trials])
-    dated = {} if second else {file.path: open_names.with_date(file.path) for file in first.files if file.table}
-    return found | {path: pattern for path, pattern in dated.items() if pattern}
+    """Return the patterns for tables of rotated files, and of files with another name in each run, by path.
+
+    One run alone shows dates only.
+    """
+    runs = [[file.path for file in one.files if file.table] for one in (first, second) if one is not None]
+    found = {path: with_rotation(path, (file.path for file in first.files)) for path in runs[0]}
+    found |= {path: open_names.with_date(path) or found[path] for path in runs[0] if second is None}
+    found |= open_names.patterns(runs)
+    return {path: pattern for path, pattern in found.items() if pattern != path}
 
 
 def rates(first: Trial, second: Trial, patterns: Mapping[str, str]) -> dict[str, tuple[str, ...]]:

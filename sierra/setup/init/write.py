@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config import project_file
 from sierra.config.change_tables import VALUE
+from sierra.config.output_tables import ROTATION
 from sierra.errors import UsageError
 from sierra.execution.commands import PORT
 from sierra.ingest import open_names
@@ -65,6 +66,8 @@ class Guess:
     """True if the command is probably wrong, or its program does not exist, so that no run is tried."""
     notes: tuple[str, ...]
     """Warnings about values that may be wrong."""
+    ports: Mapping[str, str] = field(default_factory=dict)
+    """The paths of ports in the template, with the names of placeholders for them."""
     templates: Mapping[str, str] = field(default_factory=dict)
     """Several templates by name, with their paths."""
     files: tuple[str, ...] = ()
@@ -75,7 +78,7 @@ class Guess:
     """The columns of 0 and 1 by table, as two runs with different seeds have shown."""
 
     patterns: Mapping[str, str] = field(default_factory=dict)
-    """The patterns for tables whose files have another name in each run, by the path of a file."""
+    """The patterns for tables of rotated files, and of files with another name in each run, by the path of a file."""
 
     @property
     def seeded(self) -> bool:
@@ -158,21 +161,24 @@ def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
 
 
 def _declarations(tried: Trial, guess: Guess) -> Iterator[str]:
-    """Yield the declarations of tables whose files have another name in each run, and of tables with rates."""
+    """Yield the declarations of tables of rotated files, of files with another name in each run, and of tables with rates."""
     names: dict[str, str] = {}
     for one in tried.files:
         pattern, columns = guess.patterns.get(one.path), guess.rates.get(one.table or "", ())
         if one.table in (None, *guess.outputs) or not (pattern or columns) or pattern in names:
             continue
-        name = one.table
-        if pattern:
+        name, why = one.table, ""
+        if pattern and pattern.endswith(ROTATION):
+            why = "  # all parts of the file, the oldest rows first"
+        elif pattern:
+            why = "  # each run gives its file another name"
             wanted = open_names.name_of(pattern)
             name = names[pattern] = next(
                 free
                 for n in count(1)
                 if (free := f"{wanted}_{n}" if n > 1 else wanted) not in {*names.values(), *guess.outputs}
             )
-        yield f"\n[outputs.{name}]" + "  # each run gives its file another name" * bool(pattern)
+        yield f"\n[outputs.{name}]{why}"
         yield f"file = {quoted(pattern or one_line(one.path))}"
         if columns:
             yield _rates(columns)
@@ -248,6 +254,9 @@ def _seed(guess: Guess) -> Iterator[str]:
     if guess.unset and guess.template:
         sets = ", ".join(f"{{ set = {quoted(place)}, value = 1 }}" for place in guess.unset)
         yield f"# changes = [{sets}]  # values if a query does not vary them"
+    if guess.ports:
+        sets = ", ".join(f"{{ set = {quoted(path)}, value = {quoted(f'{{{name}}}')} }}" for path, name in guess.ports.items())
+        yield f"# changes = [{sets}]  # free ports, if each run starts a server"
 
 
 def _example(guess: Guess, xml: str, other: str, argument: str) -> str:

@@ -17,15 +17,20 @@ REASON = "{} is used by several runs at the same time; execute with --jobs 1, in
 pytestmark = pytest.mark.integration
 
 SIM = """
-import os, socket, struct, subprocess, sys, threading, time
+import os, re, socket, struct, subprocess, sys, threading, time
+given = open(sys.argv.pop(1)).read()
 mode, seed, name = sys.argv[1:3] + [os.path.expandvars(sys.argv[3])]
 family, kind = socket.AF_INET, socket.SOCK_DGRAM if mode in ("udp", "group") else socket.SOCK_STREAM
 address = ("127.0.0.1", int(name)) if name.isdecimal() else name.replace("@", chr(0))
 if isinstance(address, str):
     family = socket.AF_UNIX
 server, client, world = socket.socket(family, kind), socket.socket(family, kind), seed
-if mode == "fixed" and family == socket.AF_INET:
+if mode == "experiment":
+    mode, address = "fixed", (address[0], address[1] + int(re.search('count="([0-9]+)"', given)[1]))
+if mode in ("fixed", "spread") and family == socket.AF_INET:
     server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+if mode == "spread":
+    mode, address = "search", (address[0], address[1] + int(seed) % 7)
 if mode in ("reuse", "group"):
     server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT if mode == "reuse" else socket.SO_REUSEADDR, 1)
 if mode == "group":
@@ -84,15 +89,15 @@ def execute(tmp_path: Path, require: Callable[..., str]) -> Callable[..., tuple[
     """Execute runs with a server; return how many count, and what SIERRA has said. Check that none has another run's data."""
     require("strace")
 
-    def execute(arguments: str, *, runs: int = 4, jobs: int = 2, more: str = "") -> tuple[int, str]:
+    def execute(arguments: str, *, runs: int = 4, jobs: int = 2, sizes: str = "1,2", observe: str = "first") -> tuple[int, str]:
         folder = tmp_path / "project"
-        command = f"python3 {{project}}/server.py {arguments.replace(' ', ' {seed} ', 1)}"
+        command = f"python3 {{project}}/server.py {{input}} {arguments.replace(' ', ' {seed} ', 1)}"
         config = projects.CONFIG.replace("python3 sim.py {input}", command).replace("runs = 2", f"runs = {runs}")
         if not folder.exists():
             projects.make(folder, config)
-        (folder / "sierra.toml").write_text(config + more)
+        (folder / "sierra.toml").write_text(f'observe = "{observe}"\n{config}')
         (folder / "server.py").write_text(SIM)
-        done = projects.quick(folder, "run", "population_size=1,2", "--jobs", str(jobs), "--no-figures")
+        done = projects.quick(folder, "run", f"population_size={sizes}", "--jobs", str(jobs), "--no-figures")
         if projects.sql(folder, OK)[0]["n"]:
             assert projects.sql(folder, "SELECT * FROM swarm JOIN runs r USING (run) WHERE value <> r.seed") == []
         return projects.sql(folder, OK)[0]["n"], done.stdout + done.stderr
@@ -156,11 +161,22 @@ def test_a_program_that_looks_for_a_free_port_has_one_of_its_own(execute: Callab
         assert execute(f"search {port}")[0] == 8
 
 
-@pytest.fixture
-def outside() -> Iterator[int]:
+def test_ports_that_runs_have_in_common_by_chance_are_no_problem(execute: Callable[..., tuple[int, str]]) -> None:
+    good, said = execute(f"spread {free()} 0.1", runs=12, observe="all")
+    assert good == 24, said
+
+
+def test_runs_that_share_the_port_of_their_experiment_do_not_count(execute: Callable[..., tuple[int, str]]) -> None:
+    good, said = execute(f"experiment {free()} 0.2", runs=2, sizes="1,2,4")
+    assert "are used by several runs at the same time" in said
+    assert good < 6
+
+
+@contextlib.contextmanager
+def outside(port: int = 0) -> Iterator[int]:
     """Serve connections at a port, as a program that no run has started."""
     with contextlib.ExitStack() as open_until_the_end:
-        server = open_until_the_end.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server = open_until_the_end.enter_context(socket.create_server(("127.0.0.1", port)))
 
         def serve() -> None:
             with contextlib.suppress(OSError):  # the end of the test
@@ -174,8 +190,27 @@ def outside() -> Iterator[int]:
         thread.join()
 
 
-def test_a_server_that_no_run_has_started_gets_a_note(execute: Callable[..., tuple[int, str]], outside: int) -> None:
-    good, said = execute(f"outside {outside}")
-    assert good == 8
-    assert f"runs at the same time used a server that no run has started: 127.0.0.1:{outside}; if runs change its state" in said
-    assert "no run has started" not in execute(f"outside {outside} 1", jobs=1)[1]
+def test_a_server_that_no_run_has_started_gets_a_note(execute: Callable[..., tuple[int, str]]) -> None:
+    with outside() as port:
+        good, said = execute(f"outside {port}")
+        assert good == 8
+        assert f"runs at the same time used a server that no run has started: 127.0.0.1:{port}; if runs change" in said
+        assert "no run has started" not in execute(f"outside {port} 1", jobs=1)[1]
+
+
+def test_the_servers_of_an_earlier_batch_do_not_count(execute: Callable[..., tuple[int, str]]) -> None:
+    port = free()
+    assert execute(f"fixed {port}", runs=1, jobs=1)[0] == 2
+    with outside(port):
+        good, said = execute(f"outside {port}")
+    assert good == 2 + 8
+    assert "no run has started" in said
+
+
+def test_programs_that_choose_a_display_each_share_none(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    require("xvfb-run")
+    command = "xvfb-run -a python3 sim.py {input}"
+    root = projects.make(tmp_path / "p", projects.CONFIG.replace("python3 sim.py {input}", command).replace("= 2", "= 3"))
+    done = projects.quick(root, "run", "population_size=1,2", "--jobs", "2", "--no-figures")
+    assert (done.returncode, projects.sql(root, OK)) == (0, [{"n": 6}]), done.stdout

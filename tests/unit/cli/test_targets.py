@@ -310,6 +310,7 @@ def test_why_repeats_the_query_for_its_target(project: Path) -> None:
         assert any("4 runs: reused" in line for line in answer["next_run"]), answer["next_run"]
 
 
+@pytest.mark.integration
 def test_a_changed_target_is_compared_with_itself(project: Path) -> None:
     (project / "sierra.toml").write_text(CONFIG.replace("robots.py {arguments}", "robots.py --gain 2 {arguments}"))
     previewed = projects.quick(project, "run", "population_size=1,2", *BOTH, "--dry-run", "--explain", "--json")

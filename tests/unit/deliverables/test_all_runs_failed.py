@@ -37,6 +37,7 @@ def failed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return root, sierra.open(root).run("population_size=1,2", runs=2, figures=False).batch
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [("figures",), ("report",)])
 def test_figures_and_reports_of_a_failed_batch_have_one_note(failed: tuple[Path, str], words: tuple[str, ...]) -> None:
     root, batch = failed

@@ -131,6 +131,7 @@ def said(png: Path) -> str:
     return held["Description"]
 
 
+@pytest.mark.integration
 def test_a_kind_of_another_package_draws_rows_that_it_queried(dots: Path) -> None:
     assert said(draw(dots, 'table = "swarm"', 'kind = "dots"', "most = 3")) == "each dot a row, n = 3; 3 rows"
 

@@ -151,6 +151,7 @@ def test_check_names_a_file_that_is_not_the_one_that_was_drawn(drawn: Path, chan
     assert ("is missing" if change == "removed" else "is not the file that SIERRA made") in line
 
 
+@pytest.mark.integration
 def test_check_says_that_the_store_has_other_data_after_an_execution_was_removed(drawn: Path) -> None:
     (execution,) = sierra.open(drawn).sql("SELECT min(execution) AS e FROM executions").column("e").to_pylist()
     assert projects.quick(drawn, "rm", execution, "--yes").returncode == 0

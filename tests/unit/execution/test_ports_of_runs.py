@@ -45,6 +45,12 @@ def test_ports_are_filled_in_everywhere_and_not_in_ids(tmp_path: Path) -> None:
     rows = sql(root, "SELECT * FROM out")
     assert all(row["input"] == row["variable"] == row["a"] != row["b"] == row["url"] for row in rows)
     assert len({row["a"] for row in rows}) > 1
+    given = "SELECT execution, list(name ORDER BY name) AS names FROM channels WHERE use = 'given' GROUP BY ALL"
+    recorded = {row["execution"]: row["names"] for row in sql(root, given)}
+    for row in sql(root, "SELECT * FROM out JOIN executions USING (execution)"):
+        assert recorded[row["execution"]] == sorted(f"127.0.0.1:{row[name]}" for name in ("a", "b"))
+    execution = next(iter(recorded))
+    assert json.loads(quick(root, "show", execution, "--json").stdout)["ports"] == recorded[execution]
     assert run(make(tmp_path / "elsewhere" / "q"), "population_size=1,2", "--runs", "2")[0]["batch"] == batch
     done = quick(root, "replay", str(batch))
     assert "4 runs" in done.stdout, done.stderr

@@ -45,6 +45,7 @@ def test_an_invalid_trial_does_not_count_and_its_run_is_executed_again(root: Pat
     assert not project.fsck().findings
 
 
+@pytest.mark.integration
 def test_the_last_mark_counts_and_earlier_ones_stay(root: Path) -> None:
     project = sierra.open(root)
     [run, _] = [row["run"] for row in projects.sql(root, "SELECT run FROM effective ORDER BY run")]

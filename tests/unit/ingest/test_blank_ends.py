@@ -42,6 +42,12 @@ def test_blank_lines_at_the_end_are_no_rows(tmp_path: Path, content: bytes, keys
     assert list(reading.counted.values()) == [len(values)]
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_many_blank_lines_within_a_file_are_read_at_once(tmp_path: Path, end: str) -> None:
+    _, rows = read_file(tmp_path, "t.csv", ("v" + end * 30_000 + "1" + end).encode())  # in squared time, this takes a minute
+    assert len(rows) == 30_000
+
+
 def test_files_with_and_without_a_blank_end_are_read_alike(tmp_path: Path) -> None:
     reading, rows = read_files(tmp_path, [tmp_path / "0" / "t.csv", tmp_path / "1" / "t.csv"], [b"v\n1\n2\n\n", b"v\n1\n2\n"])
     assert [row["v"] for row in rows] == [1, 2, 1, 2]

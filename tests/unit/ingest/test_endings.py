@@ -10,7 +10,7 @@ import pytest
 
 from sierra.config.project_file import parse
 from sierra.errors import ConfigError
-from sierra.ingest.stderr import error_line
+from sierra.ingest.stderr import against, error_line
 from tests.projects import CONFIG, SIMULATOR, make, quick, sql
 
 TRACED = 'Traceback (most recent call last):\n  File "sim.py", line 5, in <module>\n    f()\n    ^^^\n'
@@ -52,6 +52,8 @@ QUERY = ("run", "population_size=1,2", "--runs", "3", "--no-figures")
         ("2026-11-27 10:00:00,123 Fatal error: no GPU", "2026-11-27 10:00:00,123 Fatal error: no GPU"),
         ("Error in solve(a) : singular\nExecution halted\n", "Execution halted"),
         ("10 %\r50 %\rError: cut\r\n", "Error: cut"),
+        ("ERROR: Lost atoms: original 40 current 39\nLast command: run 100\n", "ERROR: Lost atoms: original 40 current 39"),
+        ("2024-05-01 10:00:00 [1,234ms] [Error] [kit] no GPU\n", "2024-05-01 10:00:00 [1,234ms] [Error] [kit] no GPU"),
         ("Error: caf\udce9 closed\n", "Error: caf\ufffd closed"),
     ],
 )
@@ -77,6 +79,9 @@ def test_the_error_at_the_end_is_found(printed: str, error: str) -> None:
         "Error rate: 0.1\n",
         "ERROR RATE: 0.1 %\n",
         "Errors: 0\n",
+        "Error: 0.5 m\n",
+        "Error: none\n",
+        "error (L2) at t=10: 0.01\n",
         "MeanSquaredError: 0.02\n",
         "Failed runs: 0\n",
         "no error\n",
@@ -86,6 +91,14 @@ def test_the_error_at_the_end_is_found(printed: str, error: str) -> None:
 )
 def test_what_is_no_error_at_the_end_is_not_taken_as_one(printed: str) -> None:
     assert error_line(printed.encode()) is None
+
+
+def test_a_rule_on_standard_error_may_have_letters_that_are_not_ascii(tmp_path: Path) -> None:
+    (tmp_path / "stderr").write_text("ready\nservice caf\u00e9\n")
+    assert (
+        against("caf[\u00e8\u00e9]$", str(tmp_path)) == "standard error must not have 'caf[\u00e8\u00e9]$': service caf\u00e9"
+    )
+    assert against("caf[\u00e8]", str(tmp_path)) is None
 
 
 def prints(text: str, stream: str = "stderr") -> str:
@@ -99,6 +112,7 @@ def test_runs_that_end_with_a_traceback_are_counted_wherever_runs_are_shown(stre
     note = "6 of 6 runs were successful, but what they printed ends with an error: RuntimeError: GPU buffer overflow"
     done = quick(root, *QUERY)
     assert (done.returncode, done.stderr.count(note)) == (0, 1)
+    assert ('(on standard output; marker = "stdout" and contains' in done.stderr) is (stream == "stdout")
     assert note not in quick(root, *QUERY).stderr  # nothing was executed
     batch = sql(root, "SELECT batch, run FROM batch_runs LIMIT 1")[0]
     assert note in quick(root, "show", batch["batch"]).stdout
@@ -106,6 +120,13 @@ def test_runs_that_end_with_a_traceback_are_counted_wherever_runs_are_shown(stre
     assert quick(root, "report").returncode == 0
     assert any(note in re.sub(r"\s+", " ", page.read_text()) for page in root.rglob("*.html"))
     assert "1 of 1 run was successful, but what it printed ends with an error: RuntimeError" in quick(root, "try").stderr
+    cure = 'stderr = "^RuntimeError:" in [success] makes such runs fail)'
+    if stream == "stdout":
+        return
+    assert f"{note} ({cure}" in done.stderr
+    (root / "sierra.toml").write_text(f'{CONFIG}[success]\nstderr = "^RuntimeError:"\n')
+    failed = quick(root, *QUERY)
+    assert (failed.returncode, "6 evaluated again" in failed.stdout) == (1, True)
 
 
 @pytest.mark.integration
@@ -157,6 +178,27 @@ def test_processes_that_still_ran_are_named(around: str, tmp_path: Path) -> None
     failed = quick(root, *QUERY)
     assert failed.returncode == 1
     assert "processes were still running when the command ended: python3 sim.py" in failed.stdout
+
+
+SERVICE = f"""\
+before = "sh before.sh"
+{CONFIG}
+[services.helper]
+command = "sh daemons.sh"
+ready = {{ file = "{{run}}/ready" }}
+[success]
+leftovers = "fail"
+"""
+DAEMONS = 'touch "$SIERRA_RUN_DIR/ready"\nsetsid sh -c "while sleep 0.05; do setsid sleep 1 & done" &\nsleep 0.1\n'
+
+
+@pytest.mark.integration
+def test_processes_of_services_and_of_commands_before_the_run_are_not_named(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", SERVICE, simulator=SIMULATOR + "\nimport time\ntime.sleep(0.3)\n")
+    (root / "daemons.sh").write_text(DAEMONS.replace("sleep 0.1", "sleep 100"))
+    (root / "before.sh").write_text(DAEMONS)
+    done = quick(root, *QUERY)
+    assert (done.returncode, "still running" in done.stderr) == (0, False), done.stdout
 
 
 @pytest.mark.integration

@@ -17,8 +17,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sierra.config.output_tables import Output
+from sierra.ingest.model import Form, Shape
+from sierra.ingest.read import read
+from tests import plugins, samples
 from tests.projects import CONFIG, make, quick
-from tests.readings import read_file
+from tests.readings import read_file, written
 
 VALUES = [1.5, -1.0, 2.5, -2.0]
 
@@ -110,6 +113,8 @@ def test_text_that_is_a_number_matches_in_a_csv_what_is_written_so(tmp_path: Pat
         ([2**62, -1], pa.int64(), (-1,), [2**62, None]),
         ([1.0, math.nan, math.inf], None, ("NaN", "Infinity"), [1.0, None, None]),
         ([-1, -1], None, (-1,), [None, None]),
+        ([[-1.0, 2.0], None], None, (-1, "NA"), [[-1.0, 2.0], None]),
+        ([["NA"], ["x"]], None, ("NA", "[NA]"), [["NA"], ["x"]]),
     ],
 )
 def test_value_is_missing_in_a_column_of_any_type(
@@ -127,6 +132,76 @@ def test_hdf5_and_netcdf_have_missing_values(tmp_path: Path) -> None:
         file["v"] = np.array([1, -1, 3], "i4")
     _, rows = read_file(tmp_path, "t.h5", (tmp_path / "made.h5").read_bytes(), format="hdf5", rows="/v", na=(-1,))
     assert [row["v"] for row in rows] == [1, None, 3]
+
+
+def test_netcdf_has_missing_values_and_indices_and_dimensions_are_none(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    scipy = pytest.importorskip("scipy.io")
+    with scipy.netcdf_file(tmp_path / "made.nc", "w") as file:
+        for name in ("t", "x"):
+            file.createDimension(name, 2)
+        file.createVariable("t", "d", ("t",))[:] = [0, 5]
+        file.createVariable("v", "f", ("t", "x"))[:] = [[0, 1.5], [-999.9, 0]]
+    keys: dict[str, Any] = {"format": "netcdf", "rows": "v"}
+    _, rows = read_file(tmp_path, "t.nc", (tmp_path / "made.nc").read_bytes(), na=(0, -999.9), **keys)
+    assert [tuple(row.values()) for row in rows] == [(0, 0, None), (0, 1, 1.5), (5, 0, None), (5, 1, None)]
+    with h5py.File(tmp_path / "made.h5", "w") as file:
+        file["v"] = np.array([0, 1, 3], "i4")
+    _, rows = read_file(tmp_path, "t.h5", (tmp_path / "made.h5").read_bytes(), format="hdf5", rows="/v", na=(0,))
+    assert [tuple(row.values()) for row in rows] == [(0, None), (1, 1), (2, 3)]
+    _, rows = read_file(tmp_path, "t.npz", _npz([0, 1, 3]), format="npy", na=(0,))
+    assert [tuple(row.values()) for row in rows] == [(0, None), (1, 1), (2, 3)]
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
+def test_bags_have_missing_values_but_not_in_what_says_where_a_message_was(tmp_path: Path, kind: str) -> None:
+    pytest.importorskip("rosbags")
+    from tests.bags import Recorded, record
+
+    values = [{"position": [-1.0, 2.0], "header.stamp.sec": 7}, {"header.stamp.sec": 7}]
+    messages = [Recorded("/0/joints", "sensor_msgs/msg/JointState", at, one) for at, one in zip((0, 8), values, strict=True)]
+    messages += [Recorded("/0/n", "std_msgs/msg/Int32", at, {"data": at}) for at in (0, 8)]
+    content = record(tmp_path, kind, messages).read_bytes()
+    keys: dict[str, Any] = {"format": "bag", "na": (-1, 0, "/0/n", "0")}
+    reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/n",), **keys)
+    assert not reading.faults
+    assert [tuple(row.values()) for row in rows] == [("/0/n", "0", 0, None), ("/0/n", "0", 8, 8)]
+    reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/joints",), **keys)
+    assert not reading.faults
+    assert [row["position"] for row in rows] == [[-1.0, 2.0], []]
+
+
+READER = """
+import numpy as np
+from sierra.plugin import NoOptions
+class Made:
+    contract = 1
+    Options = NoOptions
+    def __init__(self, options): pass
+    def read(self, path):
+        return {
+            "mixed": [-1, "NA", 2.5, None],
+            "typed": np.array([2**62, -1, 0, 7]),
+            "own": [np.int64(-1), np.int64(3), np.int64(0), np.int64(-2)],
+            "flag": [True, False, None, True],
+        }
+"""
+
+
+def test_reader_of_another_package_has_missing_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "marks", {"sierra.readers mark": "Made"}, READER)))
+    shape = Shape("mark", reader=json.dumps({"package": "marks 1", "options": {}}), form=Form(na=(-1, "NA", 0)), name="t")
+    (tmp_path / "target").mkdir()
+    target = tmp_path / "target" / "table.parquet"
+    reading = read(samples.database(2), [written(tmp_path / "t.mark", 0, b"x")], shape, target)
+    assert not reading.faults
+    found = {name: values for name, values in pq.read_table(target).to_pydict().items() if name not in ("run", "execution")}
+    assert found == {
+        "mixed": [None, None, 2.5, None],
+        "typed": [2**62, None, None, 7],
+        "own": [None, 3, None, -2],
+        "flag": [True, False, None, True],
+    }
 
 
 def test_json_keeps_flags_and_lists_beside_missing_values(tmp_path: Path) -> None:

@@ -331,6 +331,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, Summary]:
     return project, run(project, f"n={','.join(map(str, range(len(FAULTS))))}")
 
 
+@pytest.mark.integration
 def test_one_faulty_run_of_each_experiment_fails(faulty: tuple[Project, Summary]) -> None:
     _, summary = faulty
     assert (summary.failed, summary.missing) == (len(FAULTS), 0)
@@ -708,6 +709,19 @@ TEXTS: list[tuple[str, str | None]] = [
         LOOKS_NUMERIC
         + 'leave cells without a number empty instead of writing \'NA\' (4 such cells), or set na = ["NA", "n/a"] in',
     ),
+    (
+        "v\n(m)\n0\n1\n",
+        LOOKS_NUMERIC.partition("most")[0] + "units are below its names ([outputs.out] file",
+    ),
+    ("t;v\n0;1,5\n1;2.5\n2;3\n", LOOKS_NUMERIC + "it has '1,5' and '2.5'; write all of them as plain numbers"),
+    ("t;v\n0;1,234\n1;2.5\n2;3\n", LOOKS_NUMERIC + "it has '1,234' and '2.5'; write all of them as plain numbers"),
+    ("t,v\n0,1_0\n1,2\n2,3\n", LOOKS_NUMERIC + "write '1_0' as a plain number, or leave the cell empty (2 such cells)"),
+    ("t,v\n0,1.#INFO\n1,2\n2,3\n", LOOKS_NUMERIC + "write '1.#INFO' as a plain number, or leave the cell empty"),
+    (
+        "t,v\n0, 3B\n1, 2MiB\n",
+        LOOKS_NUMERIC + "some have the unit 'B' or 'MiB'; write all in the same unit, or convert them to 'B', for example: "
+        """[tables.out""",
+    ),
     ("t,v\n0,ab\n", None),
     ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
     ("t,v\n0,2020-01-01\n", None),
@@ -735,6 +749,25 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(tmp_p
         names = ((f"output 'out{place}'", "output 'out'"), (f"[outputs.out{place}]", "[outputs.out]"))
         found[place] = [note.replace(*names[0]).replace(*names[1])[: len(said or "")] for note in of_place]
     assert found == {place: [said] * (said is not None) for place, (_, said) in enumerate(TEXTS)}
+    proposals = [json.loads(note.partition(" sql = ")[2]) for note in notes if "[tables." in note]
+    assert len(proposals) == 2
+    for sql, cells, values in zip(
+        proposals, (["1.5ms", "+8e2 us"], [" 3B", "2MiB "]), ([0.0015, 0.0008], [3, 2_097_152]), strict=True
+    ):
+        name = sql.rpartition(" ")[2]
+        table = f"(SELECT 1 AS run, 0 AS t, unnest({cells}) AS v)"
+        assert [row[2] for row in duckdb.sql(sql.replace(f"FROM {name}", f"FROM {table}")).fetchall()] == pytest.approx(values)
+
+
+@pytest.mark.integration
+def test_cells_with_units_are_converted_exactly_by_the_proposal(make: Make, noted: Callable[[], list[str]]) -> None:
+    project = make("write('t,size,took\\n0, 3GiB,1.5ms \\n1,7 MiB , 800us\\n2,5B,2ns\\n')")
+    assert not run(project, runs=1).failed
+    proposed = [json.loads(note.split("sql = ")[1]) for note in noted() if "convert them to" in note]
+    found = [[tuple(row.values())[1:] for row in project.sql(f"{sql} ORDER BY run, t").to_pylist()] for sql in proposed]
+    sizes, times = [(0, 3 * 2**30), (1, 7 * 2**20), (2, 5)], [(0, 0.0015), (1, 0.0008), (2, 2e-9)]
+    assert found[0] == sizes * (len(found[0]) // 3)
+    assert [row[1] for row in found[1]] == pytest.approx([took for _, took in times] * (len(found[1]) // 3), rel=1e-12)
 
 
 @pytest.mark.integration
@@ -882,7 +915,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write(good, 'x_y.tsv'); write('', 'a.txt')", toml))
     assert [note for note in noted() if "seeds" not in note] == [
         "'x_y.csv' makes the table 'x_y_2', because the table 'x_y' is that of 'x-y'",
-        "'logs/1.csv' and 1 others are kept as files: undeclared and in a subfolder "
+        "'logs/1.csv' and 1 other are kept as files: undeclared and in a subfolder "
         '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
         "'x_y.tsv' is kept as a file: undeclared, and another file already makes the table of that name "
         '([outputs.NAME] file = "x_y.tsv" makes it a table)',

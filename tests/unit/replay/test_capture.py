@@ -177,6 +177,7 @@ def test_rendering_may_be_turned_on_in_the_input(root: Path) -> None:
     assert "<render/>" not in recorded
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("capture", "message"),
     [

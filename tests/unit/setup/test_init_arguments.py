@@ -73,6 +73,7 @@ def test_arguments_become_a_variable_the_seed_and_the_output_and_what_is_written
             "./sim --port 9 --remote-port {port} --zmqPort={port2} --url tcp://localhost:{port} --report yes",
             {},
         ),
+        ("./sim --server sim.py --port 2000", "./sim --server sim.py --port {port}", {}),
         ("./sim --host lic.example.org --port 2000", "./sim --host lic.example.org --port 2000", {}),
         ("python3 -W 1 sim.py --out=/tmp/a/x.csv -v 2", "python3 -W 1 sim.py --out={output}/x.csv", {"v": "-v {value}"}),
     ],

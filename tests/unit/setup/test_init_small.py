@@ -31,6 +31,18 @@ def test_services_that_the_command_uses_are_to_be_declared(tmp_path: Path) -> No
     assert quick(tmp_path, "run", "population_size=1,2", "-n").returncode == 0
 
 
+def test_ports_in_a_template_are_proposed_as_free_ones_and_not_as_variables(tmp_path: Path) -> None:
+    (tmp_path / "sim.py").write_text("import sys\n")
+    (tmp_path / "in.json").write_text('{"seed": 1, "rpc_port": 2000, "tmPort": 8000, "cars": 5, "url": {"port": 2000}}')
+    assert quick(tmp_path, "init", "-y", "--no-try", "--command", "python3 sim.py {input}").returncode == 0
+    written = tmp_path / "sierra.toml"
+    assert list(tomllib.loads(written.read_text())["variables"]) == ["cars"]
+    written.write_text(written.read_text().replace("# changes = ", "changes = "))
+    changes = {one["set"]: one["value"] for one in tomllib.loads(written.read_text())["changes"]}
+    assert changes == {"//rpc_port": "{port}", "//tmPort": "{port2}", "//port": "{port}"}
+    assert quick(tmp_path, "run", "cars=1,2", "-n").returncode == 0
+
+
 @pytest.mark.integration
 @pytest.mark.parametrize(("columns", "time"), [("tick,x", "tick"), ("x,tick", None)])
 def test_the_time_axis_is_proposed_by_the_rule_of_figures(tmp_path: Path, columns: str, time: str | None) -> None:

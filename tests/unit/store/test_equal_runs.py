@@ -15,6 +15,9 @@ WITH_SEED = FIXED.replace('"tick,coverage"', '"tick,coverage,seed"').replace("+ 
 WITH_CLOCK = FIXED.replace("import sys", "import sys, time").replace('"tick,coverage"', '"tick,coverage,wall"')
 WITH_CLOCK = WITH_CLOCK.replace("+ noise,", "+ noise, time.time_ns(),")
 VOLATILE = '[outputs.swarm]\nfile = "swarm.csv"\nvolatile = ["wall"]\n'
+NAMED = FIXED.replace("import sys", "import os, sys").replace('"swarm.csv"', 'f"log_2026-11-27_{seed}_{os.getpid()}.csv"')
+NAMED += "    if count < 3: open(file.name.replace('log', 'more'), 'w').write('tick\\n1\\n')\n"
+PATTERN = '[outputs.swarm]\nfile = "log_*.csv"\n[outputs.more]\nfile = "more_*.csv"\n'
 TABLE = """\
 import sys, pyarrow as pa, pyarrow.parquet as pq
 count, seed = (int(text) for text in sys.argv[1:])
@@ -37,6 +40,7 @@ def said(root: Path, *words: str) -> str:
         (WITH_SEED, "", True),
         (WITH_CLOCK, "", False),
         (WITH_CLOCK, VOLATILE, True),
+        (NAMED, PATTERN, True),
         (FIXED, '[outputs.swarm]\nfile = "swarm.csv"\nrates = ["coverage"]\n', False),
         (SIMULATOR.replace("noise * (seed % 100)", "(noise * (seed % 100) if count == 2 else 0)"), "", False),
     ],
@@ -46,6 +50,7 @@ def said(root: Path, *words: str) -> str:
         "a column of seeds",
         "a clock",
         "a volatile clock",
+        "a clock in the names of files",
         "a rate",
         "one experiment differs",
     ],
@@ -59,10 +64,16 @@ def test_seeds_without_effect_are_reported(simulator: str, config: str, equal: b
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize(("value", "equal"), [("7", True), ("seed", False)])
-def test_tables_whose_files_have_more_than_rows_are_compared_by_their_rows(value: str, equal: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("value", "name", "equal"), [("7", "swarm.", True), ("seed", "swarm.", False), ("7", "swarm_*", True)])
+def test_tables_whose_files_have_more_than_rows_are_compared_by_their_rows(
+    value: str, name: str, equal: bool, tmp_path: Path
+) -> None:
     config = 'command = "{python} {project}/sim.py {population_size} {seed}"\n[variables]\npopulation_size = {}\n'
-    root = make(tmp_path / "p", config, simulator=TABLE.replace("VALUE", value))
+    simulator = TABLE.replace("VALUE", value)
+    if "*" in name:
+        config += f'[outputs.swarm]\nfile = "{name}.parquet"\n'
+        simulator = simulator.replace('"swarm.parquet"', 'f"swarm_{seed}.parquet"')
+    root = make(tmp_path / "p", config, simulator=simulator)
     assert (SAYS in said(root)) == equal
 
 

@@ -205,6 +205,7 @@ def test_a_session_has_a_greater_number_than_all_visible_ones(root: Path) -> Non
     assert numbers(root, "executions") == [1, 1, 2, 2, 3, 3, 4, 4]
 
 
+@pytest.mark.integration
 def test_invalid_lamport_numbers_are_reported(root: Path) -> None:
     def beyond(name: str, table: pa.Table) -> pa.Table:
         place = table.schema.get_field_index("lamport")

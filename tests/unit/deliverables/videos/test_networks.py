@@ -91,6 +91,7 @@ def test_nodes_have_the_places_and_values_of_their_rows(root: Path) -> None:
         states(root, node_value="to")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("layout", ["spring", "circular"])
 def test_nodes_keep_their_places_and_edges_are_between_them(root: Path, layout: str) -> None:
     _, found, painter = states(root, layout=layout)

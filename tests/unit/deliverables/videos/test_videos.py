@@ -157,6 +157,7 @@ def test_a_check_names_each_format_of_a_video_once(root: Path) -> None:
     assert [line.split(":")[0] for line in said.splitlines()] == ["heat (gif)", "heat (mp4)"]
 
 
+@pytest.mark.integration
 def test_the_mean_has_only_good_runs_and_says_how_many(root: Path) -> None:
     made = prepared(root, show="mean", experiments="population_size<=2")
     one, two = made.films
