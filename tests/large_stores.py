@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pyarrow as pa
@@ -37,6 +37,42 @@ def grow(root: Path, batch: str, runs: int) -> str:
     store.publish(writer)
     assert isinstance(store, Store)
     return other
+
+
+OF_BATCHES = frozenset(("batch", "experiment", "run", "execution", "judgement", "session"))
+"""The columns with ids that are other ones in each copy of a batch."""
+
+
+def multiply(root: Path, batch: str, count: int) -> None:
+    """Add so many copies of a batch to a project, each with ids of its own, in as many segments.
+
+    Ids do not follow from the records, so that `sierra fsck` finds faults.
+    """
+    store = sierra.open(root).store
+    copied = [
+        (one, {name: pq.read_table(path) for name, path in one.files.items()})
+        for one in store.segments()
+        if one.batch == batch[:12]
+    ]
+    tables = [table for _, files in copied for table in files.values()]
+    ids = {
+        value for table in tables for name in OF_BATCHES & {*table.column_names} for value in table[name].to_pylist() if value
+    }
+    for number in range(count):
+        others = {one: sha256(f"{number} {one}".encode())[: len(one)] for one in ids}
+        for _, files in copied:
+            writer = store.writer(store.paths.work / "large", others[batch])
+            for name, table in files.items():
+                pq.write_table(_renamed(table, others), writer.path(name))
+            store.publish(writer)
+
+
+def _renamed(table: pa.Table, ids: Mapping[str, str]) -> pa.Table:
+    for place, field in enumerate(table.schema):
+        if pa.types.is_string(field.type):
+            values = [ids.get(value, value) for value in table.column(place).to_pylist()]
+            table = table.set_column(place, field, pa.array(values, field.type))
+    return table
 
 
 def _set(table: pa.Table, **values: object) -> pa.Table:

@@ -42,8 +42,6 @@ from sierra.util.regular_files import read_regular
 
 WORTH = 30
 """The number of segments that are not in an index from which a process that has recorded some builds one."""
-FOUND = 300
-"""The number from which a process that only reads builds one."""
 KEPT = 2
 """The number of indexes that are kept: readers may be about to open the last one."""
 STORAGE = "v1.5.0"

@@ -81,8 +81,10 @@ class Found(NamedTuple):
     """A batch to which it belongs; of a study, the batch of its last look, or None before the first."""
 
 
-_looked_at: set[Path] = set()
-"""The stores of which this process has made sure that an index has most of their segments."""
+MANY = 300
+"""The number of segments that are in no index from which a process that only reads builds one."""
+_built: set[Path] = set()
+"""The stores for which this process has built an index in order to read it."""
 
 
 class Store:
@@ -226,8 +228,6 @@ class Store:
         try:
             memory = self.memory if theirs else None
             usable = self._indexed and self._beneath is None and not self._replays and memory is None
-            if usable:
-                self._index_many()
             made = Snapshot(
                 *(self.paths.root, None, within, shared),
                 beneath=self._beneath,
@@ -242,15 +242,6 @@ class Store:
         except BaseException:
             shared.close()
             raise
-
-    def _index_many(self) -> None:
-        """Build an index if very many segments are in none, once in a process: whoever only records some builds it earlier."""
-        from sierra.store import index_builder
-
-        if self.paths.root not in _looked_at:
-            _looked_at.add(self.paths.root)
-            if len(names_in(self.paths.segments)) >= index_builder.FOUND:
-                index_builder.keep_up(self.paths, index_builder.FOUND)
 
     @property
     def memory(self) -> int | None:
@@ -396,6 +387,17 @@ class Snapshot:
         self._given = segments, within, replays, memory, rules
         self._folders = [*([beneath] if beneath else []), self._paths.segments]
         self._open(index_files.best(self._paths) if indexed else None)
+        if indexed and len(self.listing.rest) >= MANY and self._paths.root not in _built:
+            self._build_index()
+
+    def _build_index(self) -> None:
+        """Build an index and use it, once in a process: whoever records builds one before so many segments are in none."""
+        from sierra.store import index_builder
+
+        _built.add(self._paths.root)
+        index_builder.keep_up(self._paths)
+        self._opened.close()
+        self._open(index_files.best(self._paths))
 
     def _open(self, file: IndexFile | None) -> None:
         """Open a connection with an index, or without one; also without one that cannot be used."""
