@@ -3,6 +3,7 @@
     segments(seg, name, ignored, replaces, after)   the segments, by number; those that are ignored have no rows
     replaced(name)                                  the segments that these replace
     TABLE(seg, …)                                   the rows of a table of records; of `objects`, all columns but the contents
+    stored_<name>                                   results of the rows above: `effective`, `points`, `runs`, `counted`
     experiments_<n>(seg, …), experiment_sets        the rows of `experiments` with equal columns, and these columns
     outputs(seg, output, file, columns)             the files of outputs
     column_sets(number, columns)                    the types of their columns
@@ -29,8 +30,9 @@ import duckdb
 from sierra.store import index_files
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
-from sierra.store.index_reader import EXPERIMENTS
+from sierra.store.index_reader import DATABASE, EXPERIMENTS, STORED, Index, read_facts
 from sierra.store.layout import StorePaths
+from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
 from sierra.store.schema import LATER, RECORDED
 from sierra.store.segments import Segment, marked, names_in, out_of_date, sound
@@ -38,6 +40,7 @@ from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import read_columns
 from sierra.store.verified_files import are_sound
+from sierra.store.views import Views
 from sierra.util.regular_files import read_regular
 
 WORTH = 30
@@ -48,7 +51,6 @@ STORAGE = "v1.5.0"
 """The version of DuckDB's file format. By default, DuckDB writes one that no other version reads."""
 BLOCK, LARGE_BLOCK, LARGE = 16_384, 65_536, 10 << 20
 """The sizes of blocks, and the size of an index from which they are larger: each of some 400 columns takes part of a block."""
-NEW = "new"
 TABLES = {
     "segments": "seg INTEGER, name VARCHAR, ignored BOOLEAN, replaces BOOLEAN, after VARCHAR",
     "replaced": "name VARCHAR",
@@ -99,9 +101,9 @@ class _Building:
         if best is not None:
             path.write_bytes(read_regular(Path(best.readable)))
             self._attach(path)
-            [(base,)] = self._fetch(f"SELECT segments FROM {NEW}.base")
+            [(base,)] = self._fetch(f"SELECT segments FROM {DATABASE}.base")
             if len(self._named()) >= 2 * base:
-                self._connection.execute(f"DETACH {NEW}")
+                self._connection.execute(f"DETACH {DATABASE}")
                 path.unlink()
                 best = None
         if best is None:
@@ -118,23 +120,23 @@ class _Building:
         return self._connection.execute(statement).fetchall()
 
     def _named(self) -> dict[str, int]:
-        return dict(self._fetch(f"SELECT name, seg FROM {NEW}.segments"))
+        return dict(self._fetch(f"SELECT name, seg FROM {DATABASE}.segments"))
 
     def _attach(self, path: Path, options: str = "") -> None:
         file = quote(steady(str(path)))
-        self._connection.execute(f"ATTACH {file} AS {NEW} (TYPE duckdb, STORAGE_VERSION '{STORAGE}'{options})")
+        self._connection.execute(f"ATTACH {file} AS {DATABASE} (TYPE duckdb, STORAGE_VERSION '{STORAGE}'{options})")
 
     def _begin(self, segments: int) -> None:
         """Begin an index without segments."""
         self._attach(self._path, f", BLOCK_SIZE {BLOCK}")
         for table, columns in TABLES.items():
-            self._connection.execute(f"CREATE TABLE {NEW}.{table} ({columns})")
+            self._connection.execute(f"CREATE TABLE {DATABASE}.{table} ({columns})")
         for table, recorded in RECORDED.items():
             if table != EXPERIMENTS:
                 kept = [column for column in recorded.columns if column.type != "BLOB"]
                 columns = ", ".join(f"{identifier(column.name)} {column.type}" for column in kept)
-                self._connection.execute(f"CREATE TABLE {NEW}.{table} (seg INTEGER, {columns})")
-        self._connection.execute(f"INSERT INTO {NEW}.base VALUES ({segments})")
+                self._connection.execute(f"CREATE TABLE {DATABASE}.{table} (seg INTEGER, {columns})")
+        self._connection.execute(f"INSERT INTO {DATABASE}.base VALUES ({segments})")
 
     def add(self, worth: int) -> bool:
         """Add the segments that the index does not name. Return False if there are not so many."""
@@ -161,26 +163,37 @@ class _Building:
         self._insert("replaced", ((name,) for name in sorted(replaced)))
         self._add_rows([one for one in sound(added, self._folder) if one.name not in hidden], numbers)
         self._connection.execute("COMMIT")
+        self._store_results()
         self.count = len(known) - len(gone) + len(added)
         return bool(added)
+
+    def _store_results(self) -> None:
+        """Compute which executions are effective, and what else takes long in a store with very many runs."""
+        facts = read_facts(self._fetch)._replace(stored=frozenset())
+        listing = Listing([self._folder], segments=[])
+        views = Views(lambda: self._connection, listing, index=Index(self._fetch, listing, facts))
+        for name, query in views.results():
+            self._connection.execute(f"CREATE OR REPLACE TABLE {DATABASE}.{STORED}{name} AS {query}")
 
     def _drop(self, ignored: Sequence[int], gone: Sequence[int]) -> None:
         """Remove the rows of segments that have been replaced since they were added, or that are gone."""
         if not ignored:
             return
         numbers = ", ".join(map(str, ignored))
-        tables = self._fetch(f"SELECT table_name FROM duckdb_columns() WHERE database_name = '{NEW}' AND column_name = 'seg'")
+        tables = self._fetch(
+            f"SELECT table_name FROM duckdb_columns() WHERE database_name = '{DATABASE}' AND column_name = 'seg'"
+        )
         for (table,) in tables:
             if table != "segments":
-                self._connection.execute(f"DELETE FROM {NEW}.{table} WHERE seg IN ({numbers})")
-        self._connection.execute(f"UPDATE {NEW}.segments SET ignored = true WHERE seg IN ({numbers})")
-        self._connection.execute(f"DELETE FROM {NEW}.segments WHERE seg IN ({', '.join(map(str, gone)) or 'NULL'})")
+                self._connection.execute(f"DELETE FROM {DATABASE}.{table} WHERE seg IN ({numbers})")
+        self._connection.execute(f"UPDATE {DATABASE}.segments SET ignored = true WHERE seg IN ({numbers})")
+        self._connection.execute(f"DELETE FROM {DATABASE}.segments WHERE seg IN ({', '.join(map(str, gone)) or 'NULL'})")
 
     def _insert(self, table: str, rows: Iterable[tuple[object, ...]]) -> None:
         columns = [list(column) for column in zip(*rows, strict=True)]
         if columns:
             values = ", ".join("unnest(?)" for _ in columns)
-            self._connection.execute(f"INSERT INTO {NEW}.{table} SELECT {values}", columns)
+            self._connection.execute(f"INSERT INTO {DATABASE}.{table} SELECT {values}", columns)
 
     def _add_rows(self, segments: Sequence[Segment], numbers: Mapping[str, int]) -> None:
         self._connection.execute("CREATE OR REPLACE TEMP TABLE numbers (segment VARCHAR, seg INTEGER)")
@@ -197,14 +210,14 @@ class _Building:
                 kept = ", ".join(identifier(column.name) for column in RECORDED[name].columns if column.type != "BLOB")
                 source = read_parquet(paths, filename=True, schema=schema, check=False)
                 self._connection.execute(
-                    f"INSERT INTO {NEW}.{name} SELECT n.seg, {kept} FROM {source} f "
+                    f"INSERT INTO {DATABASE}.{name} SELECT n.seg, {kept} FROM {source} f "
                     f"JOIN numbers n ON n.segment = split_part(f.filename, '/', -2) ORDER BY n.seg"
                 )
         self._add_outputs(segments, numbers)
 
     def _add_experiments(self, paths: Sequence[str]) -> None:
         """Add the rows of `experiments`, those with equal columns to one table."""
-        sets = {columns: number for number, columns in self._fetch(f"FROM {NEW}.experiment_sets")}
+        sets = {columns: number for number, columns in self._fetch(f"FROM {DATABASE}.experiment_sets")}
         for files, types in read_columns(self._fetch, paths):
             columns = json.dumps(list(types.items()))
             source = f"{read_parquet(files, filename=True, check=False)} f"
@@ -212,14 +225,14 @@ class _Building:
                 f"SELECT n.seg, f.* EXCLUDE filename FROM {source} JOIN numbers n ON n.segment = split_part(filename, '/', -2)"
             )
             if columns in sets:
-                self._connection.execute(f"INSERT INTO {NEW}.{EXPERIMENTS}_{sets[columns]} {rows} ORDER BY n.seg")
+                self._connection.execute(f"INSERT INTO {DATABASE}.{EXPERIMENTS}_{sets[columns]} {rows} ORDER BY n.seg")
                 continue
             sets[columns] = number = len(sets) + 1
-            self._connection.execute(f"CREATE TABLE {NEW}.{EXPERIMENTS}_{number} AS {rows} ORDER BY n.seg")
+            self._connection.execute(f"CREATE TABLE {DATABASE}.{EXPERIMENTS}_{number} AS {rows} ORDER BY n.seg")
             self._insert("experiment_sets", [(number, columns)])
 
     def _add_outputs(self, segments: Iterable[Segment], numbers: Mapping[str, int]) -> None:
-        sets = {columns: number for number, columns in self._fetch(f"FROM {NEW}.column_sets")}
+        sets = {columns: number for number, columns in self._fetch(f"FROM {DATABASE}.column_sets")}
         known = len(sets)
         found = {path: (numbers[one.name], output) for one in segments for output, path in one.outputs()}
         rows: list[tuple[object, ...]] = []
@@ -231,7 +244,7 @@ class _Building:
 
     def finish(self) -> bytes:
         """Return the bytes of the index."""
-        self._connection.execute(f"DETACH {NEW}")  # writes all to the file
+        self._connection.execute(f"DETACH {DATABASE}")  # writes all to the file
         return self._path.read_bytes()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +21,8 @@ DATABASE = f"index_{os.urandom(8).hex()}"
 """The name of the index on a connection, which nobody else's statement can guess: they see its rows only through views."""
 EXPERIMENTS = "experiments"
 """The beginning of the names of the tables of experiments: one for each set of axes, because axes of one name may differ."""
+STORED = "stored_"
+"""The beginning of the names of tables of results: `stored_effective` and others."""
 CONTENT = ("objects",)
 """Tables whose contents stay in the segments; the index knows only where they are."""
 
@@ -37,11 +40,12 @@ def facts_of(index: IndexFile, fetch: Fetch) -> Facts:
     """Return the segments that an attached index names. Raises duckdb.Error."""
     found = _facts.get(index.path)
     if found is None:
-        found = _facts[index.path] = _read_facts(fetch)
+        found = _facts[index.path] = read_facts(fetch)
     return found
 
 
-def _read_facts(fetch: Fetch) -> Facts:
+def read_facts(fetch: Fetch) -> Facts:
+    """Return the segments that the index on a connection names."""
     segments = fetch(f"SELECT name, seg, ignored, replaces, after FROM {DATABASE}.segments ORDER BY name")
     held = fetch(f"SELECT DISTINCT table_name FROM duckdb_tables() WHERE database_name = '{DATABASE}'")
     tables = {"experiments" if name.startswith(EXPERIMENTS) else name for (name,) in held}
@@ -52,6 +56,7 @@ def _read_facts(fetch: Fetch) -> Facts:
         frozenset(row[0] for row in fetch(f"SELECT name FROM {DATABASE}.replaced")),
         frozenset(after for *_, ignored, _, after in segments if after is not None and not ignored),
         frozenset(tables & RECORDED.keys()),
+        frozenset(name for name in tables if name.startswith(STORED)),
     )
 
 
@@ -72,6 +77,15 @@ class Index:
         self._facts = facts
         self._folder = listing.folders[0]
         self._without = listing.without
+        self._rest = {name for segment in listing.rest for name in segment.files}
+
+    def stored(self, name: str, needs: AbstractSet[str]) -> str:
+        """Return the relation of a result that the index holds; "" if segments that it does not name have one of these tables.
+
+        `needs`: the tables of records from which the result follows.
+        """
+        is_valid = STORED + name in self._facts.stored and not self._without and self._rest.isdisjoint(needs)
+        return f"{DATABASE}.{STORED}{name}" if is_valid else ""
 
     def holds(self, table: str) -> bool:
         """Check whether the index has any row of a table of records."""

@@ -25,6 +25,8 @@ class Facts(NamedTuple):
     """The segments that some of them wait for."""
     tables: frozenset[str]
     """The tables of records that have rows in the index."""
+    stored: frozenset[str]
+    """The tables of results that the index holds (see `sierra.store.index_builder`)."""
 
 
 class Listing:

@@ -70,6 +70,20 @@ SETTLED = "settled"
 FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
 
 
+def _needed(names: Iterable[str]) -> frozenset[str]:
+    """Return the tables of records that views need, also through other views."""
+    found = set(names)
+    for name in names:
+        found |= _needed((*NEEDS.get(name, ()), *NEEDS_IF_IMPORTED.get(name, ())))
+    return frozenset(found & RECORDED.keys())
+
+
+RESULTS = ("effective", "points", "runs", "counted")
+"""The results that an index holds: these views, and each run's effective execution with the run's number and variables."""
+RESULTS_FROM = _needed(RESULTS)
+"""The tables of records from which they follow."""
+
+
 class Views:
     """The views of one connection; each is created once."""
 
@@ -180,9 +194,13 @@ class Views:
             raise
 
     def _create(self, name: str) -> None:
-        for needed in (*NEEDS.get(name, ()), *(NEEDS_IF_IMPORTED.get(name, ()) if self._imported else ())):
-            self._make(needed)
-        if name == "runs":
+        if not (stored := self._stored(name)):
+            for needed in (*NEEDS.get(name, ()), *(NEEDS_IF_IMPORTED.get(name, ()) if self._imported else ())):
+                self._make(needed)
+        if stored:
+            self._make("experiments")  # for its notes
+            body = f"FROM {stored}"
+        elif name == "runs":
             body = self._runs()
         elif name == "points":
             body = self._points()
@@ -276,6 +294,16 @@ class Views:
         indexed = self._index.experiments(batch) if self._index and self._index.holds("experiments") else []
         return sorted([*files, *indexed], key=lambda one: one.first if isinstance(one, Held) else segment_of(one))
 
+    def _stored(self, name: str) -> str:
+        """Return the relation of a result in the index; "" if there is none that holds for all segments."""
+        return self._index.stored(name, RESULTS_FROM) if self._index and self._within is None and name in RESULTS else ""
+
+    def results(self) -> Iterable[tuple[str, str]]:
+        """Yield the results that an index holds, and a query for each."""
+        self.make(RESULTS)
+        yield from ((name, f"FROM {name}") for name in RESULTS if name != "counted")
+        yield "counted", self._counted_points
+
     def _fetch(self, statement: str) -> list[RawRow]:
         return self._execute(statement).fetchall()
 
@@ -302,6 +330,8 @@ class Views:
     @property
     def _counted(self) -> str:
         """The query for each run's effective execution."""
+        if stored := self._stored("counted"):
+            return f"SELECT DISTINCT run, execution, judgement FROM {stored}"
         return COUNTED_BY_ORIGIN if self._imported else COUNTED
 
     @property
@@ -399,6 +429,8 @@ class Views:
     @property
     def _counted_points(self) -> str:
         """The query for each run's effective execution with the run's number and variables."""
+        if stored := self._stored("counted"):
+            return f"FROM {stored}"
         return f"SELECT p.*, c.execution, c.judgement FROM ({self._counted}) c JOIN points p ON c.run = p.run"
 
     def _output(self, name: str) -> str:
