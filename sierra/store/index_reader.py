@@ -47,7 +47,8 @@ def facts_of(index: IndexFile, fetch: Fetch) -> Facts:
 def read_facts(fetch: Fetch) -> Facts:
     """Return the segments that the index on a connection names."""
     segments = fetch(f"SELECT name, seg, ignored, replaces, after FROM {DATABASE}.segments ORDER BY name")
-    held = fetch(f"SELECT DISTINCT table_name FROM duckdb_tables() WHERE database_name = '{DATABASE}'")
+    filled = f"SELECT table_name FROM duckdb_tables() WHERE database_name = '{DATABASE}' AND estimated_size > 0"
+    held = fetch(filled)
     tables = {"experiments" if name.startswith(EXPERIMENTS) else name for (name,) in held}
     return Facts(
         {name: seg for name, seg, *_ in segments},
