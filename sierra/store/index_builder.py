@@ -42,11 +42,16 @@ from sierra.store.union_files import read_columns
 from sierra.store.verified_files import are_sound
 from sierra.store.views import Views
 from sierra.util.regular_files import read_regular
+from sierra.util.scratch import scratch
 
 WORTH = 30
 """The number of segments that are not in an index from which a process that has recorded some builds one."""
+TIMES = 10
+"""The same for a large index, as a multiple."""
 KEPT = 2
 """The number of indexes that are kept: readers may be about to open the last one."""
+PREFIX = "sierra-index-"
+"""The beginning of the names of temporary folders. They are on a local disk: DuckDB writes only files that it can lock."""
 STORAGE = "v1.5.0"
 """The version of DuckDB's file format. By default, DuckDB writes one that no other version reads."""
 BLOCK, LARGE_BLOCK, LARGE = 16_384, 65_536, 10 << 20
@@ -62,10 +67,16 @@ TABLES = {
 
 
 def keep_up(paths: StorePaths, worth: int = WORTH) -> None:
-    """Build an index if so many segments are in none. Without the right to write, or for lack of something, do nothing."""
+    """Build an index if so many segments are in none, and if the store is this user's and has executed something.
+
+    A large index, which takes longer to build, waits for more segments. For lack of something, such as space on the disk, do
+    nothing.
+    """
     with contextlib.suppress(OSError, duckdb.Error):
-        if paths.root.stat().st_uid == os.geteuid() and os.access(paths.root, os.W_OK):
-            build(paths, worth)
+        if paths.identity.exists() and paths.root.stat().st_uid == os.geteuid() and os.access(paths.root, os.W_OK):
+            best = index_files.best(paths)
+            large = best is not None and best.path.stat().st_size > index_files.IN_MEMORY
+            build(paths, worth * TIMES if large else worth)
 
 
 def build(paths: StorePaths, worth: int = 1) -> Path | None:
@@ -73,12 +84,9 @@ def build(paths: StorePaths, worth: int = 1) -> Path | None:
     shared = Shared(paths.reading)
     try:
         best = index_files.best(paths)
-        if best is None and len(names_in(paths.segments)) < worth:
+        if len(names_in(paths.segments)) - (index_files.segments_of(best.path) if best else 0) < worth:
             return None
-        with (
-            tempfile.TemporaryDirectory(prefix="sierra-index-") as folder,
-            _Building(paths, Path(folder, "index"), best) as made,
-        ):
+        with scratch(Path(tempfile.gettempdir()), PREFIX) as folder, _Building(paths, folder / "index", best) as made:
             if not made.add(worth):
                 return None
             content = made.finish()

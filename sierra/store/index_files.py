@@ -98,6 +98,11 @@ def verified(path: Path, paths: StorePaths) -> IndexFile | None:
     return IndexFile(path, f"/proc/self/fd/{descriptor}")
 
 
+def segments_of(path: Path) -> int:
+    """Return the number of segments that an index names, from its own name."""
+    return int(path.name.split("-")[1])
+
+
 def publish(paths: StorePaths, segments: int, content: bytes) -> Path:
     """Write an index of so many segments. Raises OSError."""
     paths.index.mkdir(exist_ok=True)

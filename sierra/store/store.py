@@ -415,7 +415,11 @@ class Snapshot:
                 index_files.remove(file.path)
         if facts is None:
             self._opened = Connection(*folders, memory=memory)
-        self.listing = Listing(self._folders, facts, segments)
+        try:
+            self.listing = Listing(self._folders, facts, segments)
+        except BaseException:
+            self._opened.close()
+            raise
         if self.listing.facts is not None:
             self._index = Index(self.run, self.listing, self.listing.facts)
         self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
