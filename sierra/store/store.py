@@ -422,6 +422,9 @@ class Snapshot:
             raise
         if self.listing.facts is not None:
             self._index = Index(self.run, self.listing, self.listing.facts)
+        elif facts is not None:  # it cannot tell which of its segments are current
+            self._opened.close()
+            self._opened = Connection(*folders)
         self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, self.views.outputs)
 
