@@ -94,6 +94,7 @@ def _run(finder: doctest.DocTestFinder, runner: doctest.DocTestRunner, thing: An
         runner.run(test)
 
 
+@pytest.mark.integration
 def test_frame_accepts_a_table_name_or_a_statement(project: sierra.Project, summary: sierra.Summary) -> None:
     frame = project.frame("swarm", within=summary.batch)
     assert frame.shape[0] == 20

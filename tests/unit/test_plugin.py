@@ -627,6 +627,7 @@ def test_unusable_plugin_is_reported_in_one_line_and_breaks_no_other_command(
     succeed(plain, "ls")
 
 
+@pytest.mark.integration
 def test_plugin_name_of_two_packages_is_an_error_that_names_both(
     plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -140,6 +140,7 @@ def test_dry_run_reports_how_many_runs_would_execute(answered: Path) -> None:
     assert told["new_because"]
 
 
+@pytest.mark.integration
 def test_explain_with_json_prints_one_object(answered: Path) -> None:
     said = quick(answered, "run", "--explain", "--json", "--no-figures", "population_size.Log2", "noise=0:1:2")
     told = json.loads(said.stdout)
@@ -228,6 +229,7 @@ def test_read_only_commands_can_print_json(answered: Path, answer: dict[str, Any
     assert json.loads(quick(answered, "schema", "--toml", "--json").stdout)["type"] == "object"
 
 
+@pytest.mark.integration
 def test_ls_and_show_print_tables_by_default(answered: Path, answer: dict[str, Any]) -> None:
     listed = quick(answered, "ls").stdout
     assert answer["batch"][:10] in listed
@@ -288,6 +290,7 @@ def test_unknown_figure_is_refused_with_a_list_of_known_figures(answered: Path, 
 # sql
 
 
+@pytest.mark.integration
 def test_sql_prints_five_formats(answered: Path, tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 
@@ -437,6 +440,7 @@ def test_completion_is_silent_if_the_project_file_is_invalid(tmp_path: Path, wor
     assert (said.stdout.split(), said.stderr) == ([], "")
 
 
+@pytest.mark.integration
 def test_montecarlo_without_count_is_refused_with_a_working_example(answered: Path) -> None:
     said = quick(answered, "run", "montecarlo", "-n")
     assert said.returncode == 2
@@ -479,6 +483,7 @@ def test_very_many_runs_are_refused_without_yes(answered: Path, how: tuple[str, 
     assert "--yes" in said.stderr
 
 
+@pytest.mark.integration
 def test_planning_progress_is_reported_except_with_json(answered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "FIRST_S", 0.0)
     monkeypatch.setattr(progress, "MANY", 5)

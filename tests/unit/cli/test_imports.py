@@ -38,6 +38,7 @@ def imported(root: Path, *words: str) -> set[str]:
     return {str(name) for name in json.loads(ended.stderr.splitlines()[-1])} & (SOMETIMES | NEVER)
 
 
+@pytest.mark.integration
 def test_help_imports_only_the_command_line_library(root: Path) -> None:
     assert imported(root, "--help") == set()
 

@@ -68,6 +68,7 @@ def test_recorded_escape_sequences_are_never_printed(evil: Path, words: tuple[st
     assert "fault in SIERRA" not in done.stderr
 
 
+@pytest.mark.integration
 def test_log_shows_escape_sequences_in_escaped_form(evil: Path) -> None:
     [row] = sierra.open(evil).sql("SELECT run FROM executions WHERE status <> 'ok' LIMIT 1").to_pylist()
     assert "\\x1b[2J" in projects.quick(evil, "show", row["run"]).stdout

@@ -102,6 +102,7 @@ def test_prompt_ends_with_exit_words_and_ctrl_d(open_terminal: Callable[[], Term
     assert terminal.ended() == 0
 
 
+@pytest.mark.integration
 def test_statements_span_lines_until_a_semicolon_and_errors_do_not_end_the_prompt(
     open_terminal: Callable[[], Terminal],
 ) -> None:

@@ -154,6 +154,7 @@ def collecting(folder: Path) -> Iterator[Terminal]:
         assert terminal.mode() == before
 
 
+@pytest.mark.integration
 def test_lines_that_are_typed_while_files_are_collected_answer_the_prompts(tmp_path: Path) -> None:
     with collecting(tmp_path) as terminal:
         terminal.type("v\x7fi\n2\nit f")

@@ -131,11 +131,13 @@ def test_without_the_option_the_default_target_is_used(project: Path) -> None:
     assert (answer["batch"], answer["target"], answer["executed"]) == (batch(project, "robots"), "robots", 0)
 
 
+@pytest.mark.integration
 def test_one_target_prints_one_object(project: Path) -> None:
     answer, _ = projects.run(project, "population_size=1,2", "--target", "robots")
     assert (answer["target"], answer["reused"]) == ("robots", 4)
 
 
+@pytest.mark.integration
 def test_the_name_of_a_target_is_no_part_of_an_id(project: Path) -> None:
     before = batch(project, "robots")
     (project / "sierra.toml").write_text(CONFIG.replace("robots]", "swarm]").replace("robots = {", "swarm = {"))
@@ -181,6 +183,7 @@ def test_list_show_statistics_and_figures_say_the_target(project: Path) -> None:
     assert "m2" in image
 
 
+@pytest.mark.integration
 def test_the_target_that_is_executed_is_named_before_its_runs(project: Path) -> None:
     done = projects.quick(project, "run", "population_size=1,2", *BOTH, "--no-figures")
     said = [line for line in done.stderr.splitlines() if "target" in line]
@@ -222,6 +225,7 @@ def test_a_query_for_several_targets_draws_them_together_at_its_end(tmp_path: Pa
     assert all("-" in path.parent.name for path in drawn)
 
 
+@pytest.mark.integration
 def test_figures_of_targets_with_other_units_are_not_drawn(project: Path) -> None:
     drawn = projects.quick(project, "figures", *BOTH)
     assert (drawn.returncode, drawn.stdout) == (0, "")
@@ -326,6 +330,7 @@ def test_targets_are_differences_between_batches(executed: Path) -> None:
     assert "target: sim → robots" in compared.stdout
 
 
+@pytest.mark.integration
 def test_a_request_in_a_file_names_its_target(project: Path, tmp_path: Path) -> None:
     previewed = projects.quick(project, "run", "population_size=1,2", "--target", "robots", "--dry-run", "--json")
     (tmp_path / "query.json").write_text(previewed.stdout)
@@ -356,6 +361,7 @@ def test_inputs_of_targets_are_written_to_folders_with_their_names(executed: Pat
     assert commands["robots"][-4:-1] == ["--robots", "2", "--seed"]
 
 
+@pytest.mark.integration
 def test_outputs_are_those_of_the_target(project: Path) -> None:
     found = json.loads(projects.quick(project, "outputs", "--target", "sim", "--json").stdout)
     assert (found["batch"], found["target"]) == (batch(project, "sim"), "sim")

@@ -136,6 +136,7 @@ def test_tables_fit_the_terminal_unless_long_is_given(root: Path, terminal: None
     assert LONG in projects.quick(root, "sql", "--long", statement).stdout
 
 
+@pytest.mark.integration
 def test_ids_are_short_unless_long_or_json_is_given(root: Path) -> None:
     batch = sierra.open(root).batches[0].batch
     shown = json.loads(projects.quick(root, "show", batch, "--json").stdout)

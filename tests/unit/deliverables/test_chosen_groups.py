@@ -70,6 +70,7 @@ def test_controllers_are_shown_in_the_order_of_their_names_and_labels(batch: Pat
     assert first < second, "without a choice, the order is that of the query"
 
 
+@pytest.mark.integration
 def test_a_category_stands_for_its_controllers_and_where_holds_too(batch: Path) -> None:
     note, svg = draw(batch, 'controllers = "depth0"', 'where = "tick < 3 OR tick > 100"')
     assert note.endswith("; only rows where tick < 3 OR tick > 100; only controller depth0")
@@ -77,6 +78,7 @@ def test_a_category_stands_for_its_controllers_and_where_holds_too(batch: Path) 
     assert "-- only rows where tick &lt; 3 OR tick &gt; 100; only controller depth0" in svg
 
 
+@pytest.mark.integration
 def test_chosen_controllers_whose_runs_failed_are_reported(batch: Path) -> None:
     note, _ = draw(batch, 'controllers = ["plain", "depth0.CRW"]')
     assert "; 2 of 4 runs missing; only controllers plain, depth0.CRW" in note

@@ -50,6 +50,7 @@ def test_statistics_of_a_derived_table_are_those_of_its_values(root: Path) -> No
     assert halved == pytest.approx(project.statistics(batch, "swarm", "coverage", measure=None).column("mean").to_pylist())
 
 
+@pytest.mark.integration
 def test_a_flag_is_a_rate_with_the_interval_of_a_rate(root: Path) -> None:
     project = sierra.open(root)
     rates = project.statistics(project.batches[0].batch, "ends", "good")
@@ -77,6 +78,7 @@ def test_the_plan_for_a_rate_uses_the_interval_of_a_rate(root: Path) -> None:
     assert "the interval is Wilson's, because the column is a rate" in planned.notes
 
 
+@pytest.mark.integration
 def test_unordered_rows_without_a_time_count_by_their_mean(root: Path) -> None:
     project = sierra.open(root)
     batch = project.batches[0].batch

@@ -144,6 +144,7 @@ def test_a_long_series_is_thinned_without_losing_a_peak_and_the_page_says_so() -
     assert len(exact["tables"][0]["columns"][0]) == 2 * POINTS
 
 
+@pytest.mark.integration
 def test_other_kinds_show_the_figure_as_it_is_printed_with_its_data() -> None:
     found = page(drawing("box"))
     (picture,) = found.all("img")

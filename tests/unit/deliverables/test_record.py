@@ -69,12 +69,14 @@ def test_a_run_without_new_data_leaves_figures_and_draws_those_that_were_changed
     assert left.stat().st_ino == number
 
 
+@pytest.mark.integration
 def test_check_is_successful_while_files_and_data_are_unchanged(drawn: Path) -> None:
     code, said = check(drawn)
     assert code == 0
     assert said.count("follows from the store") == len(rows(drawn)) > 0
 
 
+@pytest.mark.integration
 def test_figures_of_tables_that_no_declared_figure_shows_are_checked_too(drawn: Path) -> None:
     config = drawn / "sierra.toml"
     other = '[tables.other]\nsql = "SELECT run, coverage FROM swarm"\n[figures.other]\ntable = "other"\ncolumn = "coverage"\n'
@@ -238,6 +240,7 @@ def test_declared_formats_are_checked(drawn: Path, text: str, said: str) -> None
     assert said in done.stderr
 
 
+@pytest.mark.integration
 def test_check_of_a_batch_without_figures_says_how_to_draw_them(drawn: Path) -> None:
     sierra.open(drawn).run("population_size=1", runs=1, figures=False)
     code, said = check(drawn)
@@ -290,6 +293,7 @@ def test_removing_a_batch_removes_the_records_of_its_figures(drawn: Path) -> Non
     assert projects.quick(drawn, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 def test_figures_are_drawn_although_the_store_cannot_be_written(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from sierra.deliverables import record
     from sierra.errors import Missing
@@ -305,6 +309,7 @@ def test_figures_are_drawn_although_the_store_cannot_be_written(drawn: Path, mon
     assert list(drawn.glob("figures/*/new.svg"))
 
 
+@pytest.mark.integration
 def test_fsck_finds_a_record_that_was_changed(drawn: Path) -> None:
     assert projects.quick(drawn, "fsck").returncode == 0
     (path,) = drawn.glob(".sierra/segments/*/deliverables.parquet")

@@ -77,6 +77,7 @@ def test_each_run_is_a_dot_in_the_colour_of_its_group_near_its_place(kind: str) 
     assert kind == "violin" or len(medians) == 6
 
 
+@pytest.mark.integration
 def test_more_runs_than_the_limit_are_sampled_by_a_rule_that_the_small_print_states(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sampled_runs, "MOST", 40)
     for kind, keys in {"strip": {}, "ecdf": {"interval": False}, "scatter": {"column": ("energy", "distance")}}.items():

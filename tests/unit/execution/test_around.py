@@ -95,6 +95,7 @@ def test_a_program_that_is_missing_is_noticed_before_anything_runs(tmp_path: Pat
     assert not list((root / ".sierra").glob("segments/*"))
 
 
+@pytest.mark.integration
 def test_what_is_executed_around_the_command_is_part_of_the_identity_but_no_limit(tmp_path: Path) -> None:
     root = make(tmp_path / "project")
     plain = batch(root)

@@ -43,6 +43,7 @@ def test_each_kind_of_object_has_a_class_whose_form_in_json_is_printed(root: Pat
         assert (printed["kind"], list(printed)) == (shown.kind, list(shown.as_dict()))
 
 
+@pytest.mark.integration
 def test_values_of_experiments_are_columns_in_json(root: Path) -> None:
     project = sierra.open(root)
     batch = project.show(project.batches[0].batch)

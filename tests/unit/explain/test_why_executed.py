@@ -186,6 +186,7 @@ def test_replay_is_in_the_history_but_is_not_the_effective_execution(root: Path)
     assert rows == [{"purpose": "run"}]
 
 
+@pytest.mark.integration
 def test_experiment_is_explained_by_its_own_runs_only(root: Path) -> None:
     ask(root)
     [experiment, *_] = sierra.open(root).sql("SELECT experiment FROM experiments").column(0).to_pylist()
@@ -207,6 +208,7 @@ def test_prediction_repeats_the_set_options_of_the_batch(root: Path) -> None:
     assert why(root, batch)["next_run"] == ["4 runs: reused"]
 
 
+@pytest.mark.integration
 def test_why_prints_plain_text_and_refuses_unknown_ids(root: Path) -> None:
     batch = ask(root)
     said = projects.quick(root, "why", batch).stdout

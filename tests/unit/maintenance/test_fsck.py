@@ -136,6 +136,7 @@ def test_truncated_extended_emptied_linked_and_deleted_files_are_named(
     assert (kind, str(path.relative_to(root / ".sierra"))) in wrong(root)
 
 
+@pytest.mark.integration
 def test_files_swapped_between_segments_are_named(root: Path) -> None:
     one, other = sorted(root.glob(".sierra/segments/*/executions.parquet"))[:2]
     mine, others = one.read_bytes(), other.read_bytes()
@@ -298,6 +299,7 @@ def test_missing_table_is_found_in_each_of_several_segments(tmp_path: Path, monk
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
 
+@pytest.mark.integration
 def test_wrong_columns_and_invalid_parquet_files_are_named(root: Path) -> None:
     folder = segment_with(root, "executions")
     pq.write_table(pa.table({"execution": ["a"], "content": [b"x"]}), folder / "artifacts.parquet")

@@ -43,6 +43,7 @@ def without(root: Path, batch: str, table: str, key: str = "batch") -> list[dict
     return rows(root, f"SELECT * EXCLUDE (row) FROM {table} WHERE {key} <> $b ORDER BY ALL", b=batch)
 
 
+@pytest.mark.integration
 def test_dry_run_lists_the_items_to_delete_and_changes_nothing(root: Path) -> None:
     before = stores.state(root)
     first = batches(root)["population_size=1,2"]
@@ -65,6 +66,7 @@ def test_removed_run_is_missing_from_the_remaining_batch(root: Path) -> None:
     assert "1 missing" in projects.quick(root, "ls").stdout
 
 
+@pytest.mark.integration
 def test_rm_without_a_terminal_needs_yes(root: Path) -> None:
     before = stores.state(root)
     ended = projects.quick(root, "rm", batches(root)["noise=0.5"])

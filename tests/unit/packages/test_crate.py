@@ -60,6 +60,7 @@ def values(value: object) -> Iterator[object]:
         yield from values(one)
 
 
+@pytest.mark.integration
 def test_everything_is_described_once_and_everything_named_is_there(subject: Subject) -> None:
     entities = written(subject)
     found = list(values(list(entities.values())))
@@ -72,6 +73,7 @@ def test_everything_is_described_once_and_everything_named_is_there(subject: Sub
     assert entities["./"]["publisher"]["@id"] == "#organization-Example%20University"
 
 
+@pytest.mark.integration
 def test_each_executed_run_has_an_action_with_its_values_and_times(subject: Subject) -> None:
     entities = written(subject)
     runs = {one["identifier"]: one for one in kind(entities, "CreateAction") if one["@id"].startswith("#run-")}
@@ -92,6 +94,7 @@ def test_each_executed_run_has_an_action_with_its_values_and_times(subject: Subj
     assert [len(one["object"]) for one in organized] == counts
 
 
+@pytest.mark.integration
 def test_many_runs_are_described_by_experiment_and_the_crate_says_so(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(crate_actions, "MOST", 3)
     entities = written(subject)

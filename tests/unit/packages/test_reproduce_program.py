@@ -341,6 +341,7 @@ def test_nothing_of_the_package_is_imported(tmp_path: Path) -> None:
     assert not (tmp_path / "evil").exists()
 
 
+@pytest.mark.integration
 def test_wrong_arguments_and_missing_files_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = package(tmp_path / "x.zip")
     (tmp_path / "kept").write_text("a thesis")

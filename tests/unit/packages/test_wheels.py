@@ -31,6 +31,7 @@ def wheel(folder: Path, name: str, version: str, *requires: str) -> Path:
     return path
 
 
+@pytest.mark.integration
 def test_recorded_versions_are_needed_as_markers_say() -> None:
     requires = ("numpy>=1", "nowhere>=2; python_version < '3.12'")
     older, newer = (needed(requires, target(python, "x86_64"), {"pyarrow": "23.0.9"}) for python in ("3.11", "3.12"))

@@ -572,6 +572,7 @@ def test_a_density_is_refused_for_an_arena_without_a_valid_size(size: str) -> No
 DENSITIES = st.decimals("0.01", 1000, places=2)
 
 
+@pytest.mark.integration
 @given(DENSITIES, st.decimals("0.1", 50, places=1), st.integers(1, 8))
 def test_a_constant_density_is_either_refused_or_exact(density: object, increment: object, count: int) -> None:
     steps = (str(density).replace(".", "p"), "I" + str(increment).replace(".", "p"), f"C{count}")
@@ -1269,6 +1270,7 @@ def test_engines_follow_growing_arenas_and_not_those_of_single_runs(tmp_path: Pa
     assert "the engines do not share the arena, because a later change resized it" in told
 
 
+@pytest.mark.integration
 def test_unused_devices_and_their_media_are_removed() -> None:
     without_light = DEVICES.replace(' intensity="3" medium="leds"', ' intensity="3"')
     assert without_light != DEVICES

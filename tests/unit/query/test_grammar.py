@@ -144,6 +144,7 @@ def test_criteria_are_written_as_one_canonical_text(text: str, canonical: str) -
     assert grammar.text(grammar.parse(text)) == canonical
 
 
+@pytest.mark.integration
 @given(CRITERIA)
 def test_a_written_criterion_is_parsed_to_the_same_criterion(criterion: Criterion) -> None:
     written = grammar.text(criterion)

@@ -169,6 +169,7 @@ def refused(tmp_path: Path, **files: str) -> str:
     return done.stderr
 
 
+@pytest.mark.integration
 def test_nothing_of_the_old_project_is_executed(new: Path) -> None:
     assert not list(new.parent.rglob("HACKED"))
 

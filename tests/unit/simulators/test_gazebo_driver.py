@@ -70,6 +70,7 @@ def end(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str, list[di
     return process.returncode, errors, rows
 
 
+@pytest.mark.integration
 def test_the_table_has_all_robots_at_all_times_and_repeats(tmp_path: Path) -> None:
     seeds = {"one": 3, "two": 3, "three": 4}
     started = {name: start(tmp_path / name, seed=seed) for name, seed in seeds.items()}

@@ -719,6 +719,7 @@ def test_the_stats_command_supports_all_measures_and_rows_per_time(simulated: An
     assert times == pytest.approx([0.1, 0.1 + 3.2 / 3, 0.1 + 6.4 / 3])
 
 
+@pytest.mark.integration
 def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) -> None:
     together, choose = "--measure time_to and --threshold X must be used together", "choose one of them"
     for words, complaint in {

@@ -102,6 +102,7 @@ def test_a_derived_table_is_a_table_in_sql(root: Path) -> None:
     assert project.sql("SELECT count(*) AS n FROM shadow", within=batch).to_pylist() == [{"n": 4}]
 
 
+@pytest.mark.integration
 def test_rows_are_in_the_order_of_the_statement_or_else_sorted(root: Path) -> None:
     project = opened(root, TABLES)
     ordered = project.sql("FROM ordered", within=project.batches[0].batch).to_pylist()
@@ -110,6 +111,7 @@ def test_rows_are_in_the_order_of_the_statement_or_else_sorted(root: Path) -> No
     assert runs == sorted(runs)
 
 
+@pytest.mark.integration
 def test_all_derived_tables_are_listed_and_those_that_cannot_be_made_are_named(root: Path) -> None:
     opened(root, {**TABLES, "wrong": "FROM swrm", "endless": ENDLESS[0]})
     listed = projects.quick(root, "sql", "SHOW TABLES")

@@ -288,6 +288,7 @@ def test_a_dead_session_in_an_external_work_folder_is_recorded_and_removed(
     assert len(set(files(theirs)) - set(before)) == 2
 
 
+@pytest.mark.integration
 def test_an_external_folder_named_by_a_session_is_removed_only_with_a_mark(
     recorded: Path, tmp_path: Path, theirs: Path
 ) -> None:

@@ -43,6 +43,7 @@ def test_records_are_read_as_they_were_written(store: Store) -> None:
     assert finding.found_at.tzinfo is not None
 
 
+@pytest.mark.integration
 def test_each_table_can_be_read_as_its_class(store: Store) -> None:
     for table, row in ROWS.items():
         assert len(store.select(row, f"SELECT * FROM {table}")) == {"blobs": 2, "findings": 1}.get(table, 0)

@@ -84,6 +84,7 @@ def test_v_logs_events_and_vv_details_to_standard_error(root: Path) -> None:
     assert "INFO" not in projects.quick(root, "run", "population_size=3", "--no-figures").stderr
 
 
+@pytest.mark.integration
 def test_failed_runs_are_counted_in_the_log(root: Path) -> None:
     (root / "sierra.toml").write_text(projects.CONFIG.replace("python3 sim.py", "sh -c 'exit 3' {project}/sim.py"))
     assert projects.quick(root, *QUERY).returncode == 1

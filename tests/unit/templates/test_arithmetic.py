@@ -68,6 +68,7 @@ def calculations(draw: st.DrawFn, depth: int = 3) -> str:
     return draw(st.sampled_from([f"({left} {sign} {right})" for sign in "+-*"] + [f"-{left}", f"abs({left})"]))
 
 
+@pytest.mark.integration
 @given(calculations(), st.integers(-1000, 1000), st.integers(-1000, 1000))
 def test_integers_are_calculated_as_in_python(source: str, a: int, b: int) -> None:
     assert fill(f"{{{source}}}", {"a": a, "b": b}) == str(eval(source, {"a": a, "b": b}))  # noqa: S307

@@ -521,6 +521,7 @@ def test_lock_file_with_an_invalid_id_is_refused(project: Project) -> None:
         images.all_pinned(project.root)
 
 
+@pytest.mark.integration
 def test_changed_image_file_fails_verification_even_with_the_same_time(project: Project) -> None:
     path = made.docker_archive(project.root / "sim.tar", [BASE])
     image = project.pin("sim.tar").image

@@ -56,6 +56,7 @@ def test_the_page_has_no_data_and_loads_nothing_from_elsewhere(page: Page) -> No
     assert page.token.encode() not in body
 
 
+@pytest.mark.integration
 def test_batches_and_tables_are_listed(page: Page, recorded: Path, batch: str) -> None:
     assert page.ask("overview")["state"] == page.ask("state")
     found = page.ask("batches")
@@ -320,6 +321,7 @@ def test_a_statement_within_a_comparison_or_a_report_is_stopped(recorded: Path, 
         assert (compared, stopped(page, "report", batch=batch)) == ("stopped", "stopped")
 
 
+@pytest.mark.integration
 def test_the_part_of_a_report_that_is_made_is_told_with_its_number(
     page: Page, batch: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

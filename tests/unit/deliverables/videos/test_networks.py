@@ -75,6 +75,7 @@ def test_edges_have_the_mean_weight_of_both_directions(root: Path) -> None:
     assert painter.look.widest == 0
 
 
+@pytest.mark.integration
 def test_nodes_have_the_places_and_values_of_their_rows(root: Path) -> None:
     keys = {"place": ["x", "y"], "node_value": "energy"}
     _, (first, *_), painter = states(root, **keys, sql="FROM links WHERE tick < 2", table="")
@@ -119,6 +120,7 @@ def test_nodes_keep_their_places_and_edges_are_between_them(root: Path, layout: 
         assert inside[int(size[1] - lonely[1]), int(lonely[0])].min() > 200, "a node without an edge is hollow"
 
 
+@pytest.mark.integration
 def test_networks_are_made_by_the_command_and_side_by_side(root: Path) -> None:
     keys = "".join(f"{key} = {json.dumps(value)}\n" for key, value in EDGES.items())
     (root / "sierra.toml").write_text(f'{CONFIG}[videos.net]\n{keys}size = [200, 160]\nshow = "tiles"\n')

@@ -231,6 +231,7 @@ def test_the_frame_of_a_difference_has_the_colour_of_a_minus_b(root: Path) -> No
     assert videos.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(0, abs=0.01), "A − B is -5 everywhere"
 
 
+@pytest.mark.integration
 def test_a_frame_has_axes_the_time_and_a_bar_with_both_ends_and_a_label(root: Path) -> None:
     keys = {"experiments": "population_size=1"}
     made, scene, (first, second, *_) = images(root, **keys)
@@ -279,6 +280,7 @@ def test_texts_of_others_are_shown_literally_in_frames(place: str, rows: slice) 
         assert (inked({place: text}, rows)[1] == inked({place: shown}, rows)[1]).all()
 
 
+@pytest.mark.integration
 def test_uneven_times_are_noted_and_a_step_makes_them_even(root: Path) -> None:
     made = prepared(root, experiments="population_size=3")
     assert made.films[0].times.tolist() == pytest.approx([0, 0.1, 0.2, 0.4])
@@ -321,6 +323,7 @@ def test_cells_without_a_row_have_the_value_of_fill(root: Path) -> None:
     assert "cells without a row count as 0" in small_print(made, made.films[0])
 
 
+@pytest.mark.integration
 def test_rows_without_any_value_are_not_cut_out(root: Path) -> None:
     apart = {"table": "", "sql": "SELECT run, tick, i, CASE j WHEN 2 THEN 6 ELSE j END AS j, heat FROM floor"}
     keys = {"experiments": "population_size=1", **apart}
@@ -335,6 +338,7 @@ def test_rows_without_any_value_are_not_cut_out(root: Path) -> None:
         completed(np.array([0, 1, 1e6]), "i")
 
 
+@pytest.mark.integration
 def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
     write(
         root,
@@ -382,6 +386,7 @@ def test_only_tables_without_a_video_need_a_default_figure(root: Path) -> None:
 POSES: dict[str, Any] = {"kind": "poses", "table": "poses", "column": ["x", "y", "heading"], "robot": "robot"}
 
 
+@pytest.mark.integration
 def test_robots_are_at_their_places_with_their_headings(root: Path) -> None:
     limits = {"xlim": [0, 6], "ylim": [0, 6]}
     keys = "".join(f"{key} = {json.dumps(value)}\n" for key, value in (POSES | limits).items())

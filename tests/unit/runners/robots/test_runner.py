@@ -237,6 +237,7 @@ def test_nothing_starts_if_a_robot_is_missing(fleet: Fleet):
     assert not fleet.begun()
 
 
+@pytest.mark.integration
 def test_a_robot_that_is_not_ready_stops_all(fleet: Fleet, tmp_path: Path):
     fleet.table = fleet.table.model_copy(update={"battery": str(tmp_path / "battery"), "battery_min": 30})
     (tmp_path / "battery").write_text("12")
@@ -518,6 +519,7 @@ def test_a_start_that_a_robot_does_not_confirm_in_time_is_tried_again(fleet: Fle
     assert sorted(row["place"] for table, row in fleet.rows if table == "robots") == [1, 2, 3]
 
 
+@pytest.mark.integration
 def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
     fleet.table = fleet.table.model_copy(update={"lease": PATIENCE_S})
     runner = hold(fleet)
