@@ -23,6 +23,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 import duckdb
@@ -35,7 +36,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
 from sierra.store.schema import LATER, RECORDED
-from sierra.store.segments import Segment, marked, names_in, out_of_date, sound
+from sierra.store.segments import Segment, marked, names_in, out_of_date
 from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import read_columns
@@ -106,16 +107,9 @@ class _Building:
         self._path = path
         self._connection = connect()
         self._connection.execute("SET threads = 1")  # with more, small files take up to twice the time of the processor
-        if best is not None:
-            path.write_bytes(read_regular(Path(best.readable)))
-            self._attach(path)
-            [(base,)] = self._fetch(f"SELECT segments FROM {DATABASE}.base")
-            if len(self._named()) >= 2 * base:
-                self._connection.execute(f"DETACH {DATABASE}")
-                path.unlink()
-                best = None
-        if best is None:
-            self._begin(len(names_in(self._folder)))
+        names = names_in(self._folder)
+        if best is None or not self._goes_on(best, set(names)):
+            self._begin(len(names))
         self.count = 0
 
     def __enter__(self) -> _Building:
@@ -134,6 +128,17 @@ class _Building:
         file = quote(steady(str(path)))
         self._connection.execute(f"ATTACH {file} AS {DATABASE} (TYPE duckdb, STORAGE_VERSION '{STORAGE}'{options})")
 
+    def _goes_on(self, best: index_files.IndexFile, names: AbstractSet[str]) -> bool:
+        """Begin with a copy of an index, if it can tell which of its segments are current and is not too old."""
+        self._path.write_bytes(read_regular(Path(best.readable)))
+        self._attach(self._path)
+        [(base,)] = self._fetch(f"SELECT segments FROM {DATABASE}.base")
+        if len(names) < 2 * base and read_facts(self._fetch).are_sure(names):
+            return True
+        self._connection.execute(f"DETACH {DATABASE}")
+        self._path.unlink()
+        return False
+
     def _begin(self, segments: int) -> None:
         """Begin an index without segments."""
         self._attach(self._path, f", BLOCK_SIZE {BLOCK}")
@@ -147,29 +152,33 @@ class _Building:
         self._connection.execute(f"INSERT INTO {DATABASE}.base VALUES ({segments})")
 
     def add(self, worth: int) -> bool:
-        """Add the segments that the index does not name. Return False if there are not so many."""
+        """Add the segments that the index does not name. Return False if there are not so many.
+
+        One that is not sound, or that only such a one replaces, is not added: whoever reads the index looks at it.
+        """
         known = self._named()
         names = names_in(self._folder)
         new = [name for name in names if name not in known]
-        gone = known.keys() - names
         if len(new) < worth:
             return False
-        found = [segment for segment in marked(self._folder, new) if not segment.missing]
-        others = set(names).difference(new)
-        hidden = out_of_date(found, others)
-        waiting = {one.name for one in found if one.after and one.after not in names}
-        added = [one for one in found if one.name not in waiting and (one.name in hidden or _is_sound(one))]
-        replaced = {name for one in added if one.name not in hidden for name in one.replaces}
+        found = [one for one in marked(self._folder, new) if not one.missing and (one.after is None or one.after in names)]
+        whole = [one for one in found if _is_sound(one)]
+        hidden = out_of_date(whole, set(names).difference(new))
+        replaced = {name for one in whole if one.name not in hidden for name in one.replaces}
+        ignored = hidden | replaced | {name for (name,) in self._fetch(f"SELECT name FROM {DATABASE}.replaced")}
+        sound = {one.name for one in whole}
+        added = [*whole, *(one for one in found if one.name in ignored - sound)]
+        gone = known.keys() - names
         self._connection.execute("BEGIN")
-        self._drop([known[name] for name in gone | (known.keys() & (hidden | replaced))], [known[name] for name in gone])
+        self._drop([known[name] for name in gone | (known.keys() & ignored)], [known[name] for name in gone])
         first = max(known.values(), default=0) + 1
         numbers = {one.name: first + place for place, one in enumerate(added)}
         self._insert(
             "segments",
-            ((numbers[one.name], one.name, one.name in hidden, bool(one.replaces), one.after) for one in added),
+            ((numbers[one.name], one.name, one.name in ignored, bool(one.replaces), one.after) for one in added),
         )
         self._insert("replaced", ((name,) for name in sorted(replaced)))
-        self._add_rows([one for one in sound(added, self._folder) if one.name not in hidden], numbers)
+        self._add_rows([one for one in added if one.name not in ignored], numbers)
         self._connection.execute("COMMIT")
         self._store_results()
         self.count = len(known) - len(gone) + len(added)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +28,10 @@ class Facts(NamedTuple):
     """The tables of records that have rows in the index."""
     stored: frozenset[str]
     """The tables of results that the index holds (see `sierra.store.index_builder`)."""
+
+    def are_sure(self, present: AbstractSet[str]) -> bool:
+        """Return whether these existing segments, and no others, show which of the index's segments are current."""
+        return present >= self.after and not any(name in self.replacing for name in self.numbers.keys() - present)
 
 
 class Listing:
@@ -56,9 +61,9 @@ class Listing:
     def _usable(self, facts: Facts, folder: Path) -> Facts | None:
         """List the segments that the index does not name. Return None if the index cannot tell which of its own are current."""
         present = set(self.names)
-        gone = facts.numbers.keys() - present
-        if not gone.isdisjoint(facts.replacing) or not facts.after <= present:
+        if not facts.are_sure(present):
             return None
+        gone = facts.numbers.keys() - present
         found = marked(folder, (name for name in self.names if name not in facts.numbers))
         hidden = out_of_date(found, present & facts.numbers.keys()) | (facts.replaced & present)
         self.rest = sound([segment for segment in found if segment.name not in hidden], folder)

@@ -10,7 +10,8 @@ import duckdb
 import pytest
 
 import sierra
-from sierra.store import index_builder, index_files
+from sierra.errors import Damaged
+from sierra.store import index_builder, index_files, segments
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
@@ -114,7 +115,8 @@ def test_what_is_removed_is_in_no_index(project: Path) -> None:
     opened = sierra.open(project)
     batch = opened.batches[-1].batch
     path = index_builder.build(paths_of(project))
-    assert path is not None and batch.encode() in path.read_bytes()
+    assert path is not None
+    assert batch.encode() in path.read_bytes()
     opened.remove(batch)
     for left in (project / ".sierra" / "segments").rglob("*"):
         assert left.is_dir() or batch.encode() not in left.read_bytes()
@@ -141,6 +143,48 @@ def test_fsck_compares_an_index_with_the_segments(project: Path) -> None:
     connection.close()
     index_files.publish(paths_of(project), 12, path.read_bytes())
     [finding] = opened.fsck().findings
-    assert finding.path.startswith("index/") and "its rows of executions are not those of the segments" in finding.what
+    assert finding.path.startswith("index/")
+    assert "its rows of executions are not those of the segments" in finding.what
     opened.repair()
-    assert not opened.fsck().findings and not list(paths_of(project).index.iterdir())
+    assert not opened.fsck().findings
+    assert not list(paths_of(project).index.iterdir())
+
+
+def unindexed(root: Path) -> list[object]:
+    """Return the answers without any index."""
+    aside = root / "aside"
+    (root / ".sierra" / "index").rename(aside)
+    found = answers(root)
+    aside.rename(root / ".sierra" / "index")
+    return found
+
+
+def test_segments_that_others_replace_do_not_count(project: Path) -> None:
+    """While somebody reads, replaced segments stay on the disk, and so do indexes with their rows."""
+    opened = sierra.open(project)
+    assert index_builder.build(paths_of(project)) is not None
+    with opened.store.snapshot():
+        opened.remove(opened.batches[-1].batch)
+        assert answers(project) == unindexed(project)
+        opened.collect()
+        assert answers(project) == unindexed(project)
+        assert index_builder.build(paths_of(project)) is not None
+        assert answers(project) == unindexed(project)
+        with Store(project / ".sierra").snapshot() as snapshot:
+            assert snapshot.listing.rest == []
+    opened.collect()
+    assert not any(b"98677f6730518a21" in path.read_bytes() for path in index_files.published(paths_of(project).index))
+    assert not opened.fsck().findings
+
+
+def test_a_damaged_segment_that_replaces_others_is_looked_at_by_each_reader(project: Path) -> None:
+    opened = sierra.open(project)
+    with opened.store.snapshot():
+        opened.remove(opened.batches[-1].batch)
+    [replacing] = [one for one in segments.on_disk(paths_of(project).segments) if one.replaces and one.files]
+    Path(min(replacing.files.values())).write_bytes(b"")
+    assert index_builder.build(paths_of(project)) is not None
+    with pytest.raises(Damaged, match=replacing.name):
+        answers(project)
+    opened.repair()
+    assert answers(project) == unindexed(project)
