@@ -98,8 +98,7 @@ KINDS = (FILES, PORTS)
 OUTSIDE = PORTS._replace(
     uses=f"""
 SELECT execution, name, true AS doubtful FROM channels WHERE use = 'connected' AND starts_with(name, '127.0.0.1:')
-AND name <> '127.0.0.1:53'
-AND name NOT IN (SELECT name FROM ({NEARBY}) WHERE {LISTENING})
+AND name <> '127.0.0.1:53' AND name NOT IN (SELECT name FROM ({NEARBY}) WHERE {LISTENING})
 """
 )
 """Servers of this host, without those for names, that no observed run has started."""
@@ -141,7 +140,7 @@ alike AS (
 ),
 usual AS (
     SELECT *, near > 1 AND near >= $usual * all_near AS is_usual,
-           count(DISTINCT scope) FILTER (near > 1 AND near >= $usual * all_near) OVER () AS usual_scopes,
+           count(DISTINCT scope) FILTER (is_usual) OVER () AS usual_scopes,
            count(DISTINCT scope) FILTER (all_near > 1) OVER () AS scopes
     FROM alike
 ),

@@ -63,7 +63,8 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
         return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
     keys: dict[str, Key] = {}
-    is_plain = all(cell in {"", *MISSING} or reads_as_number(cell) for place in rows if place >= first for cell in rows[place])
+    below = (cell for place in rows if place >= first for cell in rows[place])
+    is_plain = all(not cell or cell in MISSING or reads_as_number(cell) for cell in below)
     if has_units := len(above) == 2 and _are_units(rows[above[1]]) and not _are_units(rows[above[0]]):
         above.pop()
     if above:

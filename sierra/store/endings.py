@@ -26,7 +26,7 @@ CURES = {
     Kind.ERROR_ON_STDOUT: 'on standard output; marker = "stdout" and contains in [success] make runs fail that do not print '
     "a text, such as the last line of good runs",
 }
-"""What to do against errors that runs print, by where they print them; `pattern` finds those that were seen."""
+"""Remedies for errors that runs print, by where they print them; `pattern` finds those that were seen."""
 NAMED = 3
 WORD = re.compile(r"(?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*:")
 """The beginning of most messages: an error word, or the name of an exception."""

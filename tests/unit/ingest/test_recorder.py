@@ -471,7 +471,7 @@ def test_parquet_values_are_read_back_exactly(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 def test_batches_with_different_column_types_are_queried_together(make: Make) -> None:
-    project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v\\n\\n\\n'}[n])")
+    project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v,w\\n,1\\n,1\\n'}[n])")
     for n, kind in ((1, "BIGINT"), (2, "DOUBLE"), (4, "DOUBLE"), (3, "DOUBLE")):
         assert not run(project, f"n={n}", runs=2).failed
         assert project.sql("DESCRIBE SELECT v FROM out").to_pylist()[0]["column_type"] == kind
