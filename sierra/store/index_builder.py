@@ -7,6 +7,7 @@
     experiments_<n>(seg, …), experiment_sets        the rows of `experiments` with equal columns, and these columns
     outputs(seg, output, file, columns)             the files of outputs
     column_sets(number, columns)                    the types of their columns
+    answers(seg, output, file, question, value)     values of SQL expressions over files whose columns differ from others'
 
 Each file is verified before it is read, so that an index never has rows of a damaged one: a segment with such a file stays out
 of the index, and whoever reads it finds the damage. An index is built by adding the new segments to a copy of the last one, or
@@ -24,6 +25,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from functools import partial
 from pathlib import Path
 
 import duckdb
@@ -39,9 +41,9 @@ from sierra.store.schema import LATER, RECORDED
 from sierra.store.segments import Segment, marked, names_in, out_of_date
 from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import RawRow
-from sierra.store.union_files import read_columns
+from sierra.store.union_files import read_columns, relation
 from sierra.store.verified_files import are_sound
-from sierra.store.views import Views
+from sierra.store.views import Views, segment_of
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import scratch
 
@@ -62,6 +64,7 @@ TABLES = {
     "replaced": "name VARCHAR",
     "outputs": "seg INTEGER, output VARCHAR, file VARCHAR, columns INTEGER",
     "column_sets": "number INTEGER, columns VARCHAR",
+    "answers": "seg INTEGER, output VARCHAR, file VARCHAR, question VARCHAR, value INTEGER",
     "experiment_sets": "number INTEGER, columns VARCHAR",
     "base": "segments INTEGER",
 }
@@ -181,16 +184,47 @@ class _Building:
         self._add_rows([one for one in added if one.name not in ignored], numbers)
         self._connection.execute("COMMIT")
         self._store_results()
+        self._store_answers()
         self.count = len(known) - len(gone) + len(added)
         return bool(added)
 
+    def _index(self) -> tuple[Listing, Index]:
+        """Return the index as a reader finds it, but without stored results, and without segments beside it."""
+        listing = Listing([self._folder], segments=[])
+        return listing, Index(self._fetch, listing, read_facts(self._fetch)._replace(stored=frozenset()))
+
     def _store_results(self) -> None:
         """Compute which executions are effective, and what else takes long in a store with very many runs."""
-        facts = read_facts(self._fetch)._replace(stored=frozenset())
-        listing = Listing([self._folder], segments=[])
-        views = Views(lambda: self._connection, listing, index=Index(self._fetch, listing, facts))
-        for name, query in views.results():
+        listing, index = self._index()
+        for name, query in Views(lambda: self._connection, listing, index=index).results():
             self._connection.execute(f"CREATE OR REPLACE TABLE {DATABASE}.{STORED}{name} AS {query}")
+
+    def _store_answers(self) -> None:
+        """Store what a reader asks of outputs whose columns differ between files, so that it need not look into these."""
+        _, index = self._index()
+        for name in {name.lower() for name in index.spellings()}:
+            columns = {file.path: file.columns for file in index.outputs(name)}
+            if len({tuple(each.items()) for each in columns.values()}) > 1:
+                relation(self._fetch, list(columns), known=columns, answers=partial(self._answers, index, name))
+
+    def _answers(self, index: Index, output: str, files: Sequence[str], question: str) -> Mapping[str, int]:
+        """Return the values of an SQL expression over some of these files; store those that the index does not have yet.
+
+        Files with rows of another segment's executions are left out.
+        """
+        known = index.answers(output, question)
+        new = {steady(file): file for file in files if file not in known}
+        if new:
+            source = read_parquet(list(new.values()), union=True, filename=True, check=False)
+            own = f"bool_and((split_part(filename, '/', -2), execution) IN (FROM ({index.judgements()})))"
+            found = self._fetch(
+                f"SELECT filename, coalesce({question}, 0)::INTEGER FROM {source} GROUP BY filename HAVING {own}"
+            )
+            known |= {new[file]: value for file, value in found}
+            numbers = self._named()
+            rows = ((numbers[segment_of(new[file])], output, Path(file).name, question, value) for file, value in found)
+            self._insert("answers", rows)
+        return {file: known[file] for file in files if file in known}
 
     def _drop(self, ignored: Sequence[int], gone: Sequence[int]) -> None:
         """Remove the rows of segments that have been replaced since they were added, or that are gone."""

@@ -29,7 +29,7 @@ from sierra.util.fs import UNFINISHED_END, write_whole
 from sierra.util.hashing import sha256
 from sierra.util.regular_files import read_regular
 
-CONTENT = 1
+CONTENT = 2
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
 NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
 UNFINISHED = re.compile(rf"\.{NAME.pattern}{UNFINISHED_END}")

@@ -131,6 +131,23 @@ class Index:
             if output.lower() == name.lower()
         ]
 
+    def judgements(self) -> str:
+        """Return the query for the indexed first and later judgements, each with the name of its segment."""
+        first, later = (
+            f"SELECT s.name AS segment, {column} AS judgement FROM {DATABASE}.{table} JOIN {DATABASE}.segments s USING (seg)"
+            for table, column in (("executions", "execution"), ("judgements", "judgement"))
+        )
+        return f"{first}{self._current} UNION ALL {later}{self._current}"
+
+    def answers(self, output: str, question: str) -> dict[str, int]:
+        """Return the stored values of an SQL expression over files of an output, whose name is in lower case.
+
+        All rows of these files are of judgements of their own segments.
+        """
+        asked = f"(FROM {DATABASE}.answers WHERE output = {quote(output)} AND question = {quote(question)})"
+        rows = self._fetch(f"SELECT s.name, file, value FROM {asked} JOIN {DATABASE}.segments s USING (seg){self._current}")
+        return {f"{self._folder}/{segment}/{file}": value for segment, file, value in rows}
+
     def highest(self, tables: Iterable[str], column: str) -> int:
         """Return the highest value of a column of whole numbers in the rows of these tables, current or not."""
         each = " UNION ALL ".join(f"SELECT max({column}) AS value FROM {DATABASE}.{table}" for table in tables)

@@ -16,6 +16,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import or_
 from typing import NamedTuple
 
 from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
@@ -56,6 +58,11 @@ class Held(NamedTuple):
 
 Source = str | Held
 """The path of a file, or rows of an index."""
+Answers = Callable[[Sequence[str], str], Mapping[str, int]]
+"""A function that returns, for some of these files, the value of an SQL expression over all of its rows; 0 without rows.
+
+The value for several files is the bitwise OR of theirs. It must leave out files with rows that do not count.
+"""
 PLACES = ("filename", "file_row_number")
 """Columns that identify a row's origin; they come after all other columns."""
 TEXT = "_text"
@@ -85,12 +92,20 @@ def relation(
     *,
     rows: bool = False,
     known: Mapping[str, Mapping[str, str]] | None = None,
+    answers: Answers | None = None,
 ) -> Relation:
     """Return the rows of these files. Rows that do not meet the condition `where` do not influence the types.
 
     `rows`: include the columns of `PLACES`; then all rows must be in files. `known`: the types of the columns of some files.
-    Raises Damaged if one of the files is not the recorded one.
+    `answers` spares a look into some files. Raises Damaged if one of the files is not the recorded one.
     """
+
+    def ask(sources: Sequence[Source], what: str) -> int:
+        found = answers([source for source in sources if isinstance(source, str)], what) if answers else {}
+        unknown = [source for source in sources if not (isinstance(source, str) and source in found)]
+        [(value,)] = fetch(f"SELECT {what} FROM {_rows(unknown)} WHERE {where}") if unknown else [(0,)]
+        return reduce(or_, found.values(), int(value or 0))  # NULL if there are no rows
+
     verify(file for file in files if isinstance(file, str))
     described = _described(fetch, files, known or {})
     names = _names(described)
@@ -101,7 +116,7 @@ def relation(
         source = _rows(files, union=len(described) > 1, rows=rows)
         return Relation(source, first, spellings=_spellings(described))
     called = column_names([names[name] + TEXT for name in several], taken=names.values())
-    mixed = {name: _mixed(fetch, names[name], beside, types[name], where) for name, beside in zip(several, called, strict=True)}
+    mixed = {name: _mixed(ask, names[name], beside, types[name]) for name, beside in zip(several, called, strict=True)}
     kept: dict[str, str] = {}
     for name, own in names.items():
         kept |= mixed[name].types() if name in mixed else {own: first[own]}
@@ -269,13 +284,14 @@ class _Mixed:
         return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
 
 
-def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[Source]], where: str) -> _Mixed:
+def _mixed(
+    ask: Callable[[Sequence[Source], str], int], name: str, beside: str, kinds: Mapping[str, Sequence[Source]]
+) -> _Mixed:
     """Decide how to read a column that has these types, each in some files."""
     column = identifier(name)
 
     def seen(kind: str, what: str) -> int:
-        found = fetch(f"SELECT {what} FROM {_rows(kinds[kind])} WHERE {where}")[0][0]
-        return int(found or 0)  # NULL if there are no rows
+        return ask(kinds[kind], what)
 
     def has_values(kind: str) -> bool:
         return kind != EMPTY and bool(seen(kind, f"count({column}) > 0"))

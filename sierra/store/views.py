@@ -123,6 +123,8 @@ class Views:
         self.unchecked: set[str] = set()
         """Tables whose files are not verified, because the caller does so."""
         self._settled = False
+        self._doubtful: set[str] | None = None
+        """The indexed segments with judgements that do not count, if somebody has asked for them."""
         self._made: set[str] = set()
         self.made: list[str] = []
         """The existing views as SQL identifiers."""
@@ -439,9 +441,9 @@ class Views:
         known = self._output_files(name)
         files = self._holding(list(known))
         columns = {file: theirs for file, theirs in known.items() if theirs}
-        found = relation(
-            self._fetch, files, f"execution IN (SELECT judgement FROM ({self._counted}))", rows=True, known=columns
-        )
+        counts = f"execution IN (SELECT judgement FROM ({self._counted}))"
+        answers = partial(self._answers, name.lower()) if self._index else None
+        found = relation(self._fetch, files, counts, rows=True, known=columns, answers=answers)
         axes = self.axes()
         theirs = list(found.types)
         free = column_names(theirs, taken=axes)
@@ -457,6 +459,16 @@ class Views:
             f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.run AS run, c.execution AS execution){rename} "
             f"FROM {found.sql} o JOIN {counted} c ON o.execution = c.judgement"
         )
+
+    def _answers(self, output: str, files: Sequence[str], question: str) -> dict[str, int]:
+        """Return what the index has of the values of an SQL expression over files all of whose rows count."""
+        assert self._index is not None
+        if self._doubtful is None:
+            counted = f"SELECT judgement FROM ({self._counted})"
+            others = f"SELECT DISTINCT segment FROM ({self._index.judgements()}) WHERE judgement NOT IN ({counted})"
+            self._doubtful = {segment for (segment,) in self._fetch(others)}
+        known = self._index.answers(output, question)
+        return {file: known[file] for file in files if file in known and segment_of(file) not in self._doubtful}
 
     def _output_files(self, name: str) -> dict[str, Mapping[str, str]]:
         """Return the files of an output in the order of their segments, with their columns if the index has them."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import pytest
 
 import sierra
 from sierra.errors import Damaged
-from sierra.store import index_builder, index_files, segments
+from sierra.store import connections, index_builder, index_files, segments
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
-from tests import stores
+from tests import projects, stores
 
 STATEMENTS = (
     *(f"SELECT * FROM {name} ORDER BY ALL" for name in (*RECORDED, *DERIVED)),
@@ -188,3 +189,54 @@ def test_a_damaged_segment_that_replaces_others_is_looked_at_by_each_reader(proj
         answers(project)
     opened.repair()
     assert answers(project) == unindexed(project)
+
+
+MIXED = """\
+import sys
+arena = open(sys.argv[1]).read()
+count = int(arena.split('<swarm count="')[1].split('"')[0])
+value, more = {1: ("4", "1"), 2: ("0.5", "fast"), 3: ("9007199254740993", "7"), 4: ("slow", "")}[count]
+with open("mixed.csv", "w") as file:
+    print("value,more", value + "," + more, sep="\\n", file=file)
+sys.exit(count == 4)
+"""
+
+
+@pytest.mark.integration
+def test_files_of_outputs_are_not_read_to_learn_what_their_columns_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even where the columns differ. Only files with rows that do not count are, because these influence nothing."""
+    opened = sierra.open(projects.make(tmp_path / "mixed", simulator=MIXED))
+    for count in (1, 2, 3):
+        opened.run(f"population_size={count}", figures=False)
+    read: list[str] = []
+    execute = connections.Interruptible._call
+
+    def noted(self: connections.Interruptible, *arguments: Any, **named: Any) -> object:
+        for statement in arguments[1:2]:
+            if isinstance(statement, str) and "output.1.parquet" in statement:
+                read.append(statement.split()[0])
+        return execute(self, *arguments, **named)
+
+    monkeypatch.setattr(connections.Interruptible, "_call", noted)
+
+    def asked() -> list[object]:
+        read.clear()
+        with Store(opened.root / ".sierra").snapshot() as snapshot:
+            return [snapshot.rows("SELECT * FROM mixed ORDER BY ALL"), snapshot.views.notes, snapshot.views.sql_names]
+
+    without = asked()
+    assert "SELECT" in read
+    assert index_builder.build(paths_of(opened.root)) is not None
+    assert asked() == without
+    assert read == ["CREATE"]
+    opened.run("population_size=4", figures=False)
+    assert asked() == without
+    assert index_builder.build(paths_of(opened.root)) is not None
+    assert asked() == without
+    opened.replay(opened.batches[0].batch)
+    with_replay = asked()
+    assert index_builder.build(paths_of(opened.root)) is not None
+    assert asked() == with_replay == without
+    assert "SELECT" in read
