@@ -442,7 +442,7 @@ class Views:
         files = self._holding(list(known))
         columns = {file: theirs for file, theirs in known.items() if theirs}
         counts = f"execution IN (SELECT judgement FROM ({self._counted}))"
-        answers = partial(self._answers, name.lower()) if self._index else None
+        answers = partial(self._answers, name.lower())
         found = relation(self._fetch, files, counts, rows=True, known=columns, answers=answers)
         axes = self.axes()
         theirs = list(found.types)
@@ -462,7 +462,8 @@ class Views:
 
     def _answers(self, output: str, files: Sequence[str], question: str) -> dict[str, int]:
         """Return what the index has of the values of an SQL expression over files all of whose rows count."""
-        assert self._index is not None
+        if self._index is None:
+            return {}
         if self._doubtful is None:
             counted = f"SELECT judgement FROM ({self._counted})"
             others = f"SELECT DISTINCT segment FROM ({self._index.judgements()}) WHERE judgement NOT IN ({counted})"
