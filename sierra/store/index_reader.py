@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping
-from collections.abc import Set as AbstractSet
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -47,16 +46,15 @@ def facts_of(index: IndexFile, fetch: Fetch) -> Facts:
 def read_facts(fetch: Fetch) -> Facts:
     """Return the segments that the index on a connection names."""
     segments = fetch(f"SELECT name, seg, ignored, replaces, after FROM {DATABASE}.segments ORDER BY name")
-    filled = f"SELECT table_name FROM duckdb_tables() WHERE database_name = '{DATABASE}' AND estimated_size > 0"
-    held = fetch(filled)
-    tables = {"experiments" if name.startswith(EXPERIMENTS) else name for (name,) in held}
+    filled = f"SELECT table_name, estimated_size FROM duckdb_tables() WHERE database_name = '{DATABASE}' AND estimated_size > 0"
+    tables = {EXPERIMENTS if name.startswith(EXPERIMENTS) else name: rows for name, rows in fetch(filled)}
     return Facts(
         {name: seg for name, seg, *_ in segments},
         frozenset(name for name, _, ignored, *_ in segments if ignored),
         frozenset(name for name, _, ignored, replaces, _ in segments if replaces and not ignored),
         frozenset(row[0] for row in fetch(f"SELECT name FROM {DATABASE}.replaced")),
         frozenset(after for *_, ignored, _, after in segments if after is not None and not ignored),
-        frozenset(tables & RECORDED.keys()),
+        {name: rows for name, rows in tables.items() if name in RECORDED},
         frozenset(name for name in tables if name.startswith(STORED)),
     )
 
@@ -78,15 +76,14 @@ class Index:
         self._facts = facts
         self._folder = listing.folders[0]
         self._without = listing.without
-        self._rest = {name for segment in listing.rest for name in segment.files}
 
-    def stored(self, name: str, needs: AbstractSet[str]) -> str:
-        """Return the relation of a result that the index holds; "" if segments that it does not name have one of these tables.
+    def stored(self, name: str) -> str:
+        """Return the relation of a result of all rows; "" if the index has none, or if not all of these rows are current."""
+        return f"{DATABASE}.{STORED}{name}" if STORED + name in self._facts.stored and not self._without else ""
 
-        `needs`: the tables of records from which the result follows.
-        """
-        is_valid = STORED + name in self._facts.stored and not self._without and self._rest.isdisjoint(needs)
-        return f"{DATABASE}.{STORED}{name}" if is_valid else ""
+    def count(self, table: str) -> int:
+        """Return the number of rows of a table of records, current or not."""
+        return self._facts.tables.get(table, 0)
 
     def holds(self, table: str) -> bool:
         """Check whether the index has any row of a table of records."""

@@ -24,8 +24,8 @@ class Facts(NamedTuple):
     """The segments that these replace."""
     after: frozenset[str]
     """The segments that some of them wait for."""
-    tables: frozenset[str]
-    """The tables of records that have rows in the index."""
+    tables: Mapping[str, int]
+    """The tables of records that have rows in the index, each with their number."""
     stored: frozenset[str]
     """The tables of results that the index holds (see `sierra.store.index_builder`)."""
 

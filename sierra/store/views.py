@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
+from sierra.store import stored_results
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.index_reader import CONTENT, Index
@@ -202,12 +203,14 @@ class Views:
         if stored:
             self._make("experiments")  # for its notes
             body = f"FROM {stored}"
+        elif name in RESULTS and self._partly_stored:
+            body = self._beside_stored(name)
         elif name == "runs":
             body = self._runs()
         elif name == "points":
             body = self._points()
         elif name == "all_candidates":
-            body = CANDIDATES if self.holds("reused_executions") else OWN
+            body = self._candidates
         elif name == "sessions" and self._imported:
             body = STANDING_SESSIONS
         elif name == "origins":
@@ -298,7 +301,39 @@ class Views:
 
     def _stored(self, name: str) -> str:
         """Return the relation of a result in the index; "" if there is none that holds for all segments."""
-        return self._index.stored(name, RESULTS_FROM) if self._index and self._within is None and name in RESULTS else ""
+        usable = self._index and self._within is None and name in RESULTS and RESULTS_FROM.isdisjoint(self._files)
+        return self._index.stored(name) if self._index and usable else ""
+
+    @cached_property
+    def _partly_stored(self) -> bool:
+        """True if the results in the index hold for all batches but some. Then the tables with these and their runs exist."""
+        stored = self._index.stored("points") if self._index and self._within is None else ""
+        many = self._index is not None and self._index.count("batch_runs") >= stored_results.LARGE
+        if not (stored and many and stored_results.only_added(self._listing.rest, RESULTS_FROM)):
+            return False
+        for needed in (*NEEDS["points"], "reused_executions"):
+            self._make(needed)
+        if self._fetch(f"DESCRIBE {self._points()}") != self._fetch(f"DESCRIBE FROM {stored}"):
+            return False
+        for statement in stored_results.touched(self._listing.rest):
+            self._execute(statement)
+        return True
+
+    def _beside_stored(self, name: str) -> str:
+        """Return the query for a result, of which the index has the part that no other segment touches."""
+        by_run = {table: stored_results.BY_RUN.format(table=table) for table in ("batch_runs", "effective", "executions")}
+        if name == "effective":
+            judged = stored_results.JUDGEMENTS
+            candidates = {"all_judgements": judged, "all_candidates": self._candidates}
+            return stored_results.joined(name, COUNTING, batch_runs=stored_results.BY_BATCH, **candidates)
+        if name == "counted":
+            return stored_results.joined(name, self._points_of(self._last_effective, self._points()), **by_run)
+        return stored_results.joined(name, self._points() if name == "points" else self._runs(), **by_run)
+
+    @property
+    def _candidates(self) -> str:
+        """The query for judgements of the own executions of sessions, and of those that they reused."""
+        return CANDIDATES if self.holds("reused_executions") else OWN
 
     def results(self) -> Iterable[tuple[str, str]]:
         """Yield the results that an index holds, and a query for each."""
@@ -332,8 +367,13 @@ class Views:
     @property
     def _counted(self) -> str:
         """The query for each run's effective execution."""
-        if stored := self._stored("counted"):
-            return f"SELECT DISTINCT run, execution, judgement FROM {stored}"
+        if self._stored("counted") or self._partly_stored:
+            return f"SELECT DISTINCT run, execution, judgement FROM ({self._counted_points})"
+        return self._last_effective
+
+    @property
+    def _last_effective(self) -> str:
+        """The query for each run's effective execution, from those of its batches."""
         return COUNTED_BY_ORIGIN if self._imported else COUNTED
 
     @property
@@ -404,7 +444,7 @@ class Views:
         return (
             "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, lamport) AS last FROM executions "
             "WHERE purpose <> 'capture' GROUP BY run), "
-            f"counted AS ({self._counted}) "
+            f"counted AS ({self._last_effective}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
             "any_value(m.spec) AS spec, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
             "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
@@ -433,7 +473,12 @@ class Views:
         """The query for each run's effective execution with the run's number and variables."""
         if stored := self._stored("counted"):
             return f"FROM {stored}"
-        return f"SELECT p.*, c.execution, c.judgement FROM ({self._counted}) c JOIN points p ON c.run = p.run"
+        if self._partly_stored:
+            return self._beside_stored("counted")
+        return self._points_of(self._last_effective, "FROM points")
+
+    def _points_of(self, counted: str, points: str) -> str:
+        return f"SELECT p.*, c.execution, c.judgement FROM ({counted}) c JOIN ({points}) p ON c.run = p.run"
 
     def _output(self, name: str) -> str:
         for needed in ("effective", "origins", "points"):
