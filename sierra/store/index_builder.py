@@ -57,8 +57,8 @@ PREFIX = "sierra-index-"
 """The beginning of the names of temporary folders. They are on a local disk: DuckDB writes only files that it can lock."""
 STORAGE = "v1.5.0"
 """The version of DuckDB's file format. By default, DuckDB writes one that no other version reads."""
-BLOCK, LARGE_BLOCK, LARGE = 16_384, 65_536, 10 << 20
-"""The sizes of blocks, and the size of an index from which they are larger: each of some 400 columns takes part of a block."""
+BLOCK = 16_384
+"""The size of blocks, the smallest that DuckDB has: each of some 400 columns takes part of one."""
 TABLES = {
     "segments": "seg INTEGER, name VARCHAR, ignored BOOLEAN, replaces BOOLEAN, after VARCHAR",
     "replaced": "name VARCHAR",
