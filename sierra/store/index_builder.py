@@ -30,6 +30,7 @@ from pathlib import Path
 
 import duckdb
 
+from sierra.errors import Damaged, SierraError
 from sierra.store import index_files
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
@@ -76,7 +77,7 @@ def keep_up(paths: StorePaths, worth: int = WORTH) -> None:
     A large index, which takes longer to build, waits for more segments. For lack of something, such as space on the disk, do
     nothing.
     """
-    with contextlib.suppress(OSError, duckdb.Error):
+    with contextlib.suppress(OSError, duckdb.Error, SierraError):
         if paths.identity.exists() and paths.root.stat().st_uid == os.geteuid() and os.access(paths.root, os.W_OK):
             best = index_files.best(paths)
             large = best is not None and best.path.stat().st_size > index_files.IN_MEMORY
@@ -205,7 +206,8 @@ class _Building:
         for name in {name.lower() for name in index.spellings()}:
             columns = {file.path: file.columns for file in index.outputs(name)}
             if len({tuple(each.items()) for each in columns.values()}) > 1:
-                relation(self._fetch, list(columns), known=columns, answers=partial(self._answers, index, name))
+                with contextlib.suppress(Damaged):  # whoever reads this output is told
+                    relation(self._fetch, list(columns), known=columns, answers=partial(self._answers, index, name))
 
     def _answers(self, index: Index, output: str, files: Sequence[str], question: str) -> Mapping[str, int]:
         """Return the values of an SQL expression over some of these files; store those that the index does not have yet.
