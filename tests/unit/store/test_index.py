@@ -12,7 +12,7 @@ import pytest
 
 import sierra
 from sierra.errors import Damaged
-from sierra.store import connections, index_builder, index_files, segments
+from sierra.store import connections, index_builder, index_files, segments, stored_results
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
@@ -60,12 +60,19 @@ def test_answers_are_the_same_with_an_index_and_without(project: Path) -> None:
         assert snapshot.listing.rest == []
 
 
-def test_an_index_knows_only_the_segments_before_it(project: Path) -> None:
-    """New segments are read as well as it, and added to the next one."""
+@pytest.mark.parametrize("many", [0, stored_results.LARGE])
+def test_an_index_knows_only_the_segments_before_it(project: Path, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """New segments are read as well as it, and added to the next one.
+
+    In a store with many runs, its results are used for those that the new segments do not touch.
+    """
+    monkeypatch.setattr(stored_results, "LARGE", many)
     assert index_builder.build(paths_of(project)) is not None
     sierra.open(project).run("population_size=7", runs=1, figures=False)
     with Store(project / ".sierra").snapshot() as snapshot:
         assert 0 < len(snapshot.listing.rest) < len(snapshot.listing.names)
+        plan = str(snapshot.rows("EXPLAIN SELECT * FROM runs"))
+        assert ("stored_runs" in plan) == (many == 0)
     old = answers(project)
     assert index_builder.build(paths_of(project)) is not None
     assert answers(project) == old
