@@ -44,8 +44,13 @@ class IndexFile(NamedTuple):
     """A verified index."""
 
     path: Path
-    readable: str
-    """The path by which DuckDB reads the bytes that were verified."""
+    descriptor: int | None = None
+    """A file in memory with the bytes that were verified; None for a file that is too large for that."""
+
+    @property
+    def readable(self) -> str:
+        """The path by which DuckDB reads these bytes, also in a process that this one has started."""
+        return str(self.path) if self.descriptor is None else f"/proc/{os.getpid()}/fd/{self.descriptor}"
 
 
 @cache
@@ -88,14 +93,14 @@ def verified(path: Path, paths: StorePaths) -> IndexFile | None:
     """Return an index whose bytes are those that its name promises; else None. Raises OSError."""
     digits = path.stem.rpartition("-")[2]
     if path.stat().st_size > IN_MEMORY or not hasattr(os, "memfd_create"):
-        return IndexFile(path, str(path)) if begins_with(path, digits, f"{paths.segments}") else None
+        return IndexFile(path) if begins_with(path, digits, f"{paths.segments}") else None
     content = read_regular(path)
     if not sha256(content).startswith(digits):
         return None
     descriptor = os.memfd_create("sierra-index", os.MFD_CLOEXEC)
     with open(descriptor, "wb", closefd=False) as file:
         file.write(content)
-    return IndexFile(path, f"/proc/self/fd/{descriptor}")
+    return IndexFile(path, descriptor)
 
 
 def segments_of(path: Path) -> int:

@@ -36,7 +36,7 @@ PATIENCE_S = 1.0
 """The time that an interrupted statement has to end, in s, before its process is killed."""
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "DUCKDB_JE_MALLOC_CONF": "retain:false"}
 """Settings of allocators, so that address space that is not used does not count."""
-KEPT = ("CREATE", "DROP", "RESET", "SET")
+KEPT = ("ATTACH", "CREATE", "DROP", "RESET", "SET")
 """The first words of statements that another process must execute again."""
 REPLACED = "the process that executed the statement was ended"
 OF_SHORTAGE = (signal.SIGKILL, signal.SIGABRT)

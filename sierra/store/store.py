@@ -35,7 +35,7 @@ from sierra.store.statement import check_describes, checked, kinds
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
-from sierra.store.views import Views, recording, tables_of
+from sierra.store.views import Views, may_list_tables, recording, tables_of
 from sierra.util.fs import is_gone, write_whole
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
@@ -227,7 +227,7 @@ class Store:
         shared = Shared(self.paths.reading)
         try:
             memory = self.memory if theirs else None
-            usable = self._indexed and self._beneath is None and not self._replays and memory is None
+            usable = self._indexed and self._beneath is None and not self._replays
             made = Snapshot(
                 *(self.paths.root, None, within, shared),
                 beneath=self._beneath,
@@ -409,7 +409,7 @@ class Snapshot:
         facts = None
         if file is not None:
             try:
-                self._opened = Connection(*folders, attached=attach(file))
+                self._opened = Connection(*folders, memory=memory, attached=attach(file))
                 facts = facts_of(file, lambda statement: self._opened.cursor.execute(statement).fetchall())
             except duckdb.Error:
                 index_files.remove(file.path)
@@ -424,7 +424,7 @@ class Snapshot:
             self._index = Index(self.run, self.listing, self.listing.facts)
         elif facts is not None:  # it cannot tell which of its segments are current
             self._opened.close()
-            self._opened = Connection(*folders)
+            self._opened = Connection(*folders, memory=memory)
         self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, self.views.outputs)
 
@@ -510,7 +510,7 @@ class Snapshot:
 
         with self.errors():
             read = self._only_reads(text, parameters)
-            if theirs and tables_of(text) is None:  # it may list all tables, also those of the index
+            if theirs and may_list_tables(text):  # also those of the index
                 self._leave_index()
             try:
                 return self._asked(read, text, parameters, convert, theirs=theirs)

@@ -744,6 +744,16 @@ NAMED = re.compile(
 ALL = re.compile(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
 
 
+LISTS = re.compile(
+    r"\b(?:show|information_schema|pragma\w*|describe\s*(?:$|[^\s\w\"(]))|\b(?:duckdb|pg|sqlite)_\w", re.IGNORECASE | re.DOTALL
+)
+
+
+def may_list_tables(text: str) -> bool:
+    """Return whether a statement may list the tables or the databases that exist."""
+    return LISTS.search(text) is not None
+
+
 def tables_of(text: str) -> set[str] | None:
     """Return the names in a statement that may be tables, in lower case; None if the statement may use all tables."""
     if ALL.search(text):

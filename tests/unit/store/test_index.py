@@ -26,6 +26,14 @@ STATEMENTS = (
     "SHOW TABLES",
     "SHOW ALL TABLES",
     "SELECT table_name FROM duckdb_tables() ORDER BY ALL",
+    "SHOW DATABASES",
+    "SHOW/**/SCHEMAS",
+    "SELECT count(*) FROM (SHOW ALL)",
+    "DESCRIBE",
+    "DESCRIBE -- all",
+    "SELECT datname FROM pg_catalog.pg_database",
+    "SELECT relname FROM pg_class",
+    "SELECT name FROM sqlite_master",
 )
 
 
