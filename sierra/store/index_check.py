@@ -2,38 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import duckdb
 
 from sierra.store.connections import connect
-from sierra.store.duckdb_file_io import read_parquet
+from sierra.store.duckdb_file_io import read_parquet, steady
 from sierra.store.index_files import IndexFile
-from sierra.store.index_reader import DATABASE, EXPERIMENTS, attach, facts_of
+from sierra.store.index_reader import DATABASE, EXPERIMENTS, STORED, Fetch, Index, attach, facts_of
+from sierra.store.listing import Listing
 from sierra.store.schema import LATER, RECORDED
 from sierra.store.segments import Segment
 from sierra.store.sql_names import identifier
+from sierra.store.sql_result import RawRow
+from sierra.store.union_files import read_columns
+from sierra.store.views import Views
 
 SUM = "SELECT count(*), sum(hash(t)::HUGEINT)::VARCHAR FROM ({rows}) t"
 
 
 def different(index: IndexFile, segments: Mapping[str, Segment]) -> list[str]:
-    """Return the tables whose rows in an index are not those of these segments, by name; all of them if it cannot be read.
+    """Return the tables whose rows in an index do not follow from these segments, by name; all of them if it cannot be read.
 
-    Segments that are not among these are not compared.
+    Segments that are not among these are not compared. Results are only if none is missing.
     """
     connection = connect()
+
+    def fetch(statement: str) -> list[RawRow]:
+        return connection.execute(statement).fetchall()
+
     try:
         connection.execute(attach(index))
-        facts = facts_of(index, lambda statement: connection.execute(statement).fetchall())
-        named = {
-            number: segments[name] for name, number in facts.numbers.items() if name in segments and name not in facts.ignored
-        }
-        return [table for table in RECORDED if _differs(connection, table, named)]
+        facts = facts_of(index, fetch)
+        current = {number: name for name, number in facts.numbers.items() if name not in facts.ignored}
+        named = {number: segments[name] for number, name in current.items() if name in segments}
+        found = [table for table in RECORDED if _differs(connection, table, named)]
+        if len(named) == len(current) and not found:
+            listing = Listing([index.path.parent.parent / "segments"], segments=list(named.values()))
+            found = [*_other_results(connection, listing), *_other_outputs(fetch, Index(fetch, listing, facts), listing)]
+        return found
     except duckdb.Error:
         return list(RECORDED)
     finally:
         connection.close()
+
+
+def _other_results(connection: duckdb.DuckDBPyConnection, listing: Listing) -> Iterator[str]:
+    """Yield the names of the results that do not follow from these segments."""
+    for name, query in Views(lambda: connection, listing).results():
+        if _sum(connection, f"FROM {DATABASE}.{STORED}{name}") != _sum(connection, query):
+            yield name
+
+
+def _other_outputs(fetch: Fetch, index: Index, listing: Listing) -> Iterator[str]:
+    """Yield the names of the outputs of which the index has other files or columns, or other values of expressions."""
+    files: dict[str, list[str]] = {}
+    for segment in listing.rest:
+        for name, path in segment.outputs():
+            files.setdefault(name.lower(), []).append(path)
+    for name in sorted({name.lower() for name in index.spellings()} | files.keys()):
+        columns = {path: types for some, types in read_columns(fetch, files.get(name, [])) for path in some}
+        same = {file.path: file.columns for file in index.outputs(name)} == columns
+        if not same or any(_other_answers(fetch, index, name, question) for question in index.questions(name)):
+            yield name
+
+
+def _other_answers(fetch: Fetch, index: Index, output: str, question: str) -> bool:
+    known = {steady(file): value for file, value in index.answers(output, question).items()}
+    source = read_parquet(list(known), union=True, filename=True, check=False)
+    return dict(fetch(f"SELECT filename, coalesce({question}, 0)::INTEGER FROM {source} GROUP BY filename")) != known
 
 
 def _differs(connection: duckdb.DuckDBPyConnection, table: str, segments: Mapping[int, Segment]) -> bool:

@@ -136,6 +136,12 @@ class Index:
         )
         return f"{first}{self._current} UNION ALL {later}{self._current}"
 
+    def questions(self, output: str) -> list[str]:
+        """Return the SQL expressions whose values over files of an output are stored; its name is in lower case."""
+        return [
+            row[0] for row in self._fetch(f"SELECT DISTINCT question FROM {DATABASE}.answers WHERE output = {quote(output)}")
+        ]
+
     def answers(self, output: str, question: str) -> dict[str, int]:
         """Return the stored values of an SQL expression over files of an output, whose name is in lower case.
 

@@ -123,6 +123,8 @@ class Views:
         """Notes for the user on columns with several types."""
         self.unchecked: set[str] = set()
         """Tables whose files are not verified, because the caller does so."""
+        self._read: dict[str, list[str]] = {}
+        """The files of the outputs whose view exists, by output."""
         self._settled = False
         self._doubtful: set[str] | None = None
         """The indexed segments with judgements that do not count, if somebody has asked for them."""
@@ -151,7 +153,7 @@ class Views:
 
     def verify(self) -> None:
         """Verify the files of the existing views again, which may have changed since. Raises Damaged."""
-        verify(path for name in self._made for path in (*self._files.get(name, ()), *self._outputs.get(name.lower(), ())))
+        verify(path for name in self._made for path in (*self._files_of(name), *self._read.get(name, ())))
 
     def holds(self, table: str) -> bool:
         """Check whether the store has any record of a table; much faster than a query."""
@@ -484,7 +486,7 @@ class Views:
         for needed in ("effective", "origins", "points"):
             self._make(needed)
         known = self._output_files(name)
-        files = self._holding(list(known))
+        files = self._read[name] = self._holding(list(known))
         columns = {file: theirs for file, theirs in known.items() if theirs}
         counts = f"execution IN (SELECT judgement FROM ({self._counted}))"
         answers = partial(self._answers, name.lower())

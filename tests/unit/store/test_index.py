@@ -149,18 +149,26 @@ def test_a_store_that_may_not_be_written_is_read_with_its_index(project: Path) -
         path.chmod(0o755)
 
 
-def test_fsck_compares_an_index_with_the_segments(project: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "table"),
+    [
+        ("UPDATE executions SET status = 'failed'", "executions"),
+        ("UPDATE stored_runs SET executions = 5", "runs"),
+        ("DELETE FROM outputs WHERE output = 'swarm'", "swarm"),
+    ],
+)
+def test_fsck_compares_an_index_with_the_segments(project: Path, change: str, table: str) -> None:
     assert index_builder.build(paths_of(project)) is not None
     opened = sierra.open(project)
     assert not opened.fsck().findings
     path = keep(project)
     connection = duckdb.connect(str(path))
-    connection.execute("UPDATE executions SET status = 'failed'")
+    connection.execute(change)
     connection.close()
     index_files.publish(paths_of(project), 12, path.read_bytes())
     [finding] = opened.fsck().findings
     assert finding.path.startswith("index/")
-    assert "its rows of executions are not those of the segments" in finding.what
+    assert f"its rows of {table} are not those of the segments" in finding.what
     opened.repair()
     assert not opened.fsck().findings
     assert not list(paths_of(project).index.iterdir())
