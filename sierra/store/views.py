@@ -684,6 +684,8 @@ NAMED = re.compile(
     r'(?:\b(?:from|join|describe|summarize|table|show)\b|[,(])\s*(?:"((?:[^"]|"")+)"|([^\W\d]\w*))', re.IGNORECASE
 )
 ALL = re.compile(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
+LISTS = re.compile(r"\b(?:sqlite_\w+|pg_\w+|show\s+(?:databases|schemas))\b|(?:^|\()\s*(?:show|describe)\W*$", re.I | re.M)
+"""Further ways to list tables: only those that exist on the connection."""
 
 
 def tables_of(text: str) -> set[str] | None:
@@ -691,3 +693,8 @@ def tables_of(text: str) -> set[str] | None:
     if ALL.search(text):
         return None
     return {(quoted.replace('""', '"') or plain).lower() for quoted, plain in NAMED.findall(text)}
+
+
+def lists_tables(text: str) -> bool:
+    """Return whether a statement may list tables."""
+    return tables_of(text) is None or LISTS.search(text) is not None

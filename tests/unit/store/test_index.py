@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import duckdb
 import pytest
 
 import sierra
-from sierra.errors import Damaged
+from sierra.errors import Damaged, SqlError
 from sierra.store import index_builder, index_files, segments
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
@@ -37,9 +38,9 @@ def paths_of(root: Path) -> StorePaths:
     return StorePaths(root / ".sierra")
 
 
-def answers(root: Path) -> list[object]:
+def answers(root: Path, statements: Sequence[str] = STATEMENTS) -> list[object]:
     store = Store(root / ".sierra")
-    found: list[object] = [store.sql(statement).to_pylist() for statement in STATEMENTS]
+    found: list[object] = [store.sql(statement).to_pylist() for statement in statements]
     found.append(sorted(segment.name for segment in store.segments()))
     found.append(store.outputs())
     return found
@@ -91,13 +92,72 @@ def replace(path: Path) -> None:
     path.write_text("not an index\n")
 
 
-@pytest.mark.parametrize("damage", [flip, swap, shorten, replace])
+def of_other_format(path: Path) -> None:
+    path.rename(path.with_name("0" * 8 + path.name[8:]))
+
+
+def of_other_storage(path: Path) -> None:
+    """Write the number of a version of DuckDB's format that does not exist yet, in a file with the right name."""
+    content = bytearray(path.read_bytes())
+    content[12:20] = (998).to_bytes(8, "little")
+    named_anew(path, bytes(content))
+
+
+def named_anew(path: Path, content: bytes) -> Path:
+    """Replace an index by one of this content, whose name tells its hash."""
+    path.unlink()
+    return index_files.publish(StorePaths(path.parents[1]), index_files.segments_of(path), content)
+
+
+def link_elsewhere(path: Path) -> None:
+    path.rename(path.parents[2] / "moved")
+    path.symlink_to(path.parents[2] / "moved")
+
+
+def link_nowhere(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("nowhere")
+
+
+def folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def file_for_folder(path: Path) -> None:
+    shutil.rmtree(path.parent)
+    path.parent.write_text("no folder\n")
+
+
+def link_for_folder(path: Path) -> None:
+    path.parent.rename(path.parents[2] / "moved")
+    path.parent.symlink_to(path.parents[2] / "moved")
+
+
+DAMAGES = (
+    *(flip, swap, shorten, replace, of_other_format, of_other_storage, link_elsewhere, link_nowhere, folder, pipe, empty),
+    *(file_for_folder, link_for_folder),
+)
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_index_is_not_used(project: Path, damage: Callable[[Path], None]) -> None:
-    without = answers(project)
+    without = answers(project, STATEMENTS[::6])
     path = index_builder.build(paths_of(project))
     assert path is not None
     damage(path)
-    assert answers(project) == without
+    assert answers(project, STATEMENTS[::6]) == without
 
 
 def test_an_index_of_another_store_changes_no_answer(project: Path, tmp_path: Path) -> None:
@@ -109,6 +169,49 @@ def test_an_index_of_another_store_changes_no_answer(project: Path, tmp_path: Pa
     (project / ".sierra" / "index").mkdir()
     shutil.copy(path, project / ".sierra" / "index")
     assert answers(project) == without
+
+
+LISTINGS = (
+    *("SELECT count(*) FROM sqlite_master", "SELECT * FROM pg_catalog.pg_tables", "SELECT count(*) FROM pg_class"),
+    *("SHOW DATABASES", "SHOW SCHEMAS", "SHOW", "DESCRIBE", "-- all\nSHOW", "SELECT name FROM (SHOW)"),
+)
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("statement", LISTINGS)
+def test_no_list_of_tables_shows_the_index(project: Path, statement: str) -> None:
+    store = Store(project / ".sierra")
+    without = store.sql(statement).to_pylist()
+    assert index_builder.build(store.paths) is not None
+    assert store.sql(statement).to_pylist() == without
+
+
+@pytest.mark.integration
+def test_messages_about_wrong_statements_do_not_name_the_index(project: Path) -> None:
+    assert index_builder.build(paths_of(project)) is not None
+    for name in ("segment", "outputs", "experiments_1", "stored_effectiv"):
+        with pytest.raises(SqlError, match=f"Table with name {name} does not exist") as raised:
+            Store(project / ".sierra").sql(f"SELECT * FROM {name}")
+        assert "index_" not in str(raised.value)
+
+
+@pytest.mark.integration
+def test_a_table_that_cannot_be_read_is_read_from_the_segments(project: Path) -> None:
+    """An index whose name tells its hash may have been damaged before it was hashed."""
+    without = answers(project)
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    whole = path.read_bytes()
+    broken = 0
+    for block in range((len(whole) - 12288) // 16384):
+        content = bytearray(whole)
+        content[12288 + block * 16384 + 5000] ^= 1
+        path = named_anew(path, bytes(content)) if path.exists() else index_files.publish(paths_of(project), 12, bytes(content))
+        statement = STATEMENTS[block % len(STATEMENTS)]
+        assert Store(project / ".sierra").sql(statement).to_pylist() == without[block % len(STATEMENTS)]
+        broken += not path.exists()
+    assert broken
 
 
 def test_what_is_removed_is_in_no_index(project: Path) -> None:
