@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -11,7 +14,7 @@ import duckdb
 import pytest
 
 import sierra
-from sierra.errors import Damaged, SqlError
+from sierra.errors import Damaged, Missing, SqlError
 from sierra.store import index_builder, index_files, segments
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
@@ -291,3 +294,150 @@ def test_a_damaged_segment_that_replaces_others_is_looked_at_by_each_reader(proj
         answers(project)
     opened.repair()
     assert answers(project) == unindexed(project)
+
+
+REMOVED = "noise=0.5"
+"""The query of a batch whose segments hold nothing of other batches."""
+
+
+def last_batch(root: Path) -> str:
+    [batch] = [one.batch for one in sierra.open(root).batches if one.query == REMOVED]
+    return batch
+
+
+def of_batch(root: Path, batch: str) -> list[Path]:
+    """Return the files below the folder of indexes with the id of a batch, and the indexes with rows of its segments."""
+    found = []
+    for path in (root / ".sierra" / "index").rglob("*"):
+        if path.is_file() and (batch.encode() in path.read_bytes() or batch[:12].encode() in path.read_bytes()):
+            found.append(path)
+    return found
+
+
+@pytest.mark.integration
+def test_a_removal_that_dies_leaves_no_rows_in_an_index(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever it has done last, the next gc completes it."""
+    opened, batch = sierra.open(project), last_batch(project)
+    assert index_builder.build(paths_of(project)) is not None
+    for step in ("sierra.store.compaction.sync", "sierra.store.index_files.remove_all"):
+        root = stores.copy(project, project.with_name(step))
+        with monkeypatch.context() as patch:
+            patch.setattr(step, lambda *_: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                sierra.open(root).remove(batch)
+        sierra.open(root).collect()
+        assert of_batch(root, batch) == []
+    assert of_batch(project, batch)
+    assert opened.fsck().sound
+
+
+@pytest.mark.integration
+def test_an_index_without_segments_that_somebody_has_deleted_is_built_from_nothing(project: Path) -> None:
+    batch = last_batch(project)
+    assert index_builder.build(paths_of(project)) is not None
+    for path in (project / ".sierra" / "segments").glob(f"{batch[:12]}-*"):
+        shutil.rmtree(path)
+    for query in ("population_size=7", "population_size=8"):
+        sierra.open(project).run(query, runs=1, figures=False)
+    assert index_builder.build(paths_of(project)) is not None
+    assert of_batch(project, batch) == []
+
+
+@pytest.mark.integration
+def test_segments_that_a_repair_puts_aside_are_in_no_index(project: Path) -> None:
+    batch = last_batch(project)
+    assert index_builder.build(paths_of(project)) is not None
+    for path in (project / ".sierra" / "segments").glob(f"{batch[:12]}-*/executions.parquet"):
+        flip(path)
+    sierra.open(project).repair()
+    assert not index_files.published(paths_of(project).index)
+
+
+@pytest.mark.integration
+def test_an_index_of_another_store_does_not_keep_this_one_from_having_its_own(project: Path, tmp_path: Path) -> None:
+    other = stores.copy(project, tmp_path / "other")
+    sierra.open(other).run("population_size=9", runs=1, figures=False)
+    theirs = index_builder.build(paths_of(other))
+    assert theirs is not None
+    (project / ".sierra" / "index").mkdir()
+    copied = Path(shutil.copy(theirs, project / ".sierra" / "index"))
+    own = index_builder.build(paths_of(project))
+    assert own is not None
+    assert own.exists()
+    assert not copied.exists()
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert (snapshot.listing.rest, snapshot.listing.without) == ([], frozenset())
+
+
+@pytest.mark.integration
+def test_removing_needs_no_index_and_takes_what_a_killed_builder_has_left(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = project.with_name("temporary")
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    killed = f"import os\nfrom pathlib import Path\nfrom sierra.store import index_builder, index_files\n{KILLED}"
+    subprocess.run(
+        [sys.executable, "-c", killed, project / ".sierra"], env={**os.environ, "TMPDIR": str(temporary)}, check=False
+    )
+    [left] = temporary.iterdir()
+    assert left.name.startswith(index_files.PREFIX)
+    batch = last_batch(project)
+    index = project / ".sierra" / "index"
+    index.write_text("no folder\n")
+    sierra.open(project).remove(batch)
+    assert index.read_text() == "no folder\n"
+    assert not left.exists()
+
+
+KILLED = """
+import signal, sys
+from sierra.store.layout import StorePaths
+index_files.publish = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+index_builder.build(StorePaths(Path(sys.argv[1])))
+"""
+
+
+@pytest.mark.integration
+def test_a_folder_in_the_place_of_an_index_stops_neither_removing_nor_gc(project: Path) -> None:
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    strange = path.with_name(f"{path.name[:9]}{'9' * 9}-{'0' * 16}.duckdb")
+    strange.mkdir()
+    flip(path)
+    sierra.open(project).collect()
+    assert not path.exists()
+    sierra.open(project).remove(last_batch(project))
+    assert strange.exists()
+    sierra.open(project).repair()
+    assert not strange.exists()
+    assert sierra.open(project).fsck().sound
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("error", [Missing("too many open files"), Damaged("a file"), MemoryError(), OSError(5, "I/O error")])
+def test_what_a_builder_lacks_does_not_matter_to_a_command(
+    project: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> bool:
+        raise error
+
+    monkeypatch.setattr(index_builder, "WORTH", 1)
+    monkeypatch.setattr(index_builder, "_is_sound", fail)
+    assert sierra.open(project).run("population_size=7", runs=1, figures=False).executed == 1
+    assert not index_files.published(paths_of(project).index)
+
+
+@pytest.mark.integration
+def test_a_large_index_that_has_changed_since_it_was_read_is_not_read_again(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is too large for a copy in memory is read from its file."""
+    monkeypatch.setattr(index_files, "IN_MEMORY", 0)
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.listing.rest == []
+    flip(path)
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.listing.facts is None
