@@ -14,6 +14,7 @@ from pathlib import Path
 from sierra.errors import Busy, Missing
 from sierra.execution import sessions
 from sierra.execution.sessions import Session
+from sierra.store import index_files
 from sierra.store.compaction import Compaction, out_of_use, tidy
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors, on_disk, out_of_date
@@ -68,6 +69,8 @@ def publish(
             if valid(names(store), seen):
                 with disk_errors(store.segments):
                     rewriting.publish()
+                    if keep:  # an index may have their rows
+                        index_files.remove_all(store)
                     for name in sorted(keep):
                         aside(store, store.segments / name)
                     tidy(store, session.paths.root / "old")

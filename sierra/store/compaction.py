@@ -369,12 +369,13 @@ def tidy(paths: StorePaths, aside: Path) -> int:
         unused = out_of_use(paths)
         hidden = out_of_date(list(on_disk(paths.segments)))
         aside.mkdir(parents=True, exist_ok=True)
+        if unused:  # first: whoever finds no such segment any more would leave their rows in an index
+            index_files.remove_all(paths)
         for segment in sorted(unused, key=lambda segment: segment.name not in hidden):
             if segment.name not in hidden:  # replaced segments must be gone from the disk before this one
                 sync(paths.segments)
             (paths.segments / segment.name).rename(aside / segment.name)
         if unused:
-            index_files.remove_all(paths)  # they hold rows of these segments
             sync(paths.segments)
     shutil.rmtree(aside, ignore_errors=True)
     return len(unused)

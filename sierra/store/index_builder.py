@@ -54,8 +54,6 @@ TIMES = 10
 """The same for a large index, as a multiple."""
 KEPT = 2
 """The number of indexes that are kept: readers may be about to open the last one."""
-PREFIX = "sierra-index-"
-"""The beginning of the names of temporary folders. They are on a local disk: DuckDB writes only files that it can lock."""
 STORAGE = "v1.5.0"
 """The version of DuckDB's file format. By default, DuckDB writes one that no other version reads."""
 BLOCK = 16_384
@@ -71,13 +69,15 @@ TABLES = {
 }
 
 
-def keep_up(paths: StorePaths, worth: int = WORTH) -> None:
-    """Build an index if so many segments are in none, and if the store is this user's and has executed something.
+def keep_up(paths: StorePaths, worth: int | None = None) -> None:
+    """Build an index if so many segments are in none (by default, `WORTH`), and if the store is this user's and has executed
+    something.
 
     A large index, which takes longer to build, waits for more segments. For lack of something, such as space on the disk, do
-    nothing.
+    nothing: whoever calls this has done its work.
     """
-    with contextlib.suppress(OSError, duckdb.Error, SierraError):
+    worth = WORTH if worth is None else worth
+    with contextlib.suppress(OSError, MemoryError, duckdb.Error, SierraError):
         if paths.identity.exists() and paths.root.stat().st_uid == os.geteuid() and os.access(paths.root, os.W_OK):
             best = index_files.best(paths)
             large = best is not None and best.path.stat().st_size > index_files.IN_MEMORY
@@ -89,13 +89,22 @@ def build(paths: StorePaths, worth: int = 1) -> Path | None:
     shared = Shared(paths.reading)
     try:
         best = index_files.best(paths)
-        if len(names_in(paths.segments)) - (index_files.segments_of(best.path) if best else 0) < worth:
+        present, indexed = len(names_in(paths.segments)), index_files.segments_of(best.path) if best else 0
+        if present - (indexed if indexed <= present else 0) < worth:
             return None
-        with scratch(Path(tempfile.gettempdir()), PREFIX) as folder, _Building(paths, folder / "index", best) as made:
+        with (
+            scratch(Path(tempfile.gettempdir()), index_files.PREFIX) as folder,
+            _Building(paths, folder / "index", best) as made,
+        ):
             if not made.add(worth):
                 return None
             content = made.finish()
-            path = index_files.publish(paths, made.count, content)
+            path = index_files.publish(paths, len(made.names), content)
+            if best is not None and not made.goes_on:
+                index_files.remove(best.path)  # it may have rows of segments that are gone
+            if not made.names <= set(names_in(paths.segments)):  # without locks, somebody may have removed some meanwhile
+                index_files.remove(path)
+                return None
         for old in index_files.published(paths.index)[KEPT:]:
             index_files.remove(old)
         return path
@@ -112,9 +121,11 @@ class _Building:
         self._connection = connect()
         self._connection.execute("SET threads = 1")  # with more, small files take up to twice the time of the processor
         names = names_in(self._folder)
-        if best is None or not self._goes_on(best, set(names)):
+        self.goes_on = best is not None and self._goes_on(best, set(names))
+        if not self.goes_on:
             self._begin(len(names))
-        self.count = 0
+        self.names: set[str] = set()
+        """The segments that the index names."""
 
     def __enter__(self) -> _Building:
         return self
@@ -133,11 +144,12 @@ class _Building:
         self._connection.execute(f"ATTACH {file} AS {DATABASE} (TYPE duckdb, STORAGE_VERSION '{STORAGE}'{options})")
 
     def _goes_on(self, best: index_files.IndexFile, names: AbstractSet[str]) -> bool:
-        """Begin with a copy of an index, if it can tell which of its segments are current and is not too old."""
+        """Begin with a copy of an index, if all its segments exist and it is not too old: a copy keeps freed bytes."""
         self._path.write_bytes(read_regular(Path(best.readable)))
         self._attach(self._path)
         [(base,)] = self._fetch(f"SELECT segments FROM {DATABASE}.base")
-        if len(names) < 2 * base and read_facts(self._fetch).are_sure(names):
+        facts = read_facts(self._fetch)
+        if len(names) < 2 * base and facts.numbers.keys() <= names and facts.are_sure(names):
             return True
         self._connection.execute(f"DETACH {DATABASE}")
         self._path.unlink()
@@ -172,9 +184,8 @@ class _Building:
         ignored = hidden | replaced | {name for (name,) in self._fetch(f"SELECT name FROM {DATABASE}.replaced")}
         sound = {one.name for one in whole}
         added = [*whole, *(one for one in found if one.name in ignored - sound)]
-        gone = known.keys() - names
         self._connection.execute("BEGIN")
-        self._drop([known[name] for name in gone | (known.keys() & ignored)], [known[name] for name in gone])
+        self._drop([known[name] for name in known.keys() & ignored])
         first = max(known.values(), default=0) + 1
         numbers = {one.name: first + place for place, one in enumerate(added)}
         self._insert(
@@ -186,7 +197,7 @@ class _Building:
         self._connection.execute("COMMIT")
         self._store_results()
         self._store_answers()
-        self.count = len(known) - len(gone) + len(added)
+        self.names = {*known, *numbers}
         return bool(added)
 
     def _index(self) -> tuple[Listing, Index]:
@@ -228,8 +239,8 @@ class _Building:
             self._insert("answers", rows)
         return {file: known[file] for file in files if file in known}
 
-    def _drop(self, ignored: Sequence[int], gone: Sequence[int]) -> None:
-        """Remove the rows of segments that have been replaced since they were added, or that are gone."""
+    def _drop(self, ignored: Sequence[int]) -> None:
+        """Remove the rows of segments that have been replaced since they were added."""
         if not ignored:
             return
         numbers = ", ".join(map(str, ignored))
@@ -240,7 +251,6 @@ class _Building:
             if table != "segments":
                 self._connection.execute(f"DELETE FROM {DATABASE}.{table} WHERE seg IN ({numbers})")
         self._connection.execute(f"UPDATE {DATABASE}.segments SET ignored = true WHERE seg IN ({numbers})")
-        self._connection.execute(f"DELETE FROM {DATABASE}.segments WHERE seg IN ({', '.join(map(str, gone)) or 'NULL'})")
 
     def _insert(self, table: str, rows: Iterable[tuple[object, ...]]) -> None:
         columns = [list(column) for column in zip(*rows, strict=True)]

@@ -18,6 +18,7 @@ import contextlib
 import json
 import os
 import re
+import tempfile
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from sierra.store.verified_files import begins_with
 from sierra.util.fs import UNFINISHED_END, write_whole
 from sierra.util.hashing import sha256
 from sierra.util.regular_files import read_regular
+from sierra.util.scratch import remove_abandoned
 
 CONTENT = 2
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
@@ -35,6 +37,9 @@ NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
 UNFINISHED = re.compile(rf"\.{NAME.pattern}{UNFINISHED_END}")
 IN_MEMORY = 64 << 20
 """The size up to which an index is read into memory."""
+
+PREFIX = "sierra-index-"
+"""The beginning of the names of the temporary folders in which indexes are built, on a local disk: DuckDB locks its files."""
 
 _held: dict[str, IndexFile] = {}
 """The index that this process uses, by the store's folder of indexes."""
@@ -75,7 +80,7 @@ def best(paths: StorePaths) -> IndexFile | None:
     key = str(paths.index)
     for path in published(paths.index):
         held = _held.get(key)
-        if held is not None and held.path == path:
+        if held is not None and held.path == path and held.readable != str(path):
             return held
         with contextlib.suppress(OSError):
             if (found := verified(path, paths)) is not None:
@@ -132,14 +137,24 @@ def unfinished(paths: StorePaths) -> list[Path]:
 def useless(paths: StorePaths) -> list[Path]:
     """Return the indexes of other versions of SIERRA, and those that are damaged."""
     with contextlib.suppress(OSError):
-        found = [path for path in paths.index.iterdir() if NAME.fullmatch(path.name)]
-        return [path for path in found if not is_current(path) or verified(path, paths) is None]
+        found = [path for path in paths.index.iterdir() if NAME.fullmatch(path.name) and path.is_file()]
+        return [path for path in found if not is_current(path) or not _is_whole(path, paths)]
     return []
+
+
+def _is_whole(path: Path, paths: StorePaths) -> bool:
+    """Check that an index has the bytes that its name promises, or cannot be read now."""
+    try:
+        return verified(path, paths) is not None
+    except OSError:
+        return True
 
 
 def remove_all(paths: StorePaths) -> None:
     """Remove each index, because it holds what is to be removed from the store. Raises OSError."""
-    with contextlib.suppress(FileNotFoundError):
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
         for path in paths.index.iterdir():
-            if NAME.fullmatch(path.name) or UNFINISHED.fullmatch(path.name):
+            is_index = NAME.fullmatch(path.name) or UNFINISHED.fullmatch(path.name)
+            if is_index and (path.is_symlink() or not path.is_dir()):
                 path.unlink(missing_ok=True)
+    remove_abandoned(Path(tempfile.gettempdir()), PREFIX)  # a killed process has left one that it was building

@@ -152,8 +152,8 @@ class Index:
         return {f"{self._folder}/{segment}/{file}": value for segment, file, value in rows}
 
     def highest(self, tables: Iterable[str], column: str) -> int:
-        """Return the highest value of a column of whole numbers in the rows of these tables, current or not."""
-        each = " UNION ALL ".join(f"SELECT max({column}) AS value FROM {DATABASE}.{table}" for table in tables)
+        """Return the highest value of a column of whole numbers in the current rows of these tables."""
+        each = " UNION ALL ".join(f"SELECT max({column}) AS value FROM {DATABASE}.{table}{self._current}" for table in tables)
         [(highest,)] = self._fetch(f"SELECT coalesce(max(value), 0) FROM ({each})")
         return int(highest)
 

@@ -14,7 +14,7 @@ from decimal import Decimal
 from functools import partial
 from math import isfinite
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
@@ -155,8 +155,8 @@ class Frame:
     def __enter__(self) -> Frame:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._closing.close()
+    def __exit__(self, *error: Any) -> None:
+        self._closing.__exit__(*error)
 
     def unlock(self) -> None:
         """Free the lock that protects the segments from removal. Whoever uses the frame afterwards must hold it."""

@@ -35,7 +35,7 @@ from sierra.store.statement import check_describes, checked, kinds
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
-from sierra.store.views import Views, may_list_tables, recording, tables_of
+from sierra.store.views import Views, lists_tables, recording, tables_of
 from sierra.util.fs import is_gone, write_whole
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
@@ -405,14 +405,16 @@ class Snapshot:
 
         segments, within, replays, memory, rules = self._given
         self._index: Index | None = None
+        self._attached = file
         folders = self._folders[::-1]
         facts = None
         if file is not None:
             try:
                 self._opened = Connection(*folders, memory=memory, attached=attach(file))
                 facts = facts_of(file, lambda statement: self._opened.cursor.execute(statement).fetchall())
-            except duckdb.Error:
-                index_files.remove(file.path)
+            except duckdb.Error as error:  # not an IOException: it is no fault of the index if locks or /proc do not work
+                if not isinstance(error, duckdb.IOException | duckdb.InterruptException | duckdb.OutOfMemoryException):
+                    index_files.remove(file.path)
         if facts is None:
             self._opened = Connection(*folders, memory=memory)
         try:
@@ -423,9 +425,17 @@ class Snapshot:
         if self.listing.facts is not None:
             self._index = Index(self.run, self.listing, self.listing.facts)
         elif facts is not None:  # it cannot tell which of its segments are current
+            self._attached = None
             self._opened.close()
             self._opened = Connection(*folders, memory=memory)
-        self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
+        try:
+            self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
+        except Damaged:
+            self._opened.close()
+            if self._index is None:
+                raise
+            self._open(None)
+            return
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, self.views.outputs)
 
     @property
@@ -445,6 +455,8 @@ class Snapshot:
         return self
 
     def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
+        if kind is Damaged and self._attached is not None:  # no file of a segment, which is a DamagedFile
+            index_files.remove(self._attached.path)
         if kind is None and not self._settled:
             self._opened.keep(self.views.made)
         else:
@@ -510,14 +522,18 @@ class Snapshot:
 
         with self.errors():
             read = self._only_reads(text, parameters)
-            if theirs and may_list_tables(text):  # also those of the index
+            if theirs and lists_tables(text):  # also those of the index
                 self._leave_index()
             try:
                 return self._asked(read, text, parameters, convert, theirs=theirs)
-            except (Damaged, duckdb.IOException, duckdb.InternalException, duckdb.FatalException):
-                if not self._leave_index():
+            except (Damaged, SqlError, duckdb.Error) as error:  # a message may name tables of the index, too
+                left = self._attached
+                if isinstance(error, duckdb.InterruptException) or not self._leave_index():
                     raise
-                return self._asked(read, text, parameters, convert, theirs=theirs)
+                answer = self._asked(read, text, parameters, convert, theirs=theirs)
+                if left is not None and type(error) in (Damaged, duckdb.Error, duckdb.InternalException, duckdb.FatalException):
+                    index_files.remove(left.path)
+                return answer
 
     def _asked(
         self, read: str, text: str, parameters: Mapping[str, object], convert: Callable[[Answer], Converted], *, theirs: bool

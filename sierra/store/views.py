@@ -744,16 +744,8 @@ NAMED = re.compile(
     r'(?:\b(?:from|join|describe|summarize|table|show)\b|[,(])\s*(?:"((?:[^"]|"")+)"|([^\W\d]\w*))', re.IGNORECASE
 )
 ALL = re.compile(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
-
-
-LISTS = re.compile(
-    r"\b(?:show|information_schema|pragma\w*|describe\s*(?:$|[^\s\w\"(]))|\b(?:duckdb|pg|sqlite)_\w", re.IGNORECASE | re.DOTALL
-)
-
-
-def may_list_tables(text: str) -> bool:
-    """Return whether a statement may list the tables or the databases that exist."""
-    return LISTS.search(text) is not None
+LISTS = re.compile(r"\b(?:show|describe\s*(?:$|[^\s\w\"(]))|\b(?:pg|sqlite)_\w", re.IGNORECASE | re.DOTALL)
+"""Further ways to list tables or databases: only those that exist on the connection."""
 
 
 def tables_of(text: str) -> set[str] | None:
@@ -761,3 +753,8 @@ def tables_of(text: str) -> set[str] | None:
     if ALL.search(text):
         return None
     return {(quoted.replace('""', '"') or plain).lower() for quoted, plain in NAMED.findall(text)}
+
+
+def lists_tables(text: str) -> bool:
+    """Return whether a statement may list tables."""
+    return tables_of(text) is None or LISTS.search(text) is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
@@ -64,6 +65,35 @@ TIDYING = (
 )
 """Points at which a command that rewrites the store is killed."""
 
+INDEXING = (
+    "driver os.mkdir TMPDIR/sierra-index-# 1",
+    "driver open TMPDIR/sierra-index-#/.# 1",
+    "driver fcntl.flock TMPDIR/sierra-index-#/.# 1",
+    "driver os.rename TMPDIR/sierra-index-#/.sierra-scratch 1",
+    "driver open TMPDIR/sierra-index-#/index 1",
+    "driver os.mkdir .sierra/index 1",
+    "driver open .sierra/index/.#-#-#.duckdb.#.# 1",
+    "driver os.rename .sierra/index/#-#-#.duckdb 1",
+    "driver os.remove .sierra/index/.#-#-#.duckdb.#.# 1",
+    "driver os.remove TMPDIR/sierra-index-#/index 1",
+    "driver os.rmdir TMPDIR/sierra-index-# 1",
+)
+"""Points of a process that builds an index, in their order; DuckDB writes it between the fifth and the sixth."""
+ACTIONS: tuple[Action, ...] = ("kill", "ENOSPC", "EIO", "EACCES", "interrupt")
+FAULTS_OF_BUILDERS: list[tuple[str, Action]] = [
+    ("driver os.rename .sierra/index/#-#-#.duckdb 1", "kill"),
+    *((point, ACTIONS[number % len(ACTIONS)]) for number, point in enumerate(INDEXING)),
+    *((point, "kill") for point in INDEXING[1::5]),
+]
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Use an own folder for temporary files."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+
 
 @pytest.fixture
 def wanted(tmp_path_factory: pytest.TempPathFactory) -> Wanted:
@@ -94,6 +124,13 @@ def test_a_refused_operation_loses_no_results(place: Place, wanted: Wanted, poin
 def test_a_kill_while_the_store_is_rewritten_loses_no_results(place: Place, wanted: Wanted, command: str, point: str) -> None:
     done = steps.fault_in_maintenance(place, wanted, (command, "--yes"), point, "kill")
     assert "not reached" not in done
+
+
+@pytest.mark.each_case
+@pytest.mark.usefixtures("temporary")
+@pytest.mark.parametrize(("point", "action"), [FAULTS_OF_BUILDERS[0], *at_night(FAULTS_OF_BUILDERS[1:])])
+def test_a_fault_of_a_builder_of_indexes_changes_nothing(place: Place, wanted: Wanted, point: str, action: Action) -> None:
+    assert "not reached" not in steps.fault_while_indexing(place, wanted, point, action)
 
 
 @pytest.mark.nightly

@@ -38,21 +38,29 @@ def sierra(
     action: Action = "kill",
     prefix: tuple[str, ...] = (),
     environment: Mapping[str, str] | None = None,
+    indexes: bool = False,
 ) -> Ended:
-    """Run `sierra WORDS` in a project, with an optional fault at `point`; `prefix` is a command such as faketime."""
+    """Run `sierra WORDS` in a project, with an optional fault at `point`; `prefix` is a command such as faketime.
+
+    `indexes`: build an index even for a few segments.
+    """
     with tempfile.TemporaryDirectory(prefix="sierra-soak-") as folder:
         struck = Path(folder, "struck")
-        setting = {"root": str(root), "point": point, "action": action, "struck": str(struck)}
-        faulty = {"PYTHONPATH": str(HOOK), "SIERRA_SOAK": json.dumps(setting)} if point else {}
+        setting = {**_watched(root, indexes=indexes), "point": point, "action": action, "struck": str(struck)}
+        faulty = {"PYTHONPATH": str(HOOK), "SIERRA_SOAK": json.dumps(setting)} if point or indexes else {}
         done = _call(root, words, {**faulty, **(environment or {})}, prefix)
         return Ended(words, done.returncode, done.stdout, done.stderr, struck.exists())
 
 
-def points(root: Path, *words: str) -> list[str]:
+def _watched(root: Path, *, indexes: bool) -> dict[str, object]:
+    return {"root": str(root), "temporary": tempfile.gettempdir(), "indexes": indexes}
+
+
+def points(root: Path, *words: str, indexes: bool = False) -> list[str]:
     """Return the points that `sierra WORDS` passes, in order."""
     with tempfile.TemporaryDirectory(prefix="sierra-soak-") as folder:
         log = Path(folder, "points")
-        setting = {"root": str(root), "log": str(log)}
+        setting = {**_watched(root, indexes=indexes), "log": str(log)}
         done = _call(root, words, {"PYTHONPATH": str(HOOK), "SIERRA_SOAK": json.dumps(setting)})
         assert done.returncode in (0, 1), done.stderr
         return log.read_text().splitlines() if log.exists() else []

@@ -53,9 +53,9 @@ def make(parent: Path, name: str = "plain") -> Path:
     return projects.make(parent / name / "p", simulator=SIMULATOR)
 
 
-def content(root: Path) -> dict[str, list[dict[str, Any]]]:
+def content(root: Path, store: Store | None = None) -> dict[str, list[dict[str, Any]]]:
     """Return the content of the store that does not depend on time, place and number of executions of the query."""
-    store = Store(root / ".sierra")
+    store = store or Store(root / ".sierra")
     return {name: store.rows(text) for name, text in CONTENT.items()}
 
 

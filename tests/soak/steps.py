@@ -10,6 +10,7 @@ import shutil
 import signal
 import string
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,6 +24,8 @@ from tests.soak.project import NAMES, QUERY, RAW, Differs, Wanted, check, conten
 from tests.soak.properties import EXAMPLES, PROPERTIES
 
 OTHER = ("run", "noise=0.5", "--no-figures")
+THIRD = ("run", "noise=0.25", "--runs", "1", "--no-figures")
+FOURTH = ("run", "noise=0.75", "--runs", "1", "--no-figures")
 CODES = (0, 1, 2, 3, 130)
 
 
@@ -126,6 +129,47 @@ def fault_in_maintenance(
         expect(sierra(root, "rm", batch_of(root, OTHER), "--yes"), 0)
         check(root, wanted)
     return f"{action} at {point!r} of {' '.join(called)}" + ("" if ended.struck else " (not reached)")
+
+
+def fault_while_indexing(place: Place, wanted: Wanted, point: str = "", action: Action | None = None) -> str:
+    """Execute a query whose process builds an index, with a fault in doing so: it matters to nothing else."""
+    root = place.recorded()
+    expect(sierra(root, *THIRD, indexes=True), 0)
+    point = point or place.chance.choice(indexing(place.folder.parent / "points"))
+    action = action or place.chance.choice(get_args(Action))
+    ended = sierra(root, *FOURTH, point=point, action=action, indexes=True)
+    codes = {"kill": (0, -signal.SIGKILL), "interrupt": (0, 130)}
+    expect(ended, *codes.get(action, (0,)))
+    told = f"{action} at {point!r}" + ("" if ended.struck else " (not reached)")
+    _compare_with_unindexed(root, told)
+    expect(sierra(root, "fsck"), 0, 1)
+    expect(sierra(root, "gc", "--yes", indexes=True), 0)
+    _compare_with_unindexed(root, told)
+    expect(sierra(root, "fsck"), 0)
+    for query in (OTHER, THIRD, FOURTH):
+        expect(sierra(root, "rm", batch_of(root, query), "--yes"), 0)
+    left = [*(root / ".sierra" / "index").iterdir(), *Path(tempfile.gettempdir()).glob("sierra-index-*")]
+    if left:
+        raise Differs(f"{told}: {left[0]} is left")
+    check(root, wanted)
+    return told
+
+
+@functools.cache
+def indexing(folder: Path) -> tuple[str, ...]:
+    """Return the points that a command passes while it builds an index on top of another one."""
+    root = make(folder, "points of indexes")
+    expect(sierra(root, *QUERY, indexes=True), 0)
+    return tuple(point for point in faults.points(root, *THIRD, indexes=True) if "index" in point)
+
+
+def _compare_with_unindexed(root: Path, told: str) -> None:
+    from sierra.store.store import Store
+
+    found, wanted = content(root), content(root, Store(root / ".sierra").unindexed())
+    for name, rows in wanted.items():
+        if found[name] != rows:
+            raise Differs(f"{told}: {name} with an index differ from those without it")
 
 
 def flipped_bit(place: Place, wanted: Wanted) -> str:
@@ -270,6 +314,7 @@ STEPS: tuple[Callable[[Place, Wanted], str], ...] = (
     fault_at_a_point,
     kill_at_a_time,
     fault_in_maintenance,
+    fault_while_indexing,
     flipped_bit,
     fuzzed_calls,
     fuzzed_settings,

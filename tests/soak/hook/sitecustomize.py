@@ -2,6 +2,7 @@
 
 Python reports every change to the file system, lock and started process as an audit event. A point is such an event, the
 path it concerns, and its number among equal ones: `driver os.rename .sierra/segments/# 1`. No code of SIERRA depends on this.
+Paths of the indexes that are being built, which are in the folder for temporary files, begin with TMPDIR.
 """
 
 import errno
@@ -14,12 +15,14 @@ import sys
 import threading
 
 EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate", "fcntl.flock")
+INDEX = "sierra-index-"
+RANDOM = re.compile(r"(?<=[.-])[a-z0-9_]{8}(?=$|[./])|[0-9a-f]{8,}|\d+")
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 def install(role, setting):
     """Watch this process; kill it, stop it or refuse the operation at the requested point."""
-    root, log = setting["root"] + "/", setting.get("log")
+    roots, log = (setting["root"] + "/", setting["temporary"] + "/"), setting.get("log")
     wanted, action = setting.get("point"), setting.get("action")
     counts, here = {}, threading.local()
 
@@ -28,7 +31,7 @@ def install(role, setting):
             return
         here.inside = True
         try:
-            name = _name(role, event, arguments, root)
+            name = _name(role, event, arguments, *roots)
             if name is None:
                 return
             counts[name] = counts.get(name, 0) + 1
@@ -44,8 +47,8 @@ def install(role, setting):
     sys.addaudithook(hook)
 
 
-def _name(role, event, arguments, root):
-    """Return the name of the point without its number; None for events outside the project."""
+def _name(role, event, arguments, root, temporary):
+    """Return the name of the point without its number; None for events outside the project and the temporary folder."""
     if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITES):
         return None
     path = arguments[1] if event == "os.rename" else arguments[0]
@@ -57,9 +60,13 @@ def _name(role, event, arguments, root):
         if not path.startswith("/"):  # a pipe or a socket
             return None
     path = os.path.abspath(os.fsdecode(path))
-    if not path.startswith(root):
+    if path.startswith(root):
+        path = path[len(root) :]
+    elif path.startswith(temporary + INDEX):
+        path = "TMPDIR/" + path[len(temporary) :]
+    else:
         return None
-    return "%s %s %s" % (role, event, re.sub(r"[0-9a-f]{8,}|\d+|(?<=\.)[a-z0-9_]{8}(?=$|\.)", "#", path[len(root) :]))
+    return "%s %s %s" % (role, event, RANDOM.sub("#", path))
 
 
 def _strike(action, struck, here):
@@ -74,6 +81,13 @@ def _strike(action, struck, here):
     else:
         number = getattr(errno, action)
         raise OSError(number, os.strerror(number))
+
+
+def _index_from(segments):
+    """Let this process build an index from so many segments on: the stores of these tests are small."""
+    from sierra.store import index_builder
+
+    index_builder.WORTH = segments
 
 
 def _watch_workers(setting):
@@ -97,3 +111,5 @@ if __name__ == "__main__":
 elif "SIERRA_SOAK" in os.environ and os.path.basename(getattr(sys, "orig_argv", ["", ""])[1:2][0]) == "sierra":
     install("driver", json.loads(os.environ["SIERRA_SOAK"]))
     _watch_workers(json.loads(os.environ["SIERRA_SOAK"]))
+    if json.loads(os.environ["SIERRA_SOAK"])["indexes"]:
+        _index_from(1)

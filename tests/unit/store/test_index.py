@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +15,7 @@ import duckdb
 import pytest
 
 import sierra
-from sierra.errors import Damaged
+from sierra.errors import Damaged, Missing, SqlError
 from sierra.store import connections, index_builder, index_files, segments, stored_results
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
@@ -46,9 +50,9 @@ def paths_of(root: Path) -> StorePaths:
     return StorePaths(root / ".sierra")
 
 
-def answers(root: Path) -> list[object]:
+def answers(root: Path, statements: Sequence[str] = STATEMENTS) -> list[object]:
     store = Store(root / ".sierra")
-    found: list[object] = [store.sql(statement).to_pylist() for statement in STATEMENTS]
+    found: list[object] = [store.sql(statement).to_pylist() for statement in statements]
     found.append(sorted(segment.name for segment in store.segments()))
     found.append(store.outputs())
     return found
@@ -107,13 +111,72 @@ def replace(path: Path) -> None:
     path.write_text("not an index\n")
 
 
-@pytest.mark.parametrize("damage", [flip, swap, shorten, replace])
+def of_other_format(path: Path) -> None:
+    path.rename(path.with_name("0" * 8 + path.name[8:]))
+
+
+def of_other_storage(path: Path) -> None:
+    """Write the number of a version of DuckDB's format that does not exist yet, in a file with the right name."""
+    content = bytearray(path.read_bytes())
+    content[12:20] = (998).to_bytes(8, "little")
+    named_anew(path, bytes(content))
+
+
+def named_anew(path: Path, content: bytes) -> Path:
+    """Replace an index by one of this content, whose name tells its hash."""
+    path.unlink()
+    return index_files.publish(StorePaths(path.parents[1]), index_files.segments_of(path), content)
+
+
+def link_elsewhere(path: Path) -> None:
+    path.rename(path.parents[2] / "moved")
+    path.symlink_to(path.parents[2] / "moved")
+
+
+def link_nowhere(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("nowhere")
+
+
+def folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def file_for_folder(path: Path) -> None:
+    shutil.rmtree(path.parent)
+    path.parent.write_text("no folder\n")
+
+
+def link_for_folder(path: Path) -> None:
+    path.parent.rename(path.parents[2] / "moved")
+    path.parent.symlink_to(path.parents[2] / "moved")
+
+
+DAMAGES = (
+    *(flip, swap, shorten, replace, of_other_format, of_other_storage, link_elsewhere, link_nowhere, folder, pipe, empty),
+    *(file_for_folder, link_for_folder),
+)
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_index_is_not_used(project: Path, damage: Callable[[Path], None]) -> None:
-    without = answers(project)
+    without = answers(project, STATEMENTS[::6])
     path = index_builder.build(paths_of(project))
     assert path is not None
     damage(path)
-    assert answers(project) == without
+    assert answers(project, STATEMENTS[::6]) == without
 
 
 def test_an_index_of_another_store_changes_no_answer(project: Path, tmp_path: Path) -> None:
@@ -125,6 +188,49 @@ def test_an_index_of_another_store_changes_no_answer(project: Path, tmp_path: Pa
     (project / ".sierra" / "index").mkdir()
     shutil.copy(path, project / ".sierra" / "index")
     assert answers(project) == without
+
+
+LISTINGS = (
+    *("SELECT count(*) FROM sqlite_master", "SELECT * FROM pg_catalog.pg_tables", "SELECT count(*) FROM pg_class"),
+    *("SHOW DATABASES", "SHOW SCHEMAS", "SHOW", "DESCRIBE", "-- all\nSHOW", "SELECT name FROM (SHOW)"),
+)
+
+
+@pytest.mark.integration
+@pytest.mark.each_case
+@pytest.mark.parametrize("statement", LISTINGS)
+def test_no_list_of_tables_shows_the_index(project: Path, statement: str) -> None:
+    store = Store(project / ".sierra")
+    without = store.sql(statement).to_pylist()
+    assert index_builder.build(store.paths) is not None
+    assert store.sql(statement).to_pylist() == without
+
+
+@pytest.mark.integration
+def test_messages_about_wrong_statements_do_not_name_the_index(project: Path) -> None:
+    assert index_builder.build(paths_of(project)) is not None
+    for name in ("segment", "outputs", "experiments_1", "stored_effectiv"):
+        with pytest.raises(SqlError, match=f"Table with name {name} does not exist") as raised:
+            Store(project / ".sierra").sql(f"SELECT * FROM {name}")
+        assert "index_" not in str(raised.value)
+
+
+@pytest.mark.integration
+def test_a_table_that_cannot_be_read_is_read_from_the_segments(project: Path) -> None:
+    """An index whose name tells its hash may have been damaged before it was hashed."""
+    without = answers(project)
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    whole = path.read_bytes()
+    broken = 0
+    for block in range((len(whole) - 12288) // 16384):
+        content = bytearray(whole)
+        content[12288 + block * 16384 + 5000] ^= 1
+        path = named_anew(path, bytes(content)) if path.exists() else index_files.publish(paths_of(project), 12, bytes(content))
+        statement = STATEMENTS[block % len(STATEMENTS)]
+        assert Store(project / ".sierra").sql(statement).to_pylist() == without[block % len(STATEMENTS)]
+        broken += not path.exists()
+    assert broken
 
 
 def test_what_is_removed_is_in_no_index(project: Path) -> None:
@@ -212,6 +318,153 @@ def test_a_damaged_segment_that_replaces_others_is_looked_at_by_each_reader(proj
         answers(project)
     opened.repair()
     assert answers(project) == unindexed(project)
+
+
+REMOVED = "noise=0.5"
+"""The query of a batch whose segments hold nothing of other batches."""
+
+
+def last_batch(root: Path) -> str:
+    [batch] = [one.batch for one in sierra.open(root).batches if one.query == REMOVED]
+    return batch
+
+
+def of_batch(root: Path, batch: str) -> list[Path]:
+    """Return the files below the folder of indexes with the id of a batch, and the indexes with rows of its segments."""
+    found = []
+    for path in (root / ".sierra" / "index").rglob("*"):
+        if path.is_file() and (batch.encode() in path.read_bytes() or batch[:12].encode() in path.read_bytes()):
+            found.append(path)
+    return found
+
+
+@pytest.mark.integration
+def test_a_removal_that_dies_leaves_no_rows_in_an_index(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever it has done last, the next gc completes it."""
+    opened, batch = sierra.open(project), last_batch(project)
+    assert index_builder.build(paths_of(project)) is not None
+    for step in ("sierra.store.compaction.sync", "sierra.store.index_files.remove_all"):
+        root = stores.copy(project, project.with_name(step))
+        with monkeypatch.context() as patch:
+            patch.setattr(step, lambda *_: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                sierra.open(root).remove(batch)
+        sierra.open(root).collect()
+        assert of_batch(root, batch) == []
+    assert of_batch(project, batch)
+    assert opened.fsck().sound
+
+
+@pytest.mark.integration
+def test_an_index_without_segments_that_somebody_has_deleted_is_built_from_nothing(project: Path) -> None:
+    batch = last_batch(project)
+    assert index_builder.build(paths_of(project)) is not None
+    for path in (project / ".sierra" / "segments").glob(f"{batch[:12]}-*"):
+        shutil.rmtree(path)
+    for query in ("population_size=7", "population_size=8"):
+        sierra.open(project).run(query, runs=1, figures=False)
+    assert index_builder.build(paths_of(project)) is not None
+    assert of_batch(project, batch) == []
+
+
+@pytest.mark.integration
+def test_segments_that_a_repair_puts_aside_are_in_no_index(project: Path) -> None:
+    batch = last_batch(project)
+    assert index_builder.build(paths_of(project)) is not None
+    for path in (project / ".sierra" / "segments").glob(f"{batch[:12]}-*/executions.parquet"):
+        flip(path)
+    sierra.open(project).repair()
+    assert not index_files.published(paths_of(project).index)
+
+
+@pytest.mark.integration
+def test_an_index_of_another_store_does_not_keep_this_one_from_having_its_own(project: Path, tmp_path: Path) -> None:
+    other = stores.copy(project, tmp_path / "other")
+    sierra.open(other).run("population_size=9", runs=1, figures=False)
+    theirs = index_builder.build(paths_of(other))
+    assert theirs is not None
+    (project / ".sierra" / "index").mkdir()
+    copied = Path(shutil.copy(theirs, project / ".sierra" / "index"))
+    own = index_builder.build(paths_of(project))
+    assert own is not None
+    assert own.exists()
+    assert not copied.exists()
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert (snapshot.listing.rest, snapshot.listing.without) == ([], frozenset())
+
+
+@pytest.mark.integration
+def test_removing_needs_no_index_and_takes_what_a_killed_builder_has_left(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = project.with_name("temporary")
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    killed = f"import os\nfrom pathlib import Path\nfrom sierra.store import index_builder, index_files\n{KILLED}"
+    subprocess.run(
+        [sys.executable, "-c", killed, project / ".sierra"], env={**os.environ, "TMPDIR": str(temporary)}, check=False
+    )
+    [left] = temporary.iterdir()
+    assert left.name.startswith(index_files.PREFIX)
+    batch = last_batch(project)
+    index = project / ".sierra" / "index"
+    index.write_text("no folder\n")
+    sierra.open(project).remove(batch)
+    assert index.read_text() == "no folder\n"
+    assert not left.exists()
+
+
+KILLED = """
+import signal, sys
+from sierra.store.layout import StorePaths
+index_files.publish = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+index_builder.build(StorePaths(Path(sys.argv[1])))
+"""
+
+
+@pytest.mark.integration
+def test_a_folder_in_the_place_of_an_index_stops_neither_removing_nor_gc(project: Path) -> None:
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    strange = path.with_name(f"{path.name[:9]}{'9' * 9}-{'0' * 16}.duckdb")
+    strange.mkdir()
+    flip(path)
+    sierra.open(project).collect()
+    assert not path.exists()
+    sierra.open(project).remove(last_batch(project))
+    assert strange.exists()
+    sierra.open(project).repair()
+    assert not strange.exists()
+    assert sierra.open(project).fsck().sound
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("error", [Missing("too many open files"), Damaged("a file"), MemoryError(), OSError(5, "I/O error")])
+def test_what_a_builder_lacks_does_not_matter_to_a_command(
+    project: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> bool:
+        raise error
+
+    monkeypatch.setattr(index_builder, "WORTH", 1)
+    monkeypatch.setattr(index_builder, "_is_sound", fail)
+    assert sierra.open(project).run("population_size=7", runs=1, figures=False).executed == 1
+    assert not index_files.published(paths_of(project).index)
+
+
+@pytest.mark.integration
+def test_a_large_index_that_has_changed_since_it_was_read_is_not_read_again(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is too large for a copy in memory is read from its file."""
+    monkeypatch.setattr(index_files, "IN_MEMORY", 0)
+    path = index_builder.build(paths_of(project))
+    assert path is not None
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.listing.rest == []
+    flip(path)
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.listing.facts is None
 
 
 MIXED = """\
