@@ -30,7 +30,7 @@ def visible(text: str) -> str:
 
     Terminal, pages and figures show texts of others in this way: no character is lost, and letters of all scripts stay.
     """
-    if all(line.isprintable() for line in text.split("\n")):
+    if text.isprintable() or all(line.isprintable() for line in text.split("\n")):
         return text
     return _steering().sub(lambda found: escape(found[0]), text)
 
