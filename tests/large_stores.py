@@ -74,6 +74,8 @@ class _Original(NamedTuple):
 def multiply(root: Path, batch: str, count: int, *, first: int = 1, segments: int | None = None) -> None:
     """Add so many copies of a batch to a project, each with other seeds, as if it had been executed so often.
 
+    The batch should not be the first of its project, with which alone the store keeps the source.
+
     All ids follow from the records, as `sierra fsck` demands. `first`: the number of the first copy, for a project that has
     some. `segments`: the most segments to add, for a copy that looks unfinished.
 
