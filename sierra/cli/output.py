@@ -155,7 +155,7 @@ def cell(value: object, digits: int = DIGITS) -> str:
         case float():
             return short_number(value, digits)
         case datetime():
-            return value.strftime("%Y-%m-%d %H:%M:%S")
+            return value.replace(microsecond=0, tzinfo=None).isoformat(" ")
         case _:
             return safe(" ".join(str(value).split("\n")))
 

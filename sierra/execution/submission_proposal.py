@@ -47,9 +47,7 @@ def proposal(
     would follow the jobs. `runs`: only these runs are submitted. Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
-    wanted = forecast(plan, store, runs).to_execute
-    count = len(wanted)
-    if found is None or not count:
+    if found is None or not (wanted := forecast(plan, store, runs).to_execute):
         return None
     scheduler, table = found
     wrote = _wrote(plan, store) if store else None
@@ -58,7 +56,7 @@ def proposal(
         scheduler,
         table,
         StorePaths(ProjectPaths(plan.project.root).store).work,
-        count=count,
+        count=len(wanted),
         times=expected_durations.expected(plan, store, wanted),
         each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
         beside=_code(plan),

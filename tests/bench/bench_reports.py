@@ -26,7 +26,7 @@ def main() -> None:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     with tempfile.TemporaryDirectory(prefix="sierra-bench-") as folder:
         example(Path(folder))
-        many_batches(Path(folder))
+        list_of_many(Path(folder))
 
 
 def example(folder: Path) -> None:
@@ -45,13 +45,11 @@ def example(folder: Path) -> None:
         print(f"{' '.join(('package of the example', *words)):36} {cpu:6.2f} s CPU  {seconds:6.2f} s", flush=True)
 
 
-def many_batches(folder: Path) -> None:
-    from run import fill
-
-    from sierra.store.store import Store
+def list_of_many(folder: Path) -> None:
+    from tests.support import many_batches
 
     here = project(folder / "many")
-    fill(Store.create(here / ".sierra"), batches=10_000, runs=2)
+    many_batches.make(here, 10_000)
     page = folder / "all.html"
     say("list of 10,000 batches", here, page, "under 1 MB", "--all")
     opened(page, "under 1 s")

@@ -25,11 +25,14 @@ def project(folder: Path, more: str = "", *, command: str = "/bin/true {input}")
     return folder
 
 
-def measured(here: Path, *words: str) -> tuple[float, float, int]:
-    """Execute a command in a folder; return the seconds, the CPU seconds, and the largest memory in bytes."""
+def measured(here: Path, *words: str, code: int = 0) -> tuple[float, float, int]:
+    """Execute a command in a folder; return the seconds, the CPU seconds, and the largest memory in bytes.
+
+    `code`: its exit code.
+    """
     began = time.perf_counter()
     process = subprocess.Popen(words, cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0, f"{words} fails"
+    assert process.returncode == code, f"{words} fails"
     return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024

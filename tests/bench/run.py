@@ -25,10 +25,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from idle import project
 
@@ -439,72 +437,15 @@ def cpu_seconds(what: Callable[[], None]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def listing(folder: Path) -> None:
-    """Measure `sierra ls` with 1,000 batches and 1,000,000 runs."""
-    from sierra.store.store import Store
-
-    here = project(folder / "project")
-    store = Store.create(here / ".sierra")
-    fill(store, batches=1000, runs=1000)
-    counting = (
-        f"import duckdb, glob; s = '{store.paths.segments}'; "
-        "f, g = glob.glob(s + '/*/batches.parquet'), glob.glob(s + '/*/sessions.parquet'); "
-        "duckdb.connect().execute('SELECT count(*) FROM read_parquet($f) b LEFT JOIN read_parquet($g) s USING (batch)', "
-        "{'f': f, 'g': g}).fetchall()"
-    )
-    say(
-        "sierra ls, 1,000 batches, 1,000,000 runs / DuckDB alone",
-        *in_turn(5, lambda: quietly(SIERRA, "ls", cwd=here), lambda: quietly(sys.executable, "-c", counting)),
-        "under 1 s",
-    )
-    text = "SELECT status, count(*) FROM executions GROUP BY ALL"
-    other = (
-        f"import duckdb, glob; f = glob.glob('{store.paths.segments}/*/executions.parquet'); "
-        "duckdb.connect().execute('SELECT status, count(*) FROM read_parquet($f) GROUP BY ALL', {'f': f}).fetchall()"
-    )
-    say(
-        "sierra sql, counting 1,000,000 executions / DuckDB alone",
-        *in_turn(5, lambda: quietly(SIERRA, "sql", text, cwd=here), lambda: quietly(sys.executable, "-c", other)),
-        "bounded by DuckDB",
-    )
+def growth(folder: Path, *more: str) -> None:
+    """Compare commands in stores of 10 and of 1,000 batches, in a separate process."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_growth.py"), *more], check=True)
 
 
-def blank(kind: type[NamedTuple], now: datetime, **given: object) -> NamedTuple:
-    """Return a record with these values; the others are empty, 0 or `now`."""
-    empty = {str: "", int: 0, bool: False, list[str]: [], datetime: now}
-    columns = {name: hint.__origin__ for name, hint in kind.__annotations__.items()}
-    return kind(**{name: given.get(name, empty.get(column)) for name, column in columns.items()})
-
-
-def fill(store: object, *, batches: int, runs: int) -> None:
-    """Write records of batches without execution, in the form of `sierra run`."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from sierra.store.row_types import BatchRow, SessionRow
-    from sierra.store.schema import arrow_schema
-    from sierra.store.store import Store
-    from sierra.util.hashing import sha256
-
-    assert isinstance(store, Store)
-    now = datetime.now(UTC)
-    template = {name: pa.nulls(runs, field) for name, field in zip(*schema_of("executions"), strict=True)}
-    for batch in range(batches):
-        identity = sha256(str(batch).encode())
-        ids = [sha256(f"{batch}.{run}".encode()) for run in range(runs)]
-        writer = store.writer(store.paths.work / "bench", identity)
-        own = {"batch": identity, "query": "population_size.Log8", "lamport": batch, "runs": runs}
-        writer.records([blank(BatchRow, now, **own, axes=["population_size"])])
-        writer.records([blank(SessionRow, now, **own, session=identity)])
-        point = {"experiment": [identity], "batch": [identity], "ordinal": [0], "population_size": [1]}
-        pq.write_table(pa.table(point), writer.path("experiments"))
-        members = {"batch": [identity] * runs, "ordinal": [0] * runs, "number": range(runs), "run": ids, "seed": range(runs)}
-        members |= {"input": ids, "other_inputs": [[]] * runs, "spec": [identity] * runs}
-        listed = {name: list(values) for name, values in members.items()}
-        pq.write_table(pa.table(listed, arrow_schema("batch_runs")), writer.path("batch_runs"))
-        executions = {**template, "execution": pa.array(ids), "run": pa.array(ids), "status": pa.array(["ok"] * runs)}
-        pq.write_table(pa.table(executions, arrow_schema("executions")), writer.path("executions"))
-        store.publish(writer)
+def large_growth(folder: Path) -> None:
+    """Measure commands in stores of 100,000 and of 1,000,000 runs."""
+    growth(folder, "--slow")
 
 
 def snapshot(folder: Path) -> None:
@@ -665,14 +606,6 @@ def large_clusters(folder: Path) -> None:
     clusters(folder, "--slow")
 
 
-def schema_of(table: str) -> tuple[list[str], list[object]]:
-    """Return the columns of a recorded table and their types."""
-    from sierra.store.schema import arrow_schema
-
-    schema = arrow_schema(table)
-    return list(schema.names), list(schema.types)
-
-
 BENCHES: dict[str, Callable[[Path], None]] = {
     "start": start,
     "runs": runs,
@@ -685,7 +618,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "recording": recording,
     "tick_files": tick_files,
     "bags": bags,
-    "listing": listing,
+    "growth": growth,
     "snapshot": snapshot,
     "fsck": fsck,
     "packages": packages,
@@ -700,8 +633,9 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "links": links,
     "many": many,
     "large_clusters": large_clusters,
+    "large_growth": large_growth,
 }
-SLOW = ("many", "large_clusters", "large_drawing")
+SLOW = ("many", "large_clusters", "large_drawing", "large_growth")
 
 if __name__ == "__main__":
     main()
