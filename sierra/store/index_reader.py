@@ -171,6 +171,12 @@ class Index:
             found |= {name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")}
         return sorted(found)
 
+    def first_holding(self, digests: Iterable[str]) -> list[str]:
+        """Return the names of the first indexed segments that hold these contents: one for each part."""
+        wanted = ", ".join(map(quote, digests)) or "NULL"
+        of = f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted})) JOIN {DATABASE}.segments s USING (seg){self._current}"
+        return [name for (name,) in self._fetch(f"SELECT DISTINCT min(s.name) FROM {of} GROUP BY sha256, part ORDER BY ALL")]
+
     def holding(self, digests: Iterable[str]) -> list[str]:
         """Return the names of the indexed segments that hold contents with these SHA-256s."""
         wanted = ", ".join(map(quote, digests)) or "NULL"

@@ -429,8 +429,8 @@ class Views:
         return " UNION ALL ".join(parts) or f"SELECT {', '.join(f'NULL::{c.type} AS {c.name}' for c in columns)} WHERE false"
 
     def contents(self, digests: Iterable[str]) -> str:
-        """Return the relation of `objects` in the files that may have contents with these SHA-256s."""
-        names = set(self._index.holding(digests)) if self._index else set()
+        """Return the relation of `objects` in files that have all contents with these SHA-256s."""
+        names = self._index.first_holding(digests) if self._index else []
         files = [*self._files.get("objects", ()), *(f"{self._listing.folders[0]}/{name}/objects.parquet" for name in names)]
         if files:
             return read_parquet(sorted(files, key=segment_of))
