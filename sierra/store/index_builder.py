@@ -3,6 +3,8 @@
     segments(seg, name, ignored, replaces, after)   the segments, by number; those that are ignored have no rows
     replaced(name)                                  the segments that these replace
     TABLE(seg, …)                                   the rows of a table of records; of `objects`, all columns but the contents
+    TABLE(file_number, …)                           the same for tables of which many segments have equal files, once for each
+    equal_files(file_number, sha256), equal_file_of(seg, file_number)   these files, and the segments that have them
     stored_<name>                                   results of the rows above: `effective`, `points`, `runs`, `counted`
     experiments_<n>(seg, …), experiment_sets        the rows of `experiments` with equal columns, and these columns
     outputs(seg, output, file, columns)             the files of outputs
@@ -34,7 +36,7 @@ from sierra.errors import Damaged, SierraError
 from sierra.store import index_files
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
-from sierra.store.index_reader import DATABASE, EXPERIMENTS, STORED, Index, read_facts
+from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, STORED, Index, read_facts
 from sierra.store.layout import StorePaths
 from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
@@ -43,7 +45,7 @@ from sierra.store.segments import Segment, marked, names_in, out_of_date
 from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import read_columns, relation
-from sierra.store.verified_files import are_sound
+from sierra.store.verified_files import are_sound, recorded_hashes
 from sierra.store.views import Views, segment_of
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import scratch
@@ -64,6 +66,8 @@ TABLES = {
     "outputs": "seg INTEGER, output VARCHAR, file VARCHAR, columns INTEGER",
     "column_sets": "number INTEGER, columns VARCHAR",
     "answers": "seg INTEGER, output VARCHAR, file VARCHAR, question VARCHAR, value INTEGER",
+    "equal_files": "file_number INTEGER, sha256 VARCHAR",
+    "equal_file_of": "seg INTEGER, file_number INTEGER",
     "experiment_sets": "number INTEGER, columns VARCHAR",
     "base": "segments INTEGER",
 }
@@ -164,7 +168,8 @@ class _Building:
             if table != EXPERIMENTS:
                 kept = [column for column in recorded.columns if column.type != "BLOB"]
                 columns = ", ".join(f"{identifier(column.name)} {column.type}" for column in kept)
-                self._connection.execute(f"CREATE TABLE {DATABASE}.{table} (seg INTEGER, {columns})")
+                key = "file_number" if table in EQUAL else "seg"
+                self._connection.execute(f"CREATE TABLE {DATABASE}.{table} ({key} INTEGER, {columns})")
         self._connection.execute(f"INSERT INTO {DATABASE}.base VALUES ({segments})")
 
     def add(self, worth: int) -> bool:
@@ -251,6 +256,9 @@ class _Building:
             if table != "segments":
                 self._connection.execute(f"DELETE FROM {DATABASE}.{table} WHERE seg IN ({numbers})")
         self._connection.execute(f"UPDATE {DATABASE}.segments SET ignored = true WHERE seg IN ({numbers})")
+        for table in ("equal_files", *EQUAL):
+            used = f"SELECT file_number FROM {DATABASE}.equal_file_of"
+            self._connection.execute(f"DELETE FROM {DATABASE}.{table} WHERE file_number NOT IN ({used})")
 
     def _insert(self, table: str, rows: Iterable[tuple[object, ...]]) -> None:
         columns = [list(column) for column in zip(*rows, strict=True)]
@@ -259,39 +267,67 @@ class _Building:
             self._connection.execute(f"INSERT INTO {DATABASE}.{table} SELECT {values}", columns)
 
     def _add_rows(self, segments: Sequence[Segment], numbers: Mapping[str, int]) -> None:
-        self._connection.execute("CREATE OR REPLACE TEMP TABLE numbers (segment VARCHAR, seg INTEGER)")
-        self._connection.execute("INSERT INTO numbers SELECT unnest(?), unnest(?)", [list(numbers), list(numbers.values())])
         files: dict[str, list[str]] = {}
         for segment in segments:
             for name, path in segment.files.items():
                 files.setdefault(name, []).append(path)
+        new = self._add_equal([path for name in EQUAL for path in files.get(name, ())], numbers)
+        for name in EQUAL:
+            if theirs := {path: new[path] for path in files.pop(name, ()) if path in new}:
+                self._copy_rows(name, theirs)
         for name, paths in files.items():
+            own = {path: numbers[segment_of(path)] for path in paths}
             if name == EXPERIMENTS:
-                self._add_experiments(paths)
+                self._add_experiments(own)
             elif name in RECORDED:
-                schema = {column.name: column.type for column in RECORDED[name].columns} if name in LATER else None
-                kept = ", ".join(identifier(column.name) for column in RECORDED[name].columns if column.type != "BLOB")
-                source = read_parquet(paths, filename=True, schema=schema, check=False)
-                self._connection.execute(
-                    f"INSERT INTO {DATABASE}.{name} SELECT n.seg, {kept} FROM {source} f "
-                    f"JOIN numbers n ON n.segment = split_part(f.filename, '/', -2) ORDER BY n.seg"
-                )
+                self._copy_rows(name, own)
         self._add_outputs(segments, numbers)
 
-    def _add_experiments(self, paths: Sequence[str]) -> None:
+    def _add_equal(self, paths: Sequence[str], numbers: Mapping[str, int]) -> dict[str, int]:
+        """Note which segments have equal files. Return the files whose rows the index does not have yet, with their numbers."""
+        known = {digest: number for number, digest in self._fetch(f"FROM {DATABASE}.equal_files")}
+        hashes = {segment: recorded_hashes(self._folder / segment) for segment in {*map(segment_of, paths)}}
+        first = max(known.values(), default=0) + 1
+        new: dict[str, int] = {}
+        links: list[tuple[object, ...]] = []
+        for path in paths:
+            digest = hashes[segment_of(path)][Path(path).name]
+            if digest not in known:
+                known[digest] = new[path] = first + len(new)
+            links.append((numbers[segment_of(path)], known[digest]))
+        self._insert("equal_files", [(number, digest) for digest, number in known.items() if number >= first])
+        self._insert("equal_file_of", links)
+        return new
+
+    def _copy_rows(self, table: str, numbers: Mapping[str, int]) -> None:
+        """Add the rows of files of a table, each with the number of its file."""
+        schema = {column.name: column.type for column in RECORDED[table].columns} if table in LATER else None
+        kept = ", ".join(f"f.{identifier(column.name)}" for column in RECORDED[table].columns if column.type != "BLOB")
+        source = read_parquet(list(numbers), filename=True, schema=schema, check=False)
+        self._connection.execute(
+            f"INSERT INTO {DATABASE}.{table} SELECT n.number, {kept} FROM {self._numbered(source, numbers)}"
+        )
+
+    def _numbered(self, source: str, numbers: Mapping[str, int]) -> str:
+        """Return the relation of the rows of files with the numbers of these, n.number, in this order."""
+        self._connection.execute("CREATE OR REPLACE TEMP TABLE numbers (file VARCHAR, number INTEGER)")
+        files = [steady(file) for file in numbers]
+        self._connection.execute("INSERT INTO numbers SELECT unnest(?), unnest(?)", [files, list(numbers.values())])
+        return f"{source} f JOIN numbers n ON n.file = f.filename ORDER BY n.number"
+
+    def _add_experiments(self, numbers: Mapping[str, int]) -> None:
         """Add the rows of `experiments`, those with equal columns to one table."""
         sets = {columns: number for number, columns in self._fetch(f"FROM {DATABASE}.experiment_sets")}
-        for files, types in read_columns(self._fetch, paths):
+        for files, types in read_columns(self._fetch, list(numbers)):
             columns = json.dumps(list(types.items()))
-            source = f"{read_parquet(files, filename=True, check=False)} f"
-            rows = (
-                f"SELECT n.seg, f.* EXCLUDE filename FROM {source} JOIN numbers n ON n.segment = split_part(filename, '/', -2)"
-            )
+            source = read_parquet(files, filename=True, check=False)
+            numbered = self._numbered(source, {file: numbers[file] for file in files})
+            rows = f"SELECT n.number AS seg, f.* EXCLUDE filename FROM {numbered}"
             if columns in sets:
-                self._connection.execute(f"INSERT INTO {DATABASE}.{EXPERIMENTS}_{sets[columns]} {rows} ORDER BY n.seg")
+                self._connection.execute(f"INSERT INTO {DATABASE}.{EXPERIMENTS}_{sets[columns]} {rows}")
                 continue
             sets[columns] = number = len(sets) + 1
-            self._connection.execute(f"CREATE TABLE {DATABASE}.{EXPERIMENTS}_{number} AS {rows} ORDER BY n.seg")
+            self._connection.execute(f"CREATE TABLE {DATABASE}.{EXPERIMENTS}_{number} AS {rows}")
             self._insert("experiment_sets", [(number, columns)])
 
     def _add_outputs(self, segments: Iterable[Segment], numbers: Mapping[str, int]) -> None:

@@ -9,7 +9,7 @@ import duckdb
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
 from sierra.store.index_files import IndexFile
-from sierra.store.index_reader import DATABASE, EXPERIMENTS, STORED, Fetch, Index, attach, facts_of
+from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, STORED, Fetch, Index, attach, facts_of
 from sierra.store.listing import Listing
 from sierra.store.schema import LATER, RECORDED
 from sierra.store.segments import Segment
@@ -82,8 +82,11 @@ def _differs(connection: duckdb.DuckDBPyConnection, table: str, segments: Mappin
         sets = connection.execute(f"SELECT number FROM {DATABASE}.experiment_sets").fetchall()
         sources = [f"{DATABASE}.{EXPERIMENTS}_{number}" for (number,) in sets]
     theirs = f"WHERE seg IN ({', '.join(map(str, segments)) or 'NULL'})"
-    held = " UNION ALL ".join(f"SELECT {shown} FROM {source} {theirs}" for source in sources)
-    return _sum(connection, held) != _sum(connection, _written(table, shown, list(segments.values())))
+    distinct = "DISTINCT " * (table in EQUAL)
+    if table in EQUAL:
+        theirs = f"WHERE file_number IN (SELECT file_number FROM {DATABASE}.equal_file_of {theirs})"
+    held = " UNION ALL ".join(f"SELECT {distinct}{shown} FROM {source} {theirs}" for source in sources)
+    return _sum(connection, held) != _sum(connection, _written(table, f"{distinct}{shown}", list(segments.values())))
 
 
 def _sum(connection: duckdb.DuckDBPyConnection, rows: str) -> object:

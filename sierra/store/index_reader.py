@@ -22,6 +22,11 @@ EXPERIMENTS = "experiments"
 """The beginning of the names of the tables of experiments: one for each set of axes, because axes of one name may differ."""
 STORED = "stored_"
 """The beginning of the names of tables of results: `stored_effective` and others."""
+EQUAL = (
+    *("blobs", "environments", "files_read", "images", "ingest_rules", "isolations", "listings", "programs", "shared_files"),
+    *("sources", "specs"),
+)
+"""Tables of which many segments have equal files. The index has the rows of such a file once."""
 CONTENT = ("objects",)
 """Tables whose contents stay in the segments; the index knows only where they are."""
 
@@ -92,7 +97,10 @@ class Index:
     def rows(self, table: str) -> str:
         """Return the relation of the indexed rows of a table, with all of its columns in order."""
         columns = ", ".join(identifier(column.name) for column in RECORDED[table].columns if column.type != "BLOB")
-        return f"(SELECT {columns} FROM {DATABASE}.{table}{self._current})"
+        current = self._current
+        if table in EQUAL and current:
+            current = f" WHERE file_number IN (SELECT file_number FROM {DATABASE}.equal_file_of{current})"
+        return f"(SELECT {columns} FROM {DATABASE}.{table}{current})"
 
     @cached_property
     def _current(self) -> str:

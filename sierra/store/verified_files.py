@@ -207,15 +207,20 @@ def _hashed(file: _File) -> list[int] | None:
 
 def _recorded(file: _File) -> str:
     """Return the SHA-256 that a file must have. Raises Damaged and OSError."""
-    path = Path(file.path).with_name(MANIFEST)
+    found = recorded_hashes(Path(file.path).parent)
+    if file.name not in found:
+        raise DamagedFile(f"{file.path} is not listed in the segment's MANIFEST ({_batch(file.path)}): run sierra fsck")
+    return found[file.name]
+
+
+def recorded_hashes(segment: Path) -> dict[str, str]:
+    """Return the SHA-256 that each file of a segment must have, by name. Raises Damaged and OSError."""
+    path = segment / MANIFEST
     text = read_regular(path)
-    if sha256(text)[:16] != file.segment.rpartition("-")[2]:
+    if sha256(text)[:16] != segment.name.rpartition("-")[2]:
         raise DamagedFile(changed(str(path)))
-    for line in text.decode("utf-8", "replace").splitlines():
-        digest, _, name = line.partition("  ")
-        if name == file.name:
-            return digest
-    raise DamagedFile(f"{file.path} is not listed in the segment's MANIFEST ({_batch(file.path)}): run sierra fsck")
+    lines = (line.partition("  ") for line in text.decode("utf-8", "replace").splitlines())
+    return {name: digest for digest, _, name in lines}
 
 
 def _save(store: str) -> None:
