@@ -14,6 +14,7 @@ from sierra.store import index_builder, index_files, index_reader
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
+from tests import stores
 from tests.projects import quick
 from tests.support import varied_store
 
@@ -58,7 +59,7 @@ def answers(root: Path, statements: Sequence[str] = STATEMENTS) -> list[object]:
 
 
 def said(root: Path) -> list[object]:
-    """Return what commands that read the store say, and the files that they draw."""
+    """Return what commands that read the store say."""
     forget()
     store = Store(root / ".sierra")
     first, second, *_, last = store.values(str, "SELECT batch FROM batches ORDER BY lamport")
@@ -76,16 +77,23 @@ def said(root: Path) -> list[object]:
         ("sql", "SELECT population_size, kind, kind_text, count(*) FROM swarm GROUP BY ALL ORDER BY ALL"),
         ("sql", "SELECT no_column FROM runs"),
         ("run", *varied_store.QUERIES[3], "-n"),
-        ("figures", last),
     ]
     found: list[object] = []
     for words in commands:
         done = quick(root, *words)
         found.append((words, done.returncode, done.stdout, done.stderr))
-    drawn = root / "figures"
-    found += [(str(path.relative_to(drawn)), path.read_bytes()) for path in sorted(drawn.rglob("*.*")) if path.is_file()]
-    shutil.rmtree(drawn)
     return found
+
+
+def drawn(root: Path, commands: int) -> dict[str, bytes]:
+    """Draw figures, and a report if there are two commands; return all files of them."""
+    forget()
+    first, *_, last = Store(root / ".sierra").values(str, "SELECT batch FROM batches ORDER BY lamport")
+    for words in (("figures", first), ("report", last))[:commands]:
+        done = quick(root, *words)
+        assert done.returncode == 0, done.stderr
+    files = (path for path in (root / "figures").rglob("*") if path.is_file())
+    return {str(path.relative_to(root)): path.read_bytes() for path in files}
 
 
 @pytest.fixture(scope="module")
@@ -116,15 +124,27 @@ def test_answers_are_the_same_with_an_index_of_all_segments(made: Made) -> None:
         assert (snapshot.listing.rest, snapshot.listing.without) == ([], frozenset())
 
 
-def test_commands_say_and_draw_the_same_with_an_index(made: Made) -> None:
+def test_commands_say_the_same_with_an_index(made: Made) -> None:
     assert index_builder.build(paths_of(made.root)) is not None
     assert said(made.root) == made.said
 
 
-def test_commands_say_and_draw_the_same_with_an_old_index(made: Made) -> None:
+@pytest.mark.nightly
+def test_commands_say_the_same_with_an_old_index(made: Made) -> None:
     """It names segments that have been replaced since, and some that are gone."""
     use(made, -3)
     assert said(made.root) == made.said
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize("commands", [1, pytest.param(2, marks=pytest.mark.nightly)])
+def test_figures_and_reports_have_the_same_bytes_with_an_index(made: Made, tmp_path: Path, commands: int) -> None:
+    indexed, without = (stores.copy(made.root, tmp_path / name / "project") for name in ("indexed", "without"))
+    assert index_builder.build(paths_of(indexed)) is not None
+    found, wanted = drawn(indexed, commands), drawn(without, commands)
+    assert found.keys() == wanted.keys()
+    assert [name for name in wanted if found[name] != wanted[name]] == []
+    assert len(wanted) > 10
 
 
 def use(made: Made, number: int) -> None:
@@ -151,7 +171,7 @@ def test_rows_of_a_removed_batch_are_in_no_index_that_is_built_later(made: Made)
     word = varied_store.REMOVED.encode()
     assert any(word in path.read_bytes() for path in made.indexes)
     use(made, -3)
-    path = index_builder.build(paths_of(made.root))
+    path = index_builder.build(paths_of(made.root), 0)
     assert path is not None
     assert word not in path.read_bytes()
     assert [path] == list(paths_of(made.root).index.iterdir())
