@@ -32,8 +32,8 @@ _facts: dict[Path, Facts] = {}
 
 
 def attach(index: IndexFile) -> str:
-    """Return the statement that attaches an index to a connection."""
-    return f"ATTACH {quote(index.readable)} AS {DATABASE} (TYPE duckdb, READ_ONLY)"
+    """Return the statement that attaches an index to a connection. It names the index, because descriptors are used again."""
+    return f"ATTACH {quote(index.readable)} AS {DATABASE} (TYPE duckdb, READ_ONLY)  -- {index.path.name}"
 
 
 def facts_of(index: IndexFile, fetch: Fetch) -> Facts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import subprocess
@@ -441,3 +442,25 @@ def test_a_large_index_that_has_changed_since_it_was_read_is_not_read_again(
     flip(path)
     with Store(project / ".sierra").snapshot() as snapshot:
         assert snapshot.listing.facts is None
+
+
+def copies_in_memory() -> set[int]:
+    found = set()
+    for path in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if "memfd:sierra-index" in str(path.readlink()):
+                found.add(path.stat().st_ino)
+    return found
+
+
+@pytest.mark.integration
+def test_indexes_that_nobody_uses_any_more_are_not_kept_in_memory(project: Path) -> None:
+    """A process may run for weeks, and each new index is another copy."""
+    index_files._held.clear()
+    before = copies_in_memory()
+    for number in range(4):
+        assert index_builder.build(paths_of(project)) is not None
+        assert len(answers(project, STATEMENTS[:3])) == 5
+        sierra.open(project).run(f"population_size={number + 5}", runs=1, figures=False)
+        assert not sierra.open(project).fsck().findings
+    assert len(copies_in_memory() - before) <= 2  # that of the next connection, and that of a connection that is kept
