@@ -198,6 +198,11 @@ def test_messages_about_wrong_statements_do_not_name_the_index(project: Path) ->
         with pytest.raises(SqlError, match=f"Table with name {name} does not exist") as raised:
             Store(project / ".sierra").sql(f"SELECT * FROM {name}")
         assert "index_" not in str(raised.value)
+        with Store(project / ".sierra").snapshot() as snapshot:
+            snapshot.add_table("own", number=[1])  # so that it cannot do without the index any more
+            with pytest.raises(SqlError) as raised:
+                snapshot.sql(f"SELECT * FROM {name}")
+            assert str(raised.value) == f"Catalog Error: Table with name {name} does not exist!"
 
 
 @pytest.mark.integration
