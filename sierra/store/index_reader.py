@@ -126,7 +126,7 @@ class Index:
         return [
             OutputFile(segment, f"{self._folder}/{segment}/{file}", described[columns])
             for segment, output, file, columns in self._fetch(
-                f"SELECT s.name, output, file, columns FROM {of} ORDER BY s.name, output, file"
+                f"SELECT s.name, output, file, columns FROM {of} ORDER BY s.name, file"
             )
             if output.lower() == name.lower()
         ]
