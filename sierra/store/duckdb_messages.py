@@ -13,6 +13,8 @@ from sierra.util.shortage import lacking, shortage
 
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
 """The pattern of a writing thread's error, which is JSON within another error."""
+OF_INDEX = re.compile(r' Did you mean "index_[0-9a-f]{16}\.[^?]*\?')
+"""The pattern of a proposal to use a table of the index, whose name is `sierra.store.index_reader.DATABASE`."""
 MOST = 400
 
 
@@ -24,10 +26,10 @@ def duckdb_error() -> type[Exception]:
 
 
 def explain(error: Exception) -> str:
-    """Return an error's message without the lines that show a position in the statement."""
+    """Return an error's message without lines that show a position in the statement, and proposals to use the index."""
     lines = [line.strip() for line in _plain(error).splitlines() if line.strip()]
     kept = [line for line in lines if not line.startswith(("LINE ", "^"))]
-    return " ".join(kept)[:MOST]
+    return OF_INDEX.sub("", " ".join(kept))[:MOST]
 
 
 def first_line(error: Exception) -> str:

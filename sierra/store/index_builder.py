@@ -13,7 +13,7 @@
 
 Each file is verified before it is read, so that an index never has rows of a damaged one: a segment with such a file stays out
 of the index, and whoever reads it finds the damage. An index is built by adding the new segments to a copy of the last one, or
-from nothing when it has become twice as large since it was.
+from nothing when it has become twice as large since it was, or names a segment that is gone.
 
 A builder holds the lock of readers from the moment when it lists the segments until its index has its name, and whoever
 removes segments takes that lock alone and removes each index. So no index has rows that have been removed.

@@ -19,9 +19,10 @@ import json
 import os
 import re
 import tempfile
+import weakref
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from sierra.store.layout import StorePaths
 from sierra.store.schema import RECORDED
@@ -45,8 +46,9 @@ _held: dict[str, IndexFile] = {}
 """The index that this process uses, by the store's folder of indexes."""
 
 
-class IndexFile(NamedTuple):
-    """A verified index."""
+@dataclass(frozen=True)
+class IndexFile:
+    """A verified index. A copy in memory is freed when nobody uses it any more."""
 
     path: Path
     descriptor: int | None = None
@@ -103,9 +105,11 @@ def verified(path: Path, paths: StorePaths) -> IndexFile | None:
     if not sha256(content).startswith(digits):
         return None
     descriptor = os.memfd_create("sierra-index", os.MFD_CLOEXEC)
+    found = IndexFile(path, descriptor)
+    weakref.finalize(found, os.close, descriptor)
     with open(descriptor, "wb", closefd=False) as file:
         file.write(content)
-    return IndexFile(path, descriptor)
+    return found
 
 
 def segments_of(path: Path) -> int:

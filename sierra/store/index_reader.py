@@ -36,8 +36,8 @@ _facts: dict[Path, Facts] = {}
 
 
 def attach(index: IndexFile) -> str:
-    """Return the statement that attaches an index to a connection."""
-    return f"ATTACH {quote(index.readable)} AS {DATABASE} (TYPE duckdb, READ_ONLY)"
+    """Return the statement that attaches an index to a connection. It names the index, because descriptors are used again."""
+    return f"ATTACH {quote(index.readable)} AS {DATABASE} (TYPE duckdb, READ_ONLY)  -- {index.path.name}"
 
 
 def facts_of(index: IndexFile, fetch: Fetch) -> Facts:
@@ -131,7 +131,7 @@ class Index:
         return [
             OutputFile(segment, f"{self._folder}/{segment}/{file}", described[columns])
             for segment, output, file, columns in self._fetch(
-                f"SELECT s.name, output, file, columns FROM {of} ORDER BY s.name, output, file"
+                f"SELECT s.name, output, file, columns FROM {of} ORDER BY s.name, file"
             )
             if output.lower() == name.lower()
         ]

@@ -279,7 +279,7 @@ def _segment(folder: str, name: str) -> Segment:
 
 def _read(folder: str, name: str) -> Segment:
     with os.scandir(folder) as entries:
-        paths = {entry.name: entry.path for entry in entries}
+        paths = dict(sorted((entry.name, entry.path) for entry in entries))  # the first file of an output names its columns
     texts = {mark: _beginning(paths[mark]) for mark in MARKS if mark in paths}
     lines = {mark: _split(text) for mark, text in texts.items() if text is not None}
     for mark in texts.keys() - lines.keys():

@@ -18,6 +18,8 @@ from random import Random
 from typing import Any, get_args
 
 import tests.soak.faults as faults
+from sierra.store import index_files
+from sierra.util import scratch
 from tests import projects
 from tests.soak.faults import Action, Ended, sierra
 from tests.soak.project import NAMES, QUERY, RAW, Differs, Wanted, check, content, left_over, make, recorded
@@ -148,7 +150,8 @@ def fault_while_indexing(place: Place, wanted: Wanted, point: str = "", action: 
     expect(sierra(root, "fsck"), 0)
     for query in (OTHER, THIRD, FOURTH):
         expect(sierra(root, "rm", batch_of(root, query), "--yes"), 0)
-    left = [*(root / ".sierra" / "index").iterdir(), *Path(tempfile.gettempdir()).glob("sierra-index-*")]
+    built = Path(tempfile.gettempdir()).glob(f"{index_files.PREFIX}*/*")
+    left = [*(root / ".sierra" / "index").iterdir(), *(path for path in built if path.name != scratch.UNMARKED)]
     if left:
         raise Differs(f"{told}: {left[0]} is left")
     check(root, wanted)

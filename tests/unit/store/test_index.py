@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import subprocess
@@ -213,6 +214,11 @@ def test_messages_about_wrong_statements_do_not_name_the_index(project: Path) ->
         with pytest.raises(SqlError, match=f"Table with name {name} does not exist") as raised:
             Store(project / ".sierra").sql(f"SELECT * FROM {name}")
         assert "index_" not in str(raised.value)
+        with Store(project / ".sierra").snapshot() as snapshot:
+            snapshot.add_table("own", number=[1])  # so that it cannot do without the index any more
+            with pytest.raises(SqlError) as raised:
+                snapshot.sql(f"SELECT * FROM {name}")
+            assert str(raised.value) == f"Catalog Error: Table with name {name} does not exist!"
 
 
 @pytest.mark.integration
@@ -465,6 +471,28 @@ def test_a_large_index_that_has_changed_since_it_was_read_is_not_read_again(
     flip(path)
     with Store(project / ".sierra").snapshot() as snapshot:
         assert snapshot.listing.facts is None
+
+
+def copies_in_memory() -> set[int]:
+    found = set()
+    for path in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if "memfd:sierra-index" in str(path.readlink()):
+                found.add(path.stat().st_ino)
+    return found
+
+
+@pytest.mark.integration
+def test_indexes_that_nobody_uses_any_more_are_not_kept_in_memory(project: Path) -> None:
+    """A process may run for weeks, and each new index is another copy."""
+    index_files._held.clear()
+    before = copies_in_memory()
+    for number in range(4):
+        assert index_builder.build(paths_of(project)) is not None
+        assert len(answers(project, STATEMENTS[:3])) == 5
+        sierra.open(project).run(f"population_size={number + 5}", runs=1, figures=False)
+        assert not sierra.open(project).fsck().findings
+    assert len(copies_in_memory() - before) <= 2  # that of the next connection, and that of a connection that is kept
 
 
 MIXED = """\

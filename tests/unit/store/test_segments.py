@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -17,6 +19,7 @@ import sierra.store.connections
 from sierra.errors import Damaged
 from sierra.maintenance import check_files
 from sierra.maintenance.findings import Finding, Kind
+from sierra.store import segments
 from sierra.store.compaction import Compaction, groups, tidy
 from sierra.store.duckdb_file_io import copy
 from sierra.store.segments import AFTER, MANIFEST, OUTPUTS, REPLACES, Writer, on_disk
@@ -311,3 +314,14 @@ def test_a_segment_that_is_written_twice_has_the_same_name(tmp_path: Path) -> No
     assert [len(segment.files) for segment in on_disk(store.paths.segments)] == [2]
     assert not store.publish(Writer(tmp_path / "s" / "work" / "none", "ab" * 32))
     assert sha256((next(store.paths.segments.iterdir()) / MANIFEST).read_bytes())[:16] in store.segments()[0].name
+
+
+def test_files_of_a_segment_are_in_the_order_of_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So the spelling of columns does not depend on the order in which a file system lists them."""
+    for name in ("output.1.parquet", "output.1~2.parquet", "executions.parquet"):
+        (tmp_path / name).touch()
+    names = ["executions.parquet", "output.1.parquet", "output.1~2.parquet"]
+    for order in (1, -1):
+        listed = [SimpleNamespace(name=name, path=str(tmp_path / name)) for name in names[::order]]
+        monkeypatch.setattr(os, "scandir", lambda _, listed=listed: contextlib.nullcontext(listed))
+        assert list(segments._read(str(tmp_path), "a-b").files) == [name.removesuffix(".parquet") for name in names]
