@@ -526,12 +526,15 @@ class Snapshot:
                 self._leave_index()
             try:
                 return self._asked(read, text, parameters, convert, theirs=theirs)
-            except (Damaged, SqlError, duckdb.Error) as error:  # a message may name tables of the index, too
+            except (Damaged, duckdb.Error) as error:
+                broken = (Damaged, duckdb.Error, duckdb.InternalException, duckdb.FatalException)
+                # a message about a name proposes others, also tables of the index
+                of_names = (duckdb.IOException, duckdb.BinderException, duckdb.CatalogException)
                 left = self._attached
-                if isinstance(error, duckdb.InterruptException) or not self._leave_index():
+                if (type(error) not in broken and not isinstance(error, of_names)) or not self._leave_index():
                     raise
                 answer = self._asked(read, text, parameters, convert, theirs=theirs)
-                if left is not None and type(error) in (Damaged, duckdb.Error, duckdb.InternalException, duckdb.FatalException):
+                if left is not None and type(error) in broken:
                     index_files.remove(left.path)
                 return answer
 
