@@ -42,8 +42,8 @@ def count() -> None:
 
     connections.Interruptible._call = counting  # type: ignore[method-assign]
     store.Store.snapshot = counted  # type: ignore[method-assign]
-    for module, name in ((segments, "SETTLED_NS"), (verified_files, "RACY_NS")):
-        setattr(module, name, sys.maxsize)  # or the counts depend on the time since the last write
+    for module, name, value in ((segments, "SETTLED_NS", sys.maxsize), (verified_files, "RACY_NS", -sys.maxsize)):
+        setattr(module, name, value)  # or the counts depend on the time since the last write
     sys.addaudithook(note)
     target = Path(sys.argv.pop(1))
     atexit.register(lambda: target.write_text(json.dumps({**done, "modules": len(sys.modules)})))
