@@ -161,7 +161,9 @@ def local(config: dict[str, str | bool | int | float | list[str]]) -> DuckDBPyCo
     """Return an in-memory DuckDB connection in this process, whose statements end with KeyboardInterrupt."""
     import duckdb
 
-    return cast("DuckDBPyConnection", Interruptible(duckdb.connect(":memory:", config=config)))
+    made = duckdb.connect(":memory:", config=config)
+    made.execute("SET enable_progress_bar = false")  # DuckDB draws it on standard output in notebooks and shells
+    return cast("DuckDBPyConnection", Interruptible(made))
 
 
 class Interruptible:

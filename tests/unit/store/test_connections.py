@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Callable
@@ -162,3 +164,11 @@ def test_temporary_files_of_a_large_query_are_removed_with_it(
         snapshot.run("CREATE TEMP TABLE large AS SELECT range AS a, hash(range) AS b FROM range(10000000)")
         assert list(tmp_path.glob("sierra-*/*"))
     assert list(tmp_path.glob("sierra-*")) == []
+
+
+def test_no_progress_bar_appears_among_what_a_program_prints() -> None:
+    """Where DuckDB takes Python for an interactive one, it draws a bar for each statement that takes long."""
+    asked = "SELECT value FROM duckdb_settings() WHERE name = 'enable_progress_bar'"
+    program = f"from sierra.store.connections import connect; print(connect().execute({asked!r}).fetchall())"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout == "[('false',)]\n"
