@@ -100,7 +100,7 @@ def verified(path: Path, paths: StorePaths) -> IndexFile | None:
     """Return an index whose bytes are those that its name promises; else None. Raises OSError."""
     digits = path.stem.rpartition("-")[2]
     if path.stat().st_size > IN_MEMORY or not hasattr(os, "memfd_create"):
-        return IndexFile(path) if begins_with(path, digits, f"{paths.segments}") else None
+        return IndexFile(path) if begins_with(path, digits) else None
     content = read_regular(path)
     if not sha256(content).startswith(digits):
         return None

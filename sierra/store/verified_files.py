@@ -109,21 +109,21 @@ def are_sound(files: Iterable[str]) -> bool:
     return True
 
 
-def begins_with(path: Path, digits: str, store: str) -> bool:
+def begins_with(path: Path, digits: str) -> bool:
     """Check that the SHA-256 of a file that is no segment's begins with these digits; hash it once for each of its states.
 
-    `store`: the path of the folder of segments. Raises OSError.
+    The files of each folder have a cache of their own, because that of segments takes long to read. Raises OSError.
     """
-    key = f"{path.parent.name}/{path.name}"
-    cache = _cache_of(store)
+    folder = str(path.parent)
+    cache = _cache_of(folder)
     began, before = time.time_ns(), state(str(path))
-    if cache.get(key) == _fact(before):
+    if cache.get(path.name) == _fact(before):
         return True
     if not sha256_file(path).startswith(digits) or state(str(path)) != before:
         return False
     if before[-1] < began - RACY_NS:
-        cache.put(key, _fact(before))
-        _save(store)
+        cache.put(path.name, _fact(before))
+        _save(folder)
     return True
 
 
