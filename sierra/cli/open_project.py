@@ -11,6 +11,8 @@ from pathlib import Path
 from types import ModuleType
 
 from sierra.api import Project
+from sierra.cli.output import note
+from sierra.store import index_files
 from sierra.util.first_import import Load, load_with
 
 ALLOCATOR = "ARROW_DEFAULT_MEMORY_POOL"
@@ -39,7 +41,12 @@ def project() -> Project:
     """
     if "pandas" not in sys.modules:
         load_with("pyarrow", _load)
+    index_files.announce = _of_index
     return Project(_folder.get())
+
+
+def _of_index(segments: int) -> None:
+    note(f"building an index of {segments} segments, so that commands need not look at each of them again")
 
 
 def _load(module: ModuleType, load: Load) -> None:

@@ -54,6 +54,8 @@ WORTH = 30
 """The number of segments that are not in an index from which a process that has recorded some builds one."""
 TIMES = 10
 """The same for a large index, as a multiple."""
+LONG = 1000
+"""The number of segments from which a user who waits is told what for."""
 KEPT = 2
 """The number of indexes that are kept: readers may be about to open the last one."""
 STORAGE = "v1.5.0"
@@ -94,8 +96,11 @@ def build(paths: StorePaths, worth: int = 1) -> Path | None:
     try:
         best = index_files.best(paths)
         present, indexed = len(names_in(paths.segments)), index_files.segments_of(best.path) if best else 0
-        if present - (indexed if indexed <= present else 0) < worth:
+        new = present - (indexed if indexed <= present else 0)
+        if new < worth:
             return None
+        if new >= LONG and index_files.announce:
+            index_files.announce(new)
         with (
             scratch(Path(tempfile.gettempdir()), index_files.PREFIX) as folder,
             _Building(paths, folder / "index", best) as made,

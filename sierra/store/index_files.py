@@ -20,6 +20,7 @@ import os
 import re
 import tempfile
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -42,6 +43,8 @@ IN_MEMORY = 64 << 20
 PREFIX = "sierra-index-"
 """The beginning of the names of the temporary folders in which indexes are built, on a local disk: DuckDB locks its files."""
 
+announce: Callable[[int], None] | None = None
+"""Called before so many segments are read for an index, if that takes some seconds."""
 _held: dict[str, IndexFile] = {}
 """The index that this process uses, by the store's folder of indexes."""
 

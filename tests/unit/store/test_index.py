@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -551,3 +552,12 @@ def test_files_of_outputs_are_not_read_to_learn_what_their_columns_hold(
     assert index_builder.build(paths_of(opened.root)) is not None
     with pytest.raises(Damaged, match=r"output\.1\.parquet has other bytes"):
         asked()
+
+
+def test_a_user_is_told_what_takes_long(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(index_builder, "WORTH", 1)
+    assert "index" not in projects.quick(project, "gc", "--yes").stderr
+    shutil.rmtree(paths_of(project).index)
+    monkeypatch.setattr(index_builder, "LONG", 2)
+    told = projects.quick(project, "gc", "--yes").stderr
+    assert re.search(r"note: building an index of \d+ segments, so that", told)
