@@ -51,7 +51,8 @@ def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     digests = set(digests)
     snapshot.add_table("digests", sha256=digests)
     source = snapshot.views.contents(digests)
-    statement = f"SELECT sha256, content FROM {source} SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
+    once = "DISTINCT ON (sha256, part) sha256, content"  # two writers may have added the same file
+    statement = f"SELECT {once} FROM {source} SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
     parts = groupby(snapshot.each(statement, {}), lambda row: row[0])
     found = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
     for digest in digests:
