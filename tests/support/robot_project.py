@@ -154,8 +154,8 @@ def all_busy(fleet: Fleet, process: subprocess.Popen[str]) -> None:
 def answered(project: Path, ticks: int = 30) -> None:
     """Ask again, and check that each run has one successful execution, with all ticks of all robots in its table."""
     process = drive(project)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, errors
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, output + errors
     is_recorded(project, ticks)
 
 
