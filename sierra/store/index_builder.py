@@ -189,6 +189,8 @@ class _Building:
             return False
         found = [one for one in marked(self._folder, new) if not one.missing and (one.after is None or one.after in names)]
         whole = [one for one in found if _is_sound(one)]
+        sure = known.keys() | {one.name for one in whole}
+        whole = [one for one in whole if one.after is None or one.after in sure]
         hidden = out_of_date(whole, set(names).difference(new))
         replaced = {name for one in whole if one.name not in hidden for name in one.replaces}
         ignored = hidden | replaced | {name for (name,) in self._fetch(f"SELECT name FROM {DATABASE}.replaced")}
