@@ -63,14 +63,18 @@ def _other_outputs(fetch: Fetch, index: Index, listing: Listing) -> Iterator[str
     for name in sorted({name.lower() for name in index.spellings()} | files.keys()):
         columns = {path: types for some, types in read_columns(fetch, files.get(name, [])) for path in some}
         same = {file.path: file.columns for file in index.outputs(name)} == columns
-        if not same or any(_other_answers(fetch, index, name, question) for question in index.questions(name)):
+        if not same or any(_other_answers(fetch, index, name, question, columns) for question in index.questions(name)):
             yield name
 
 
-def _other_answers(fetch: Fetch, index: Index, output: str, question: str) -> bool:
-    known = {steady(file): value for file, value in index.answers(output, question).items()}
-    source = read_parquet(list(known), union=True, filename=True, check=False)
-    return dict(fetch(f"SELECT filename, coalesce({question}, 0)::INTEGER FROM {source} GROUP BY filename")) != known
+def _other_answers(fetch: Fetch, index: Index, output: str, question: str, columns: Mapping[str, Mapping[str, str]]) -> bool:
+    """Compare the values of an expression over files; those with other columns apart, because DuckDB cannot unite all types."""
+    groups: dict[tuple[tuple[str, str], ...], dict[str, int]] = {}
+    for file, value in index.answers(output, question).items():
+        groups.setdefault(tuple(columns[file].items()), {})[steady(file)] = value
+    sources = ((read_parquet(list(known), filename=True, check=False), known) for known in groups.values())
+    asked = f"SELECT filename, coalesce({question}, 0)::INTEGER FROM"
+    return any(dict(fetch(f"{asked} {source} GROUP BY filename")) != known for source, known in sources)
 
 
 def _differs(connection: duckdb.DuckDBPyConnection, table: str, segments: Mapping[int, Segment]) -> bool:
