@@ -81,6 +81,7 @@ class Index:
         self._facts = facts
         self._folder = listing.folders[0]
         self._without = listing.without
+        self._held: dict[str, bool] = {}
 
     def stored(self, name: str) -> str:
         """Return the relation of a result of all rows; "" if the index has none, or if not all of these rows are current."""
@@ -91,8 +92,13 @@ class Index:
         return self._facts.tables.get(table, 0)
 
     def holds(self, table: str) -> bool:
-        """Check whether the index has any row of a table of records."""
-        return table in self._facts.tables
+        """Check whether the index has any current row of a table of records."""
+        if table not in self._facts.tables or not self._without:
+            return table in self._facts.tables
+        if table not in self._held:
+            rows = self.experiments() if table == EXPERIMENTS else self._fetch(f"SELECT 1 FROM {self.rows(table)} LIMIT 1")
+            self._held[table] = bool(rows)
+        return self._held[table]
 
     def rows(self, table: str) -> str:
         """Return the relation of the indexed rows of a table, with all of its columns in order."""
