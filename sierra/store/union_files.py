@@ -114,13 +114,15 @@ def relation(
     several = [name for name in names if len(types[name]) > 1 or EXACT_TEXT in types[name]]
     if not several:
         source = _rows(files, union=len(described) > 1, rows=rows)
+        if not all(isinstance(file, str) for file in files):  # the columns of an index come after those of files
+            source = f"(SELECT {', '.join(f'{identifier(name)} AS {identifier(name)}' for name in first)} FROM {source})"
         return Relation(source, first, spellings=_spellings(described))
     called = column_names([names[name] + TEXT for name in several], taken=names.values())
     mixed = {name: _mixed(ask, names[name], beside, types[name]) for name, beside in zip(several, called, strict=True)}
     kept: dict[str, str] = {}
     for name, own in names.items():
         kept |= mixed[name].types() if name in mixed else {own: first[own]}
-    columns = ", ".join(map(identifier, [*kept, *(PLACES if rows else ())]))
+    columns = ", ".join(f"{identifier(name)} AS {identifier(name)}" for name in [*kept, *(PLACES if rows else ())])
     scans = " UNION ALL BY NAME ".join(
         _scan(mixed.values(), kinds, some, rows=rows) for kinds, some in _parts(described, several).items()
     )
