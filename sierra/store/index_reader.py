@@ -126,9 +126,9 @@ class Index:
         return found
 
     def spellings(self) -> dict[str, str]:
-        """Return the indexed tables that runs wrote, each with the name of the first segment that has it."""
+        """Return the indexed tables that runs wrote, each with the names of the first segment that has it and of the file."""
         of = f"{DATABASE}.outputs JOIN {DATABASE}.segments s USING (seg){self._current}"
-        return dict(self._fetch(f"SELECT output, min(s.name) FROM {of} GROUP BY ALL"))
+        return dict(self._fetch(f"SELECT output, min(s.name || '/' || file) FROM {of} GROUP BY ALL"))
 
     def outputs(self, name: str) -> list[OutputFile]:
         """Return the indexed files of an output, whatever the case of its name, in the order of their segments."""

@@ -112,7 +112,7 @@ class Views:
                 self._files.setdefault(name, []).append(path)
             for name, path in segment.outputs():
                 self._outputs.setdefault(name.lower(), []).append(path)
-                first[name] = min(first.get(name, segment.name), segment.name)
+                first[name] = min(first.get(name, place_of(path)), place_of(path))
         self.outputs = sorted(first)
         """The names of the tables that runs wrote."""
         self._spelled = {name.lower(): name for name in sorted(first, key=lambda name: first[name], reverse=True)}
@@ -700,6 +700,11 @@ def _pick(column: str, first: str | None) -> str:
     """
     name = identifier(column)
     return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
+
+
+def place_of(file: str) -> str:
+    """Return the names of a file's segment and of the file itself: files are read in this order."""
+    return "/".join(file.rsplit("/", 2)[1:])
 
 
 def segment_of(file: str) -> str:
