@@ -6,7 +6,7 @@
     TABLE(file_number, …)                           the same for tables of which many segments have equal files, once for each
     equal_files(file_number, sha256), equal_file_of(seg, file_number)   these files, and the segments that have them
     stored_<name>                                   results of the rows above: `effective`, `points`, `runs`, `counted`
-    experiments_<n>(seg, …), experiment_sets        the rows of `experiments` with equal columns, and these columns
+    experiments_<n>(…), experiment_sets              the rows of `experiments` with equal columns, and these columns
     outputs(seg, output, file, columns)             the files of outputs
     column_sets(number, columns)                    the types of their columns
     answers(seg, output, file, question, value)     values of SQL expressions over files whose columns differ from others'
@@ -36,7 +36,7 @@ from sierra.errors import Damaged, SierraError
 from sierra.store import index_files
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
-from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, STORED, Index, read_facts
+from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, OWN, STORED, Index, read_facts
 from sierra.store.layout import StorePaths
 from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
@@ -257,11 +257,11 @@ class _Building:
             return
         numbers = ", ".join(map(str, ignored))
         tables = self._fetch(
-            f"SELECT table_name FROM duckdb_columns() WHERE database_name = '{DATABASE}' AND column_name = 'seg'"
+            f"SELECT table_name, column_name FROM duckdb_columns() WHERE database_name = '{DATABASE}' AND column_index = 1"
         )
-        for (table,) in tables:
-            if table != "segments":
-                self._connection.execute(f"DELETE FROM {DATABASE}.{table} WHERE seg IN ({numbers})")
+        for table, key in tables:
+            if table != "segments" and identifier(key) in (identifier("seg"), OWN):
+                self._connection.execute(f"DELETE FROM {DATABASE}.{table} WHERE {identifier(key)} IN ({numbers})")
         self._connection.execute(f"UPDATE {DATABASE}.segments SET ignored = true WHERE seg IN ({numbers})")
         for table in ("equal_files", *EQUAL):
             used = f"SELECT file_number FROM {DATABASE}.equal_file_of"
@@ -327,15 +327,19 @@ class _Building:
         sets = {columns: number for number, columns in self._fetch(f"FROM {DATABASE}.experiment_sets")}
         for files, types in read_columns(self._fetch, list(numbers)):
             columns = json.dumps(list(types.items()))
-            source = read_parquet(files, filename=True, check=False)
-            numbered = self._numbered(source, {file: numbers[file] for file in files})
-            rows = f"SELECT n.number AS seg, f.* EXCLUDE filename FROM {numbered}"
-            if columns in sets:
-                self._connection.execute(f"INSERT INTO {DATABASE}.{EXPERIMENTS}_{sets[columns]} {rows}")
-                continue
-            sets[columns] = number = len(sets) + 1
-            self._connection.execute(f"CREATE TABLE {DATABASE}.{EXPERIMENTS}_{number} AS {rows}")
-            self._insert("experiment_sets", [(number, columns)])
+            if columns not in sets:
+                sets[columns] = len(sets) + 1
+                self._insert("experiment_sets", [(sets[columns], columns)])
+            table = f"{DATABASE}.{EXPERIMENTS}_{sets[columns]}"
+            if "filename" in map(str.lower, types):  # an axis, beside which DuckDB adds no paths of files
+                every = [f"SELECT {numbers[file]} AS {OWN}, * FROM {read_parquet([file], check=False)}" for file in files]
+            else:
+                source = read_parquet(files, filename=True, check=False)
+                numbered = self._numbered(source, {file: numbers[file] for file in files})
+                every = [f"SELECT n.number AS {OWN}, f.* EXCLUDE filename FROM {numbered}"]
+            self._connection.execute(f"CREATE TABLE IF NOT EXISTS {table} AS {every[0]} LIMIT 0")
+            for rows in every:
+                self._connection.execute(f"INSERT INTO {table} {rows}")
 
     def _add_outputs(self, segments: Iterable[Segment], numbers: Mapping[str, int]) -> None:
         sets = {columns: number for number, columns in self._fetch(f"FROM {DATABASE}.column_sets")}

@@ -9,7 +9,7 @@ import duckdb
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
 from sierra.store.index_files import IndexFile
-from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, STORED, Fetch, Index, attach, facts_of
+from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, OWN, STORED, Fetch, Index, attach, facts_of
 from sierra.store.listing import Listing
 from sierra.store.schema import LATER, RECORDED
 from sierra.store.segments import Segment
@@ -85,7 +85,7 @@ def _differs(connection: duckdb.DuckDBPyConnection, table: str, segments: Mappin
     if table == EXPERIMENTS:  # the ids of experiments follow from the values of the axes
         sets = connection.execute(f"SELECT number FROM {DATABASE}.experiment_sets").fetchall()
         sources = [f"{DATABASE}.{EXPERIMENTS}_{number}" for (number,) in sets]
-    theirs = f"WHERE seg IN ({', '.join(map(str, segments)) or 'NULL'})"
+    theirs = f"WHERE {OWN if table == EXPERIMENTS else 'seg'} IN ({', '.join(map(str, segments)) or 'NULL'})"
     distinct = "DISTINCT " * (table in EQUAL)
     if table in EQUAL:
         theirs = f"WHERE file_number IN (SELECT file_number FROM {DATABASE}.equal_file_of {theirs})"

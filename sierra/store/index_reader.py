@@ -20,6 +20,8 @@ DATABASE = f"index_{os.urandom(8).hex()}"
 """The name of the index on a connection, which nobody else's statement can guess: they see its rows only through views."""
 EXPERIMENTS = "experiments"
 """The beginning of the names of the tables of experiments: one for each set of axes, because axes of one name may differ."""
+OWN = identifier("own segment")
+"""The column of these tables with the number of a row's segment. No axis has such a name."""
 STORED = "stored_"
 """The beginning of the names of tables of results: `stored_effective` and others."""
 EQUAL = (
@@ -118,8 +120,9 @@ class Index:
         theirs = "" if batch is None else f" {'AND' if self._without else 'WHERE'} batch = {quote(batch)}"
         found = []
         for number, columns in self._fetch(f"SELECT number, columns FROM {DATABASE}.experiment_sets ORDER BY number"):
-            source = f"(SELECT * EXCLUDE seg FROM {DATABASE}.{EXPERIMENTS}_{number}{self._current}{theirs})"
-            of = f"{DATABASE}.{EXPERIMENTS}_{number} JOIN {DATABASE}.segments s USING (seg){self._current}{theirs}"
+            current = self._current.replace("seg", OWN, 1)
+            source = f"(SELECT * EXCLUDE {OWN} FROM {DATABASE}.{EXPERIMENTS}_{number}{current}{theirs})"
+            of = f"{DATABASE}.{EXPERIMENTS}_{number} JOIN {DATABASE}.segments s ON s.seg = {OWN}{current}{theirs}"
             [(first,)] = self._fetch(f"SELECT min(s.name) FROM {of}")
             if first is not None:
                 found.append(Held(source, dict(json.loads(columns)), first))
