@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
@@ -430,11 +431,18 @@ class Views:
 
     def contents(self, digests: Iterable[str]) -> str:
         """Return the relation of `objects` in files that have all contents with these SHA-256s."""
-        names = self._index.first_holding(digests) if self._index else []
-        files = [*self._files.get("objects", ()), *(f"{self._listing.folders[0]}/{name}/objects.parquet" for name in names)]
+        digests = set(digests)
+        indexed = self._of_index(self._index.first_holding(digests)) if self._index else []
+        if self._index and not all(map(os.path.exists, indexed)):  # one was lost; others may have the same contents
+            indexed = list(filter(os.path.exists, self._of_index(self._index.holding(digests))))
+        files = [*self._files.get("objects", ()), *indexed]
         if files:
             return read_parquet(sorted(files, key=segment_of))
         return f"(SELECT {', '.join(f'NULL::{c.type} AS {c.name}' for c in RECORDED['objects'].columns)} WHERE false)"
+
+    def _of_index(self, names: Iterable[str]) -> list[str]:
+        """Return the paths of recorded contents in indexed segments."""
+        return [f"{self._listing.folders[0]}/{name}/objects.parquet" for name in names]
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
