@@ -122,6 +122,8 @@ class Views:
         """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
         self.notes: list[str] = []
         """Notes for the user on columns with several types."""
+        self._unsaid: list[str] = []
+        """Notes on the experiments, while no statement has needed these."""
         self.unchecked: set[str] = set()
         """Tables whose files are not verified, because the caller does so."""
         self._read: dict[str, list[str]] = {}
@@ -190,6 +192,9 @@ class Views:
         return [row[0] for row in self._fetch("DESCRIBE experiments") if row[0] not in fixed]
 
     def _make(self, name: str) -> None:
+        if name == "experiments":
+            self.notes += self._unsaid
+            self._unsaid = []
         if name in self._made:
             return
         self._made.add(name)
@@ -204,7 +209,8 @@ class Views:
             for needed in (*NEEDS.get(name, ()), *(NEEDS_IF_IMPORTED.get(name, ()) if self._imported else ())):
                 self._make(needed)
         if stored:
-            self._make("experiments")  # for its notes
+            if "experiments" in NEEDS[name]:
+                self._make("experiments")  # for its notes
             body = f"FROM {stored}"
         elif name in RESULTS and self._partly_stored:
             body = self._beside_stored(name)
@@ -314,9 +320,13 @@ class Views:
         many = self._index is not None and self._index.count("batch_runs") >= stored_results.LARGE
         if not (stored and many and stored_results.only_added(self._listing.rest, RESULTS_FROM)):
             return False
+        said = len(self.notes)
         for needed in (*NEEDS["points"], "reused_executions"):
             self._make(needed)
-        if self._fetch(f"DESCRIBE {self._points()}") != self._fetch(f"DESCRIBE FROM {stored}"):
+        same = self._fetch(f"DESCRIBE {self._points()}") == self._fetch(f"DESCRIBE FROM {stored}")
+        self._unsaid = self.notes[said:]
+        del self.notes[said:]
+        if not same:
             return False
         for statement in stored_results.touched(self._listing.rest):
             self._execute(statement)
