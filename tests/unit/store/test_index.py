@@ -561,3 +561,118 @@ def test_a_user_is_told_what_takes_long(project: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(index_builder, "LONG", 2)
     told = projects.quick(project, "gc", "--yes").stderr
     assert re.search(r"note: building an index of \d+ segments, so that", told)
+
+
+AXES = projects.CONFIG + 'seg = "//swarm/@kind"\nfilename = "//arena/@size"\n'
+ODD = (
+    projects.SIMULATOR
+    + """
+import json
+with open("odd.jsonl", "w") as file:
+    print(json.dumps({"x": [1, 2] if count == 2 else count, "y": None if count == 3 else "a"}), file=file)
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    """A project whose axes are called like columns of an index and have several types, and the indexes of each moment."""
+    folder = tmp_path_factory.mktemp("odd")
+    template = projects.TEMPLATE.replace('controller="none"', 'controller="none" kind="0"')
+    root = projects.make(folder / "project", AXES, simulator=ODD, template=template)
+    indexes = []
+    for query in ("population_size=1,2", "filename=20", "seg=1,2", "noise=0.5", "seg=a,b", "population_size=3"):
+        sierra.open(root).run(query, runs=1, figures=False)
+        path = index_builder.build(paths_of(root))
+        assert path is not None
+        indexes.append(path.rename(folder / path.name))
+    return root, indexes
+
+
+TABLES = ("effective", "experiments", "points", "runs", "swarm", "odd")
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("many", [0, stored_results.LARGE])
+def test_columns_and_notes_do_not_depend_on_an_index(
+    odd: tuple[Path, list[Path]], many: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither on their order, nor on axes that are called like the index's own columns."""
+    monkeypatch.setattr(stored_results, "LARGE", many)
+    root, indexes = odd
+
+    def asked() -> list[object]:
+        found: list[object] = []
+        for name in TABLES:
+            table = Store(root / ".sierra").sql(f"SELECT * FROM {name} ORDER BY ALL")
+            found.append((name, table.column_names, table.to_pylist(), table.schema.metadata))
+        return found
+
+    without = asked()
+    for path in indexes:
+        copied = Path(shutil.copy(path, paths_of(root).index))
+        assert asked() == without
+        copied.unlink()
+
+
+@pytest.mark.integration
+def test_fsck_finds_nothing_wrong_with_columns_of_lists_and_numbers(odd: tuple[Path, list[Path]]) -> None:
+    root, indexes = odd
+    copied = Path(shutil.copy(indexes[-1], paths_of(root).index))
+    assert not sierra.open(root).fsck().findings
+    copied.unlink()
+
+
+@pytest.mark.integration
+def test_a_table_of_which_nothing_is_current_has_no_records(project: Path) -> None:
+    opened = sierra.open(project)
+    [replayed] = opened.store.values(str, "SELECT DISTINCT batch FROM executions WHERE purpose = 'replay'")
+    assert index_builder.build(paths_of(project)) is not None
+    with opened.store.snapshot():
+        opened.remove(replayed)
+        with opened.store.snapshot() as snapshot:
+            assert snapshot.listing.without
+            assert (snapshot.holds("replays"), snapshot.holds("executions")) == (False, True)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("lost", ["REPLACES", "MANIFEST"])
+def test_a_segment_that_waits_for_a_damaged_one_is_looked_at_by_each_reader(project: Path, lost: str) -> None:
+    """The lost file may come back."""
+    folder = paths_of(project).segments
+    old = min(segments.on_disk(folder), key=lambda one: (one.batch, one.name))
+    others = [one for one in segments.on_disk(folder) if one.batch == old.batch]
+    last = segments.Writer(project / "last", old.batch)
+    last.mark(segments.REPLACES, [old.name])
+    name = last.seal()
+    new = segments.Writer(project / "new", old.batch)
+    for path in sorted((folder / old.name).iterdir()):
+        if path.name not in segments.MARKS:
+            shutil.copy(path, new.folder)
+    if (folder / old.name / segments.OUTPUTS).exists():
+        shutil.copy(folder / old.name / segments.OUTPUTS, new.folder)
+    new.mark(segments.AFTER, [name])
+    new.publish(folder)
+    last.publish(folder)
+    assert len([one for one in segments.on_disk(folder) if one.batch == old.batch]) == len(others) + 2
+    without = answers(project)
+    aside = (folder / name / lost).rename(project / lost)
+    with contextlib.suppress(Damaged):
+        index_builder.build(paths_of(project))
+    aside.rename(folder / name / lost)
+    assert answers(project) == without
+
+
+@pytest.mark.integration
+def test_contents_whose_first_file_is_lost_are_read_from_another(project: Path) -> None:
+    store = Store(project / ".sierra")
+    holding: dict[str, list[Path]] = {}
+    for path in stores.files(project, "objects"):
+        for (digest,) in duckdb.execute(f"SELECT DISTINCT sha256 FROM '{path}'").fetchall():
+            holding.setdefault(digest, []).append(path)
+    digest = min(digest for digest, paths in holding.items() if len(paths) > 1)
+    content = store.object(digest)
+    assert index_builder.build(store.paths) is not None
+    min(holding[digest]).unlink()
+    assert store.object(digest) == content
+    assert index_files.published(store.paths.index)
