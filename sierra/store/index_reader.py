@@ -34,7 +34,7 @@ CONTENT = ("objects",)
 
 Fetch = Callable[[str], list[RawRow]]
 _facts: dict[Path, Facts] = {}
-"""The facts about the indexes that this process has read."""
+"""The facts about the last index of each store that this process has read."""
 
 
 def attach(index: IndexFile) -> str:
@@ -46,7 +46,10 @@ def facts_of(index: IndexFile, fetch: Fetch) -> Facts:
     """Return the segments that an attached index names. Raises duckdb.Error."""
     found = _facts.get(index.path)
     if found is None:
-        found = _facts[index.path] = read_facts(fetch)
+        found = read_facts(fetch)
+        for old in [path for path in list(_facts) if path.parent == index.path.parent]:
+            _facts.pop(old, None)
+        _facts[index.path] = found
     return found
 
 

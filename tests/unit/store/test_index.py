@@ -19,7 +19,7 @@ import pytest
 
 import sierra
 from sierra.errors import Damaged, Missing, SqlError
-from sierra.store import connections, index_builder, index_files, segments, stored_results
+from sierra.store import connections, index_builder, index_files, index_reader, segments, stored_results
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
@@ -495,6 +495,7 @@ def test_indexes_that_nobody_uses_any_more_are_not_kept_in_memory(project: Path)
         sierra.open(project).run(f"population_size={number + 5}", runs=1, figures=False)
         assert not sierra.open(project).fsck().findings
     gc.collect()
+    assert len([path for path in index_reader._facts if path.parent == paths_of(project).index]) == 1
     assert len(copies_in_memory() - before) <= 2  # that of the next connection, and that of a connection that is kept
 
 
