@@ -40,13 +40,13 @@ from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, OWN, STORED,
 from sierra.store.layout import StorePaths
 from sierra.store.listing import Listing
 from sierra.store.read_lock import Shared
-from sierra.store.schema import LATER, RECORDED
+from sierra.store.schema import RECORDED
 from sierra.store.segments import Segment, marked, names_in, out_of_date
 from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import read_columns, relation
 from sierra.store.verified_files import are_sound, recorded_hashes
-from sierra.store.views import Views, segment_of
+from sierra.store.views import Views, records, segment_of
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import scratch
 
@@ -308,9 +308,8 @@ class _Building:
 
     def _copy_rows(self, table: str, numbers: Mapping[str, int]) -> None:
         """Add the rows of files of a table, each with the number of its file."""
-        schema = {column.name: column.type for column in RECORDED[table].columns} if table in LATER else None
         kept = ", ".join(f"f.{identifier(column.name)}" for column in RECORDED[table].columns if column.type != "BLOB")
-        source = read_parquet(list(numbers), filename=True, schema=schema, check=False)
+        source = records(table, list(numbers), filename=True, check=False)
         self._connection.execute(
             f"INSERT INTO {DATABASE}.{table} SELECT n.number, {kept} FROM {self._numbered(source, numbers)}"
         )

@@ -11,12 +11,12 @@ from sierra.store.duckdb_file_io import read_parquet, steady
 from sierra.store.index_files import IndexFile
 from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, OWN, STORED, Fetch, Index, attach, facts_of
 from sierra.store.listing import Listing
-from sierra.store.schema import LATER, RECORDED
+from sierra.store.schema import RECORDED
 from sierra.store.segments import Segment
 from sierra.store.sql_names import identifier
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import read_columns
-from sierra.store.views import Views
+from sierra.store.views import Views, records
 
 SUM = "SELECT count(*), sum(hash(t)::HUGEINT)::VARCHAR FROM ({rows}) t"
 
@@ -100,6 +100,4 @@ def _sum(connection: duckdb.DuckDBPyConnection, rows: str) -> object:
 def _written(table: str, columns: str, segments: Sequence[Segment]) -> str:
     """Return the query for the rows of a table in the files of these segments; nothing if there is none."""
     files = [segment.files[table] for segment in segments if table in segment.files]
-    schema = {column.name: column.type for column in RECORDED[table].columns} if table in LATER else None
-    source = read_parquet(files, union=table == EXPERIMENTS, schema=schema, check=False) if files else ""
-    return f"SELECT {columns} FROM {source}" if files else ""
+    return f"SELECT {columns} FROM {records(table, files, check=False)}" if files else ""

@@ -118,6 +118,15 @@ class Index:
         """The condition for the rows of current segments."""
         return f" WHERE seg NOT IN ({', '.join(map(str, sorted(self._without)))})" if self._without else ""
 
+    def _of_segments(self, rows: str) -> str:
+        """Return the relation of current rows, each beside its segment s."""
+        return f"{rows} JOIN {DATABASE}.segments s USING (seg){self._current}"
+
+    def _contents(self, digests: Iterable[str]) -> str:
+        """Return the relation of current rows of `objects` with these SHA-256s, each beside its segment s."""
+        wanted = ", ".join(map(quote, digests)) or "NULL"
+        return self._of_segments(f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted}))")
+
     def experiments(self, batch: str | None = None) -> list[Held]:
         """Return the indexed experiments, those with the same axes together; of one batch only, if one is named."""
         theirs = "" if batch is None else f" {'AND' if self._without else 'WHERE'} batch = {quote(batch)}"
@@ -133,13 +142,13 @@ class Index:
 
     def spellings(self) -> dict[str, str]:
         """Return the indexed tables that runs wrote, each with the names of the first segment that has it and of the file."""
-        of = f"{DATABASE}.outputs JOIN {DATABASE}.segments s USING (seg){self._current}"
+        of = self._of_segments(f"{DATABASE}.outputs")
         return dict(self._fetch(f"SELECT output, min(s.name || '/' || file) FROM {of} GROUP BY ALL"))
 
     def outputs(self, name: str) -> list[OutputFile]:
         """Return the indexed files of an output, whatever the case of its name, in the order of their segments."""
         described = {number: dict(json.loads(columns)) for number, columns in self._fetch(f"FROM {DATABASE}.column_sets")}
-        of = f"{DATABASE}.outputs o JOIN {DATABASE}.segments s USING (seg){self._current}"
+        of = self._of_segments(f"{DATABASE}.outputs")
         return [
             OutputFile(segment, f"{self._folder}/{segment}/{file}", described[columns])
             for segment, output, file, columns in self._fetch(
@@ -168,7 +177,7 @@ class Index:
         All rows of these files are of judgements of their own segments.
         """
         asked = f"(FROM {DATABASE}.answers WHERE output = {quote(output)} AND question = {quote(question)})"
-        rows = self._fetch(f"SELECT s.name, file, value FROM {asked} JOIN {DATABASE}.segments s USING (seg){self._current}")
+        rows = self._fetch(f"SELECT s.name, file, value FROM {self._of_segments(asked)}")
         return {f"{self._folder}/{segment}/{file}": value for segment, file, value in rows}
 
     def highest(self, tables: Iterable[str], column: str) -> int:
@@ -179,7 +188,7 @@ class Index:
 
     def files(self, table: str) -> list[str]:
         """Return the paths of the files of a table whose contents stay in the segments."""
-        of = f"{DATABASE}.{table} JOIN {DATABASE}.segments s USING (seg){self._current}"
+        of = self._of_segments(f"{DATABASE}.{table}")
         return [f"{self._folder}/{segment}/{table}.parquet" for (segment,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")]
 
     def recording(self, judgements: str) -> list[str]:
@@ -187,18 +196,16 @@ class Index:
         found: set[str] = set()
         for table, column in (("executions", "execution"), ("judgements", "judgement")):
             rows = f"(FROM {DATABASE}.{table} WHERE {column} IN ({judgements}))"
-            of = f"{rows} JOIN {DATABASE}.segments s USING (seg){self._current}"
+            of = self._of_segments(rows)
             found |= {name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")}
         return sorted(found)
 
     def first_holding(self, digests: Iterable[str]) -> list[str]:
         """Return the names of the first indexed segments that hold these contents: one for each part."""
-        wanted = ", ".join(map(quote, digests)) or "NULL"
-        of = f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted})) JOIN {DATABASE}.segments s USING (seg){self._current}"
+        of = self._contents(digests)
         return [name for (name,) in self._fetch(f"SELECT DISTINCT min(s.name) FROM {of} GROUP BY sha256, part ORDER BY ALL")]
 
     def holding(self, digests: Iterable[str]) -> list[str]:
         """Return the names of the indexed segments that hold contents with these SHA-256s."""
-        wanted = ", ".join(map(quote, digests)) or "NULL"
-        of = f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted})) JOIN {DATABASE}.segments s USING (seg){self._current}"
+        of = self._contents(digests)
         return [name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of} ORDER BY ALL")]

@@ -745,13 +745,13 @@ def recording(fetch: Fetch, segments: Sequence[Segment], judgements: str) -> lis
     return [segment for segment in segments if segment.name in found]
 
 
-def records(name: str, files: Sequence[str], *, filename: bool = False) -> str:
+def records(name: str, files: Sequence[str], *, filename: bool = False, check: bool = True) -> str:
     """Return the relation of files of records with all current columns; columns that older files lack are NULL.
 
     With a schema, DuckDB takes twice as long to prepare it.
     """
     schema = {column.name: column.type for column in RECORDED[name].columns} if name in LATER else None
-    return read_parquet(files, union=name == "experiments", schema=schema, filename=filename)
+    return read_parquet(files, union=name == "experiments", schema=schema, filename=filename, check=check)
 
 
 def counting(executions: str, replays: Sequence[str]) -> str:

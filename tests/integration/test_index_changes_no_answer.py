@@ -38,7 +38,7 @@ class Made(NamedTuple):
     """The indexes that were built at earlier moments; the last but one is that of another store."""
     answers: list[object]
     said: list[object]
-    """What commands say."""
+    """The output of the commands."""
 
 
 def paths_of(root: Path) -> StorePaths:

@@ -1,4 +1,4 @@
-"""What the docs show, and other tests demand, does not depend on the index: they pass if there is always one."""
+"""Tests of the docs and others pass if there is always an index: no answer depends on it."""
 
 from __future__ import annotations
 
