@@ -41,12 +41,8 @@ def project() -> Project:
     """
     if "pandas" not in sys.modules:
         load_with("pyarrow", _load)
-    index_files.announce = _of_index
+    index_files.announce = note
     return Project(_folder.get())
-
-
-def _of_index(segments: int) -> None:
-    note(f"building an index of {segments} segments, so that commands need not look at each of them again")
 
 
 def _load(module: ModuleType, load: Load) -> None:

@@ -44,9 +44,6 @@ from sierra.util.hashing import sha256
 
 if TYPE_CHECKING:
     from sierra.execution.summary import Summary
-STORED_BLOBS = 'SELECT blob FROM blobs SEMI JOIN "kept objects" USING (sha256)'
-"""SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
-
 LASTING = tuple(f"{table}{SUFFIX}" for table in ("executions", "findings", "judgements", "builds"))
 """Files of segments that tell about executions, whatever comes of a request."""
 
@@ -67,7 +64,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
         seen = set(snapshot.listing.names)
         known = _known_inputs(plan, snapshot)
         stored = shared_files.stored(plan.shared_files, snapshot)
-        blobs = set(snapshot.values(str, STORED_BLOBS)) if code.vcs == "none" else set()
+        blobs = _stored_blobs(snapshot) if code.vcs == "none" else set()
     writer = store.writer(session.paths.segment, batch.id)
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
@@ -91,6 +88,14 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     with sessions.exclusively(store.paths):
         if store.names() == seen or not is_kept(plan, store):
             store.publish(writer)
+
+
+def _stored_blobs(snapshot: Snapshot) -> set[str]:
+    """Return the source files with both their entry and their content; a repair may have removed the content."""
+    snapshot.views.make(("blobs",))
+    blobs: dict[str, str] = dict(snapshot.run("SELECT blob, sha256 FROM blobs"))
+    kept = snapshot.kept(blobs.values())
+    return {blob for blob, digest in blobs.items() if digest in kept}
 
 
 def _check_axes(batch: Batch, snapshot: Snapshot) -> None:

@@ -103,12 +103,7 @@ def keep(rows: Sequence[SharedFileRow], root: Path, objects: Objects, known: Ite
 
 def stored(rows: Sequence[SharedFileRow], snapshot: Snapshot) -> set[str]:
     """Return the SHA-256 of those files whose content the store has."""
-    if not rows or not snapshot.holds("objects"):
-        return set()
-    snapshot.views.make(("kept objects",))
-    snapshot.add_table("asked_files", sha256=sorted({row.sha256 for row in rows}))
-    asked = 'SELECT DISTINCT sha256 FROM "kept objects" SEMI JOIN asked_files USING (sha256)'
-    return {found for (found,) in snapshot.run(asked)}
+    return set(snapshot.kept(row.sha256 for row in rows)) if rows else set()
 
 
 def recorded(store: Store, shared: str) -> list[SharedFileRow]:

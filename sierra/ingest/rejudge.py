@@ -25,7 +25,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -169,7 +168,7 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
     while some := list(islice(pending, AT_A_TIME)):
         with store.snapshot() as snapshot:
             past = [one for one in _past(snapshot, context, some, mismatched=mismatched) if not _is_hopeless(one, context)]
-            sizes = _kept(snapshot, {row.sha256 for one in past for row in one.artifacts})
+            sizes = snapshot.kept({row.sha256 for one in past for row in one.artifacts})
         lacking = {one.last.run: lack for one in past if (lack := _lacking(one, context, sizes)) is not None}
         yield Foreseen({one.last.run: one for one in past if one.last.run not in lacking}, lacking)
 
@@ -274,14 +273,6 @@ def _is_hopeless(one: Past, context: Context) -> bool:
     if judge(result, context.outputs, context.success.model_copy(update=UNREAD))[0] is not Status.OK:
         return True
     return not (one.success.marker or one.success.stderr or one.failed_by_rules(result))
-
-
-def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
-    """Return the sizes of those of these files whose bytes are in the store."""
-    snapshot.add_table("digests", sha256=sorted(digests))
-    snapshot.views.make(("kept objects",))
-    sizes = 'SELECT sha256, any_value(size) FROM "kept objects" SEMI JOIN digests USING (sha256) GROUP BY sha256'
-    return dict(snapshot.run(sizes))
 
 
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:

@@ -25,7 +25,7 @@ def check(paths: StorePaths, contents: Contents) -> Iterator[Finding]:
             yield Finding(Kind.STRAY, name, "is not an index")
         elif not index_files.is_current(path):
             yield Finding(Kind.LEFT, name, "an index of another version of SIERRA")
-        elif (index := index_files.verified(path, paths)) is None:
+        elif (index := index_files.verified(path, anew=True)) is None:
             yield Finding(Kind.DAMAGED, name, f"has other bytes than SIERRA wrote; {REMEDY}")
         elif tables := index_check.different(index, sound):
             yield Finding(Kind.DAMAGED, name, f"its rows of {few(tables, 3)} are not those of the segments; {REMEDY}")

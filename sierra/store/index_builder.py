@@ -24,6 +24,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -36,6 +37,7 @@ from sierra.errors import Damaged, SierraError
 from sierra.store import index_files
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import read_parquet, steady
+from sierra.store.duckdb_messages import first_line
 from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, OWN, STORED, Index, read_facts
 from sierra.store.layout import StorePaths
 from sierra.store.listing import Listing
@@ -47,7 +49,6 @@ from sierra.store.sql_result import RawRow
 from sierra.store.union_files import read_columns, relation
 from sierra.store.verified_files import are_sound, recorded_hashes
 from sierra.store.views import Views, records, segment_of
-from sierra.util.regular_files import read_regular
 from sierra.util.scratch import scratch
 
 WORTH = 30
@@ -83,11 +84,15 @@ def keep_up(paths: StorePaths, worth: int | None = None) -> None:
     nothing: whoever calls this has done its work.
     """
     worth = WORTH if worth is None else worth
-    with contextlib.suppress(OSError, MemoryError, duckdb.Error, SierraError):
+    with contextlib.suppress(OSError, MemoryError, SierraError):
         if paths.identity.exists() and paths.root.stat().st_uid == os.geteuid() and os.access(paths.root, os.W_OK):
             best = index_files.best(paths)
             large = best is not None and best.path.stat().st_size > index_files.IN_MEMORY
-            build(paths, worth * TIMES if large else worth)
+            try:
+                build(paths, worth * TIMES if large else worth)
+            except duckdb.Error as error:
+                if index_files.announce:
+                    index_files.announce(f"no index could be built, so commands look at each segment: {first_line(error)}")
 
 
 def build(paths: StorePaths, worth: int = 1) -> Path | None:
@@ -100,15 +105,14 @@ def build(paths: StorePaths, worth: int = 1) -> Path | None:
         if new < worth:
             return None
         if new >= LONG and index_files.announce:
-            index_files.announce(new)
+            index_files.announce(f"building an index of {new} segments, so that commands need not look at each of them again")
         with (
             scratch(Path(tempfile.gettempdir()), index_files.PREFIX) as folder,
             _Building(paths, folder / "index", best) as made,
         ):
             if not made.add(worth):
                 return None
-            content = made.finish()
-            path = index_files.publish(paths, len(made.names), content)
+            path = index_files.publish(paths, len(made.names), made.finish())
             if best is not None and not made.goes_on:
                 index_files.remove(best.path)  # it may have rows of segments that are gone
             if not made.names <= set(names_in(paths.segments)):  # without locks, somebody may have removed some meanwhile
@@ -154,7 +158,7 @@ class _Building:
 
     def _goes_on(self, best: index_files.IndexFile, names: AbstractSet[str]) -> bool:
         """Begin with a copy of an index, if all its segments exist and it is not too old: a copy keeps freed bytes."""
-        self._path.write_bytes(read_regular(Path(best.readable)))
+        shutil.copyfile(best.readable, self._path)
         self._attach(self._path)
         [(base,)] = self._fetch(f"SELECT segments FROM {DATABASE}.base")
         facts = read_facts(self._fetch)
@@ -351,10 +355,10 @@ class _Building:
         self._insert("column_sets", [(number, columns) for columns, number in sets.items() if number > known])
         self._insert("outputs", rows)
 
-    def finish(self) -> bytes:
-        """Return the bytes of the index."""
-        self._connection.execute(f"DETACH {DATABASE}")  # writes all to the file
-        return self._path.read_bytes()
+    def finish(self) -> Path:
+        """Write the index to its file, and return this."""
+        self._connection.execute(f"DETACH {DATABASE}")
+        return self._path
 
 
 def _is_sound(segment: Segment) -> bool:

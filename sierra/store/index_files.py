@@ -18,6 +18,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import tempfile
 import weakref
 from collections.abc import Callable
@@ -28,12 +29,12 @@ from pathlib import Path
 from sierra.store.layout import StorePaths
 from sierra.store.schema import RECORDED
 from sierra.store.verified_files import begins_with
-from sierra.util.fs import UNFINISHED_END, write_whole
-from sierra.util.hashing import sha256
+from sierra.util.fs import UNFINISHED_END, unfinished_beside
+from sierra.util.hashing import sha256, sha256_file
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import remove_abandoned
 
-CONTENT = 4
+FORMAT = 4
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
 NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
 UNFINISHED = re.compile(rf"\.{NAME.pattern}{UNFINISHED_END}")
@@ -43,8 +44,8 @@ IN_MEMORY = 64 << 20
 PREFIX = "sierra-index-"
 """The beginning of the names of the temporary folders in which indexes are built, on a local disk: DuckDB locks its files."""
 
-announce: Callable[[int], None] | None = None
-"""Called before so many segments are read for an index, if that takes some seconds."""
+announce: Callable[[str], None] | None = None
+"""Called with what a user should know: that an index is being built, if that takes some seconds, or cannot be built."""
 _held: dict[str, IndexFile] = {}
 """The index that this process uses, by the store's folder of indexes."""
 
@@ -67,7 +68,7 @@ class IndexFile:
 def format_now() -> str:
     """Return the digits of the format that this SIERRA writes and reads."""
     tables = {name: [(column.name, column.type) for column in table.columns] for name, table in RECORDED.items()}
-    return sha256(json.dumps([CONTENT, tables]).encode())[:8]
+    return sha256(json.dumps([FORMAT, tables]).encode())[:8]
 
 
 def published(folder: Path) -> list[Path]:
@@ -88,7 +89,7 @@ def best(paths: StorePaths) -> IndexFile | None:
         if held is not None and held.path == path and held.readable != str(path):
             return held
         with contextlib.suppress(OSError):
-            if (found := verified(path, paths)) is not None:
+            if (found := verified(path)) is not None:
                 _held[key] = found
                 return found
     return None
@@ -99,11 +100,15 @@ def is_current(path: Path) -> bool:
     return path.name.startswith(f"{format_now()}-")
 
 
-def verified(path: Path, paths: StorePaths) -> IndexFile | None:
-    """Return an index whose bytes are those that its name promises; else None. Raises OSError."""
+def verified(path: Path, *, anew: bool = False) -> IndexFile | None:
+    """Return an index whose bytes are those that its name promises; else None. Raises OSError.
+
+    `anew`: hash also a large one whose state is known.
+    """
     digits = path.stem.rpartition("-")[2]
     if path.stat().st_size > IN_MEMORY or not hasattr(os, "memfd_create"):
-        return IndexFile(path) if begins_with(path, digits) else None
+        whole = sha256_file(path).startswith(digits) if anew else begins_with(path, digits)
+        return IndexFile(path) if whole else None
     content = read_regular(path)
     if not sha256(content).startswith(digits):
         return None
@@ -120,11 +125,16 @@ def segments_of(path: Path) -> int:
     return int(path.name.split("-")[1])
 
 
-def publish(paths: StorePaths, segments: int, content: bytes) -> Path:
-    """Write an index of so many segments. Raises OSError."""
+def publish(paths: StorePaths, segments: int, built: Path) -> Path:
+    """Copy an index of so many segments into the store. Raises OSError."""
     paths.index.mkdir(exist_ok=True)
-    path = paths.index / f"{format_now()}-{segments:09d}-{sha256(content)[:16]}.duckdb"
-    write_whole(path, content)
+    path = paths.index / f"{format_now()}-{segments:09d}-{sha256_file(built)[:16]}.duckdb"
+    unfinished = unfinished_beside(path)
+    try:
+        shutil.copyfile(built, unfinished)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
     return path
 
 
@@ -145,14 +155,14 @@ def useless(paths: StorePaths) -> list[Path]:
     """Return the indexes of other versions of SIERRA, and those that are damaged."""
     with contextlib.suppress(OSError):
         found = [path for path in paths.index.iterdir() if NAME.fullmatch(path.name) and path.is_file()]
-        return [path for path in found if not is_current(path) or not _is_whole(path, paths)]
+        return [path for path in found if not is_current(path) or not _is_whole(path)]
     return []
 
 
-def _is_whole(path: Path, paths: StorePaths) -> bool:
+def _is_whole(path: Path) -> bool:
     """Check that an index has the bytes that its name promises, or cannot be read now."""
     try:
-        return verified(path, paths) is not None
+        return verified(path) is not None
     except OSError:
         return True
 

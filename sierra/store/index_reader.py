@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +30,7 @@ EQUAL = (
     *("sources", "specs"),
 )
 """Tables of which many segments have equal files. The index has the rows of such a file once."""
-CONTENT = ("objects",)
+IN_SEGMENTS = ("objects",)
 """Tables whose contents stay in the segments; the index knows only where they are."""
 
 Fetch = Callable[[str], list[RawRow]]
@@ -106,9 +107,12 @@ class Index:
         return self._held[table]
 
     def rows(self, table: str) -> str:
-        """Return the relation of the indexed rows of a table, with all of its columns in order."""
+        """Return the relation of the indexed rows of a table, with all of its columns in order.
+
+        Of `objects`, only rows whose contents exist still: a lost file can be stored again, unless it is believed to be there.
+        """
         columns = ", ".join(identifier(column.name) for column in RECORDED[table].columns if column.type != "BLOB")
-        current = self._current
+        current = self._current_by("seg", self._lost(table)) if table in IN_SEGMENTS else self._current
         if table in EQUAL and current:
             current = f" WHERE file_number IN (SELECT file_number FROM {DATABASE}.equal_file_of{current})"
         return f"(SELECT {columns} FROM {DATABASE}.{table}{current})"
@@ -116,23 +120,28 @@ class Index:
     @cached_property
     def _current(self) -> str:
         """The condition for the rows of current segments."""
-        return f" WHERE seg NOT IN ({', '.join(map(str, sorted(self._without)))})" if self._without else ""
+        return self._current_by("seg")
+
+    def _current_by(self, column: str, lost: AbstractSet[int] = frozenset()) -> str:
+        without = self._without | lost
+        return f" WHERE {column} NOT IN ({', '.join(map(str, sorted(without)))})" if without else ""
+
+    def _lost(self, table: str) -> AbstractSet[int]:
+        """Return the numbers of segments in which a file has been lost."""
+        of = self._of_segments(f"(SELECT DISTINCT seg FROM {DATABASE}.{table})")
+        segments = self._fetch(f"SELECT seg, s.name FROM {of}")
+        return {seg for seg, name in segments if not os.path.exists(f"{self._folder}/{name}/{table}.parquet")}  # noqa: PTH110
 
     def _of_segments(self, rows: str) -> str:
         """Return the relation of current rows, each beside its segment s."""
         return f"{rows} JOIN {DATABASE}.segments s USING (seg){self._current}"
-
-    def _contents(self, digests: Iterable[str]) -> str:
-        """Return the relation of current rows of `objects` with these SHA-256s, each beside its segment s."""
-        wanted = ", ".join(map(quote, digests)) or "NULL"
-        return self._of_segments(f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted}))")
 
     def experiments(self, batch: str | None = None) -> list[Held]:
         """Return the indexed experiments, those with the same axes together; of one batch only, if one is named."""
         theirs = "" if batch is None else f" {'AND' if self._without else 'WHERE'} batch = {quote(batch)}"
         found = []
         for number, columns in self._fetch(f"SELECT number, columns FROM {DATABASE}.experiment_sets ORDER BY number"):
-            current = self._current.replace("seg", OWN, 1)
+            current = self._current_by(OWN)
             source = f"(SELECT * EXCLUDE {OWN} FROM {DATABASE}.{EXPERIMENTS}_{number}{current}{theirs})"
             of = f"{DATABASE}.{EXPERIMENTS}_{number} JOIN {DATABASE}.segments s ON s.seg = {OWN}{current}{theirs}"
             [(first,)] = self._fetch(f"SELECT min(s.name) FROM {of}")
@@ -187,7 +196,7 @@ class Index:
         return int(highest)
 
     def files(self, table: str) -> list[str]:
-        """Return the paths of the files of a table whose contents stay in the segments."""
+        """Return the paths of the files of a table whose contents stay in the segments, also those of lost ones."""
         of = self._of_segments(f"{DATABASE}.{table}")
         return [f"{self._folder}/{segment}/{table}.parquet" for (segment,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")]
 
@@ -200,12 +209,9 @@ class Index:
             found |= {name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of}")}
         return sorted(found)
 
-    def first_holding(self, digests: Iterable[str]) -> list[str]:
-        """Return the names of the first indexed segments that hold these contents: one for each part."""
-        of = self._contents(digests)
-        return [name for (name,) in self._fetch(f"SELECT DISTINCT min(s.name) FROM {of} GROUP BY sha256, part ORDER BY ALL")]
-
-    def holding(self, digests: Iterable[str]) -> list[str]:
-        """Return the names of the indexed segments that hold contents with these SHA-256s."""
-        of = self._contents(digests)
-        return [name for (name,) in self._fetch(f"SELECT DISTINCT s.name FROM {of} ORDER BY ALL")]
+    def holding(self, digests: Iterable[str], *, first: bool = False) -> list[str]:
+        """Return the names of the indexed segments that hold contents with these SHA-256s; `first`: one for each part."""
+        wanted = ", ".join(map(quote, digests)) or "NULL"
+        of = self._of_segments(f"(FROM {DATABASE}.objects WHERE sha256 IN ({wanted}))")
+        found = f"SELECT min(s.name) AS name FROM {of} GROUP BY sha256, part" if first else f"SELECT s.name FROM {of}"
+        return [name for (name,) in self._fetch(f"SELECT DISTINCT name FROM ({found}) ORDER BY ALL")]

@@ -40,17 +40,22 @@ class Listing:
     def __init__(self, folders: Sequence[Path], facts: Facts | None = None, segments: Sequence[Segment] | None = None) -> None:
         """Look at the folders; with `facts`, there is one. `segments`: those to read, in place of the current ones.
 
+        An index that cannot tell which of its segments are current is not used.
+
         Raises Damaged if a damaged or lost file may hide a segment, or a part of one.
         """
         self.folders = folders
-        self.names = [one.name for one in segments] if segments else [name for one in folders for name in names_in(one)]
+        given = [segment.name for segment in segments or ()]
+        self.names = given or [name for folder in folders for name in names_in(folder)]
         """The names of all existing segments, ignored or not."""
         self.without: frozenset[int] = frozenset()
         """The numbers of segments in the index that are not current any more."""
-        self.facts = facts and self._usable(facts, folders[0])
+        self.facts = facts if facts is not None and facts.are_sure(set(self.names)) else None
         if segments is not None:
             self.rest = list(segments)
-        elif self.facts is None:
+        elif self.facts is not None:
+            self.rest, self.without = self._beside(self.facts, folders[0])
+        else:
             self.rest = [segment for folder in folders for segment in listed(folder) if is_whole(segment, folder)]
 
     @cached_property
@@ -58,18 +63,15 @@ class Listing:
         """True if some segments replace others."""
         return bool(self.facts and self.facts.replacing) or any(segment.replaces for segment in self.rest)
 
-    def _usable(self, facts: Facts, folder: Path) -> Facts | None:
-        """List the segments that the index does not name. Return None if the index cannot tell which of its own are current."""
+    def _beside(self, facts: Facts, folder: Path) -> tuple[list[Segment], frozenset[int]]:
+        """Return the segments that the index does not name, and the numbers of its own that are not current any more."""
         present = set(self.names)
-        if not facts.are_sure(present):
-            return None
         gone = facts.numbers.keys() - present
         found = marked(folder, (name for name in self.names if name not in facts.numbers))
         hidden = out_of_date(found, present & facts.numbers.keys()) | (facts.replaced & present)
-        self.rest = sound([segment for segment in found if segment.name not in hidden], folder)
-        self.rest = [segment for segment in self.rest if is_whole(segment, folder)]
-        self.without = frozenset(facts.numbers[name] for name in (gone | (hidden & facts.numbers.keys())) - facts.ignored)
-        return facts
+        rest = sound([segment for segment in found if segment.name not in hidden], folder)
+        without = frozenset(facts.numbers[name] for name in (gone | (hidden & facts.numbers.keys())) - facts.ignored)
+        return [segment for segment in rest if is_whole(segment, folder)], without
 
     @cached_property
     def segments(self) -> list[Segment]:

@@ -29,7 +29,7 @@ from sierra.store.store import Found, Snapshot
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import BESIDE, is_number, text_beside
 from sierra.store.verified_files import is_sound, verify
-from sierra.store.views import ORDER
+from sierra.store.views import KEPT_OBJECTS, ORDER
 from sierra.util.text import natural
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ def recorded(
     snapshot.add_table(
         "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
     )
-    snapshot.views.make(("batch_runs", "specs", "all_artifacts", "kept objects"))
+    snapshot.views.make(("batch_runs", "specs", "all_artifacts", KEPT_OBJECTS))
     rows = [(place, nth, Recorded(runs[place], *rest)) for place, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
     rows.sort(key=lambda row: (row[0], PARTS.get(row[2].kind, 1), row[1], natural(row[2].path)))
     return [file for _, _, file in rows]
@@ -215,7 +215,7 @@ listed AS (
     FROM taken t JOIN all_artifacts a USING (execution) WHERE $all
     QUALIFY row_number() OVER (PARTITION BY t.place, a.kind = 'log', a.path ORDER BY a.output) = 1
 ),
-kept AS (SELECT sha256, any_value(size) AS kept FROM "kept objects" GROUP BY sha256)
+kept AS (SELECT sha256, any_value(size) AS kept FROM "{KEPT_OBJECTS}" GROUP BY sha256)
 SELECT l.place, l.nth, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
        l.output, l.table_layout, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256

@@ -35,7 +35,7 @@ from sierra.store.statement import check_describes, checked, kinds
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
-from sierra.store.views import Views, lists_tables, recording, tables_of
+from sierra.store.views import KEPT_OBJECTS, Views, lists_tables, recording, tables_of
 from sierra.util.fs import is_gone, write_whole
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
@@ -567,6 +567,8 @@ class Snapshot:
         self._opened.close()
         self._open(None)
         self.set_up(settings)
+        if self._settled:
+            self.views.settle()
         return True
 
     def durations(self, output: str, executions: str = "SELECT judgement FROM all_judgements") -> list[str]:
@@ -644,6 +646,15 @@ class Snapshot:
         indexed = self._index.holding(digests) if self._index else []
         rest = (segment.name for segment in self.listing.rest if "objects" in segment.files)
         return self.listing.named([*rest, *indexed])
+
+    def kept(self, digests: Iterable[str]) -> dict[str, int]:
+        """Return those of these SHA-256s whose contents the store keeps, with the sizes in bytes."""
+        if not self.holds("objects"):
+            return {}
+        self.add_table("asked_contents", sha256=sorted(set(digests)))
+        self.views.make((KEPT_OBJECTS,))
+        kept = f"{identifier(KEPT_OBJECTS)} SEMI JOIN asked_contents USING (sha256)"
+        return dict(self.run(f"SELECT sha256, any_value(size) FROM {kept} GROUP BY sha256"))
 
     def highest_indexed(self, tables: Iterable[str], column: str) -> int:
         """Return the highest value of a column of whole numbers in the indexed rows of these tables; 0 without an index."""

@@ -14,14 +14,14 @@ from collections.abc import Set as AbstractSet
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.index_reader import DATABASE, STORED
 from sierra.store.segments import Segment
-from sierra.store.sql_names import identifier, quote
+from sierra.store.sql_names import quote
 
 LARGE = 100_000
 """The number of rows from which it is faster to look for what is touched than to compute all results."""
 ADDED = frozenset(("batches", "batch_runs", "experiments", "executions", "reused_executions", "sessions", "stale_sessions"))
 """The tables to which a session adds that only executes something."""
-BATCHES, RUNS = identifier("touched batches"), identifier("touched runs")
-"""Temporary tables: the batches that are touched, and their runs. No output has such a name."""
+BATCHES, RUNS = f"{DATABASE}_batches", f"{DATABASE}_runs"
+"""Temporary tables: the batches that are touched, and their runs. Nobody else's statement can guess these names either."""
 BY_BATCH = f"SELECT * FROM batch_runs SEMI JOIN {BATCHES} USING (batch)"
 JUDGEMENTS = f"""
 SELECT * FROM all_judgements WHERE run IN (FROM {RUNS}) OR batch IN (FROM {BATCHES})

@@ -12,7 +12,7 @@ from sierra.errors import Damaged
 from sierra.store import stored_results
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
-from sierra.store.index_reader import CONTENT, Index
+from sierra.store.index_reader import IN_SEGMENTS, Index
 from sierra.store.listing import Listing
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
@@ -278,7 +278,7 @@ class Views:
 
     def _records(self, name: str, *, older: bool) -> str:
         """Return the relation of records in all segments; `older`: no file has the later columns."""
-        parts = [self._index.rows(name)] if self._index and self._index.holds(name) and name not in CONTENT else []
+        parts = [self._index.rows(name)] if self._index and self._index.holds(name) and name not in IN_SEGMENTS else []
         if files := self._files_of(name):
             source = (
                 records(name, files) if older else read_parquet(files, union=name in LATER, check=name not in self.unchecked)
@@ -292,7 +292,7 @@ class Views:
 
     def _files_of(self, name: str) -> list[str]:
         """Return the files of a table of records that are read, in the order of their segments."""
-        if self._index and name in CONTENT:
+        if self._index and name in IN_SEGMENTS:
             return sorted([*self._files.get(name, ()), *self._index.files(name)], key=segment_of)
         return self._files.get(name, [])
 
@@ -310,8 +310,9 @@ class Views:
 
     def _stored(self, name: str) -> str:
         """Return the relation of a result in the index; "" if there is none that holds for all segments."""
-        usable = self._index and self._within is None and name in RESULTS and RESULTS_FROM.isdisjoint(self._files)
-        return self._index.stored(name) if self._index and usable else ""
+        if self._index is None or self._within is not None or name not in RESULTS:
+            return ""
+        return self._index.stored(name) if RESULTS_FROM.isdisjoint(self._files) else ""
 
     @cached_property
     def _partly_stored(self) -> bool:
@@ -442,7 +443,7 @@ class Views:
     def contents(self, digests: Iterable[str]) -> str:
         """Return the relation of `objects` in files that have all contents with these SHA-256s."""
         digests = set(digests)
-        indexed = self._of_index(self._index.first_holding(digests)) if self._index else []
+        indexed = self._of_index(self._index.holding(digests, first=True)) if self._index else []
         if self._index and not all(map(os.path.exists, indexed)):  # one was lost; others may have the same contents
             indexed = list(filter(os.path.exists, self._of_index(self._index.holding(digests))))
         files = [*self._files.get("objects", ()), *indexed]

@@ -38,7 +38,6 @@ SELECT DISTINCT f.path, f.use, f.sha256
 FROM observations o JOIN executions e USING (execution) JOIN files_read f USING (files)
 WHERE e.session = $s AND starts_with(f.path, $inside) AND f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL ORDER BY ALL
 """
-STORED = 'SELECT DISTINCT sha256 FROM "kept objects" WHERE list_contains($d, sha256)'
 
 
 def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
@@ -46,7 +45,10 @@ def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
     if plan.source is None:  # a recorded batch
         return
     used = _used(plan, store, session)
-    stored = set(store.values(str, STORED, d=sorted({one.sha256 for one in used.values()}))) if used else set()
+    if not used:
+        return
+    with store.snapshot() as snapshot:
+        stored = snapshot.kept(one.sha256 for one in used.values())
     left = plan.project.config.source.max_ignored
     for size, path, one in sorted((path.stat().st_size, path, one) for path, one in used.items() if path.is_file()):
         if size > left:

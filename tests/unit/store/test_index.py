@@ -125,10 +125,17 @@ def of_other_storage(path: Path) -> None:
     named_anew(path, bytes(content))
 
 
+def published(paths: StorePaths, segments: int, content: bytes) -> Path:
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(content)
+        file.flush()
+        return index_files.publish(paths, segments, Path(file.name))
+
+
 def named_anew(path: Path, content: bytes) -> Path:
     """Replace an index by one of this content, whose name tells its hash."""
     path.unlink()
-    return index_files.publish(StorePaths(path.parents[1]), index_files.segments_of(path), content)
+    return published(StorePaths(path.parents[1]), index_files.segments_of(path), content)
 
 
 def link_elsewhere(path: Path) -> None:
@@ -234,7 +241,7 @@ def test_a_table_that_cannot_be_read_is_read_from_the_segments(project: Path) ->
     for block in range((len(whole) - 12288) // 16384):
         content = bytearray(whole)
         content[12288 + block * 16384 + 5000] ^= 1
-        path = named_anew(path, bytes(content)) if path.exists() else index_files.publish(paths_of(project), 12, bytes(content))
+        path = named_anew(path, bytes(content)) if path.exists() else published(paths_of(project), 12, bytes(content))
         statement = STATEMENTS[block % len(STATEMENTS)]
         assert Store(project / ".sierra").sql(statement).to_pylist() == without[block % len(STATEMENTS)]
         broken += not path.exists()
@@ -279,7 +286,7 @@ def test_fsck_compares_an_index_with_the_segments(project: Path, change: str, ta
     connection = duckdb.connect(str(path))
     connection.execute(change)
     connection.close()
-    index_files.publish(paths_of(project), 12, path.read_bytes())
+    index_files.publish(paths_of(project), 12, path)
     [finding] = opened.fsck().findings
     assert finding.path.startswith("index/")
     assert f"its rows of {table} are not those of the segments" in finding.what
@@ -677,3 +684,52 @@ def test_contents_whose_first_file_is_lost_are_read_from_another(project: Path) 
     min(holding[digest]).unlink()
     assert store.object(digest) == content
     assert index_files.published(store.paths.index)
+
+
+@pytest.mark.integration
+def test_contents_that_were_lost_are_stored_again(project: Path) -> None:
+    """An index still has the records of a lost file, so that the store seems to have its contents."""
+    opened = sierra.open(project)
+    held = {path: duckdb.execute(f"SELECT sha256 FROM '{path}'").fetchall() for path in stores.files(project, "objects")}
+    source = opened.store.values(str, "SELECT sha256 FROM blobs ORDER BY ALL")[0]
+    assert index_builder.build(opened.store.paths) is not None
+    with opened.store.snapshot() as snapshot:
+        assert snapshot.kept([source]).keys() == {source}
+    for each in held:
+        if (source,) in held[each]:
+            each.unlink()
+    with opened.store.snapshot() as snapshot:
+        assert not snapshot.kept([source])
+    opened.run("population_size=7", runs=1, figures=False)
+    assert opened.store.object(source)
+
+
+def test_a_user_is_told_if_no_index_can_be_built(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(index_files, "announce", told.append)
+    monkeypatch.setattr(index_builder, "STORAGE", "v0.1")
+    index_builder.keep_up(paths_of(project), 1)
+    [note] = told
+    assert note.startswith("no index could be built, so commands look at each segment: ")
+    assert not index_files.published(paths_of(project).index)
+
+
+def test_a_snapshot_that_leaves_an_index_stays_settled(project: Path) -> None:
+    assert index_builder.build(paths_of(project)) is not None
+    with Store(project / ".sierra").snapshot() as snapshot:
+        snapshot.settle()
+        before = snapshot.rows("SELECT * FROM swarm ORDER BY ALL")
+        snapshot.sql("SHOW ALL TABLES")
+        assert "settled" in str(snapshot.rows("EXPLAIN SELECT * FROM swarm"))
+        assert snapshot.rows("SELECT * FROM swarm ORDER BY ALL") == before
+
+
+def test_statements_do_not_see_tables_of_touched_runs(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stored_results, "LARGE", 0)
+    assert index_builder.build(paths_of(project)) is not None
+    sierra.open(project).run("population_size=7", runs=1, figures=False)
+    with Store(project / ".sierra").snapshot() as snapshot:
+        assert snapshot.sql("SELECT count(*) FROM runs").to_pylist()
+        assert not [row for row in snapshot.sql("SHOW TABLES").to_pylist() if "touched" in str(row) or "index_" in str(row)]
+        with pytest.raises(SqlError, match="does not exist"):
+            snapshot.sql('SELECT * FROM "touched runs"')
