@@ -59,6 +59,10 @@ LONG = 1000
 """The number of segments from which a user who waits is told what for."""
 KEPT = 2
 """The number of indexes that are kept: readers may be about to open the last one."""
+MEMORY = "1GB"
+"""The memory that DuckDB may use before it writes to the disk."""
+FILES = 100
+"""The number of files whose rows are in memory at a time."""
 STORAGE = "v1.5.0"
 """The version of DuckDB's file format. By default, DuckDB writes one that no other version reads."""
 BLOCK = 16_384
@@ -133,6 +137,7 @@ class _Building:
         self._path = path
         self._connection = connect()
         self._connection.execute("SET threads = 1")  # with more, small files take up to twice the time of the processor
+        self._connection.execute(f"SET memory_limit = '{MEMORY}'")
         names = names_in(self._folder)
         self.goes_on = best is not None and self._goes_on(best, set(names))
         if not self.goes_on:
@@ -178,7 +183,7 @@ class _Building:
                 kept = [column for column in recorded.columns if column.type != "BLOB"]
                 columns = ", ".join(f"{identifier(column.name)} {column.type}" for column in kept)
                 key = "file_number" if table in EQUAL else "seg"
-                self._connection.execute(f"CREATE TABLE {DATABASE}.{table} ({key} INTEGER, {columns})")
+                self._connection.execute(f"CREATE TABLE {DATABASE}.{table} ({key} INTEGER NOT NULL, {columns})")
         self._connection.execute(f"INSERT INTO {DATABASE}.base VALUES ({segments})")
 
     def add(self, worth: int) -> bool:
@@ -242,16 +247,16 @@ class _Building:
         Files with rows of another segment's executions are left out.
         """
         known = index.answers(output, question)
-        new = {steady(file): file for file in files if file not in known}
+        new = [file for file in files if file not in known]
         if new:
-            source = read_parquet(list(new.values()), union=True, filename=True, check=False)
+            source = read_parquet(new, union=True, filename=True, check=False)
             own = f"bool_and((split_part(filename, '/', -2), execution) IN (FROM ({index.judgements()})))"
             found = self._fetch(
                 f"SELECT filename, coalesce({question}, 0)::INTEGER FROM {source} GROUP BY filename HAVING {own}"
             )
-            known |= {new[file]: value for file, value in found}
+            known |= dict(found)
             numbers = self._named()
-            rows = ((numbers[segment_of(new[file])], output, Path(file).name, question, value) for file, value in found)
+            rows = ((numbers[segment_of(file)], output, Path(file).name, question, value) for file, value in found)
             self._insert("answers", rows)
         return {file: known[file] for file in files if file in known}
 
@@ -313,17 +318,20 @@ class _Building:
     def _copy_rows(self, table: str, numbers: Mapping[str, int]) -> None:
         """Add the rows of files of a table, each with the number of its file."""
         kept = ", ".join(f"f.{identifier(column.name)}" for column in RECORDED[table].columns if column.type != "BLOB")
-        source = records(table, list(numbers), filename=True, check=False)
-        self._connection.execute(
-            f"INSERT INTO {DATABASE}.{table} SELECT n.number, {kept} FROM {self._numbered(source, numbers)}"
-        )
+        files = list(numbers)
+        for begin in range(0, len(files), FILES):
+            part = files[begin : begin + FILES]
+            rows = self._numbered(records(table, part, filename=True, check=False), {file: numbers[file] for file in part})
+            self._connection.execute(f"INSERT INTO {DATABASE}.{table} SELECT n.number, {kept} FROM {rows}")
 
     def _numbered(self, source: str, numbers: Mapping[str, int]) -> str:
-        """Return the relation of the rows of files with the numbers of these, n.number, in this order."""
+        """Return the relation of the rows of files with the numbers of these, n.number, in this order.
+
+        A row whose file has no number would be lost; it is refused, because tables have no rows without a number.
+        """
         self._connection.execute("CREATE OR REPLACE TEMP TABLE numbers (file VARCHAR, number INTEGER)")
-        files = [steady(file) for file in numbers]
-        self._connection.execute("INSERT INTO numbers SELECT unnest(?), unnest(?)", [files, list(numbers.values())])
-        return f"{source} f JOIN numbers n ON n.file = f.filename ORDER BY n.number"
+        self._connection.execute("INSERT INTO numbers SELECT unnest(?), unnest(?)", [list(numbers), list(numbers.values())])
+        return f"{source} f LEFT JOIN numbers n ON n.file = f.filename ORDER BY n.number"
 
     def _add_experiments(self, numbers: Mapping[str, int]) -> None:
         """Add the rows of `experiments`, those with equal columns to one table."""
@@ -341,6 +349,7 @@ class _Building:
                 numbered = self._numbered(source, {file: numbers[file] for file in files})
                 every = [f"SELECT n.number AS {OWN}, f.* EXCLUDE filename FROM {numbered}"]
             self._connection.execute(f"CREATE TABLE IF NOT EXISTS {table} AS {every[0]} LIMIT 0")
+            self._connection.execute(f"ALTER TABLE {table} ALTER COLUMN {OWN} SET NOT NULL")
             for rows in every:
                 self._connection.execute(f"INSERT INTO {table} {rows}")
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import duckdb
 
 from sierra.store.connections import connect
-from sierra.store.duckdb_file_io import read_parquet, steady
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.index_files import IndexFile
 from sierra.store.index_reader import DATABASE, EQUAL, EXPERIMENTS, OWN, STORED, Fetch, Index, attach, facts_of
 from sierra.store.listing import Listing
@@ -71,7 +71,7 @@ def _other_answers(fetch: Fetch, index: Index, output: str, question: str, colum
     """Compare the values of an expression over files; those with other columns apart, because DuckDB cannot unite all types."""
     groups: dict[tuple[tuple[str, str], ...], dict[str, int]] = {}
     for file, value in index.answers(output, question).items():
-        groups.setdefault(tuple(columns[file].items()), {})[steady(file)] = value
+        groups.setdefault(tuple(columns[file].items()), {})[file] = value
     sources = ((read_parquet(list(known), filename=True, check=False), known) for known in groups.values())
     asked = f"SELECT filename, coalesce({question}, 0)::INTEGER FROM"
     return any(dict(fetch(f"{asked} {source} GROUP BY filename")) != known for source, known in sources)

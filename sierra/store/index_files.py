@@ -34,7 +34,7 @@ from sierra.util.hashing import sha256, sha256_file
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import remove_abandoned
 
-FORMAT = 4
+FORMAT = 5
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
 NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
 UNFINISHED = re.compile(rf"\.{NAME.pattern}{UNFINISHED_END}")

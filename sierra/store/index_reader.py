@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.store.duckdb_file_io import steady
 from sierra.store.index_files import IndexFile
 from sierra.store.listing import Facts, Listing
 from sierra.store.schema import RECORDED
@@ -40,7 +41,7 @@ _facts: dict[Path, Facts] = {}
 
 def attach(index: IndexFile) -> str:
     """Return the statement that attaches an index to a connection. It names the index, because descriptors are used again."""
-    return f"ATTACH {quote(index.readable)} AS {DATABASE} (TYPE duckdb, READ_ONLY)  -- {index.path.name}"
+    return f"ATTACH {quote(steady(index.readable))} AS {DATABASE} (TYPE duckdb, READ_ONLY)  -- {index.path.name}"
 
 
 def facts_of(index: IndexFile, fetch: Fetch) -> Facts:

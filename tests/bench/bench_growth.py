@@ -180,6 +180,7 @@ def grown(root: Path, batches: int, *, runs: int, simulator: str = projects.SIMU
     """Make a project with so many batches, and print what that takes."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:  # what a process starts may seem to have its memory
         batch = batch_of(root, runs=runs, simulator=simulator)
+        measured(root, SIERRA, "gc", "--yes")  # or the number of segments depends on the time that this batch took
         for what, make in (
             ("made", pool.submit(taken, large_stores.multiply, root, batch, batches - 2)),
             ("indexed", pool.submit(taken, index, root)),
