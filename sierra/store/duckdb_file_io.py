@@ -22,11 +22,13 @@ from sierra.errors import Missing
 from sierra.store.sql_names import quote
 from sierra.store.verified_files import verify
 
-ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
-"""The parts of a path that DuckDB does not take literally: patterns, the home folder, and bytes that are not UTF-8."""
+ODD = re.compile(r"^~|[*?\[\\\udc80-\udcff]")
+"""The parts of a path that DuckDB does not take literally: patterns, the home folder, bytes that are not UTF-8, and a backslash
+in the path of an attached file.
+"""
 OPEN = "/proc/{}/fd"
 """The folder of the open files of a process, by its id."""
-UNNAMED = "cannot be read under this name here; rename files or folders that have one of the characters ~ * ? [ in their names"
+UNNAMED = "cannot be read under this name here; rename files or folders with one of the characters ~ * ? [ \\ in their names"
 UNGUESSED = "hive_partitioning = false, hive_types_autocast = false"
 TABLE = "sierra_table"
 """The key, in the metadata of an output's Parquet file, of the name of its table."""

@@ -179,7 +179,7 @@ def test_a_store_is_refused_in_a_folder_whose_name_duckdb_cannot_read(tmp_path: 
         Store.create(Path(os.fsdecode(bytes(tmp_path) + b"/p\xff/.sierra")))
     monkeypatch.setattr(duckdb_file_io, "OPEN", str(tmp_path / "nowhere"))
     with pytest.raises(
-        Missing, match=r"\[x\]/.sierra: cannot be read under this name here; rename files or folders that have one of"
+        Missing, match=r"\[x\]/.sierra: cannot be read under this name here; rename files or folders with one of"
     ):
         Store.create(tmp_path / "[x]" / ".sierra")
     assert list(tmp_path.iterdir()) == []
