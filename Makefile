@@ -66,11 +66,12 @@ soak: install ## random faults for MINUTES=10, from SEED on (STEPS=1 ONLY=… ta
 	$(BIN)/python -m tests.soak --minutes $(MINUTES) $(if $(SEED),--seed $(SEED)) $(if $(STEPS),--steps $(STEPS)) \
 		$(if $(ONLY),--only $(ONLY))
 
-check: install ## style, types, and the layers of the design
+check: install ## style, types, the layers of the design, and its size
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy sierra
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/python tests/bench/ratchet.py
 
 format: install ## rewrite the code in the project's style
 	$(BIN)/ruff check --fix
