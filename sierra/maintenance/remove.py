@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 from sierra.errors import Busy, NotFound
 from sierra.execution import recover
@@ -25,8 +26,8 @@ from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
 from sierra.store import study_records
 from sierra.store.compaction import Compaction, groups, touched
-from sierra.store.row_types import OF_EXECUTIONS, OF_JUDGEMENTS
-from sierra.store.schema import RECORDED
+from sierra.store.row_types import About, Of
+from sierra.store.schema import RECORDED, columns_with
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
@@ -156,7 +157,7 @@ INSERT INTO shared SELECT e.run, f.batch FROM effective f JOIN executions e USIN
 """
 FIND = """
 CREATE TEMP TABLE gone AS
-    SELECT judgement AS execution, execution AS own, run, environment, programs, ingest_rules, isolation FROM all_judgements
+    SELECT judgement AS execution, execution AS own, run FROM all_judgements
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
     OR run IN (SELECT run FROM asked_members EXCEPT SELECT run FROM shared);
 CREATE TEMP TABLE gone_batches AS SELECT id AS batch FROM named WHERE kind = 'batch';
@@ -171,8 +172,6 @@ CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
     AND (execution IS NULL OR execution NOT IN (SELECT execution FROM gone));
 CREATE TEMP TABLE gone_replays AS SELECT replay FROM replays WHERE batch IN (SELECT batch FROM gone_batches)
     OR (replay IN (SELECT replay FROM gone_verdicts) AND replay NOT IN (SELECT replay FROM staying_verdicts));
-CREATE TEMP TABLE staying AS SELECT judgement AS execution, environment, programs, ingest_rules, isolation FROM all_judgements
-    WHERE judgement NOT IN (SELECT execution FROM gone);
 CREATE TEMP TABLE gone_members AS SELECT * FROM batch_runs WHERE batch IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_members AS SELECT * FROM batch_runs WHERE batch NOT IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_specs AS SELECT DISTINCT spec FROM staying_members;
@@ -212,26 +211,6 @@ AROUND = {
         "shared",
         "SELECT shared FROM gone_shared_files",
     ),
-    "environments": (
-        "environment",
-        "(SELECT environment FROM gone UNION SELECT environment FROM all_sessions "
-        "UNION SELECT environment FROM robots UNION SELECT environment FROM replays) EXCEPT "
-        "(SELECT environment FROM staying UNION SELECT environment FROM staying_sessions "
-        "UNION SELECT environment FROM robots WHERE environment IS NOT NULL AND execution NOT IN (SELECT own FROM gone) "
-        "UNION SELECT environment FROM staying_replays)",
-    ),
-    "programs": (
-        "programs",
-        "(SELECT programs FROM gone UNION SELECT programs FROM all_sessions UNION SELECT programs FROM replays "
-        "UNION SELECT programs FROM builds) EXCEPT (SELECT programs FROM staying UNION SELECT programs FROM staying_sessions "
-        "UNION SELECT programs FROM staying_replays "
-        "UNION SELECT programs FROM builds WHERE build NOT IN (SELECT build FROM gone_builds))",
-    ),
-    "ingest_rules": (
-        "ingest_rules",
-        "(SELECT ingest_rules FROM gone UNION SELECT ingest_rules FROM all_sessions) EXCEPT "
-        "(SELECT ingest_rules FROM staying UNION SELECT ingest_rules FROM staying_sessions)",
-    ),
     "files_read": (
         "files",
         "SELECT files FROM observations WHERE execution IN (SELECT execution FROM gone) "
@@ -246,11 +225,8 @@ AROUND = {
         "SELECT sha256 FROM files_read WHERE use = 'listed' AND files IN "
         "(SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone))",
     ),
-    "stale_sessions": ("session", GONE_SESSIONS),
-    "unused_changes": ("session", GONE_SESSIONS),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
-    "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
     "imported_sessions": ("session", "SELECT session FROM gone_imported_sessions"),
     "imports": (
         "package",
@@ -267,6 +243,15 @@ AROUND = {
     ),
 }
 """By table: its key column, and a query for the ids that nothing refers to any more."""
+SHARED = {"environments": "environment", "programs": "programs", "ingest_rules": "ingest_rules", "isolations": "isolation"}
+"""The same for tables whose records any table may name, in a column of this name."""
+GONE: Mapping[Enum, str] = {
+    **dict.fromkeys((Of.EXECUTION, Of.JUDGEMENT, About.EXECUTION), "SELECT execution FROM gone"),
+    Of.SESSION: GONE_SESSIONS,
+    About.BATCH: "SELECT batch FROM gone_batches",
+    About.REPLAY: "SELECT replay FROM gone_replays",
+}
+"""Queries for the objects with which records are removed."""
 OBJECTS = """
 (SELECT sha256 FROM all_artifacts WHERE execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || other_inputs) FROM gone_members UNION SELECT files FROM gone_sources
@@ -350,21 +335,34 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     )
 
 
+def _unshared(shared: str, key: str) -> str:
+    """Return the query for the records of a table that removed records name in the column `key`, and no others."""
+    gone, staying = [], []
+    for name, table in RECORDED.items():
+        if name not in (shared, "judgements") and any(column.name == key for column in table.columns):
+            is_gone = " OR ".join(
+                f"{column} IN ({query})" for fact, query in GONE.items() for column in columns_with(fact).get(name, ())
+            )
+            rows = name
+            if name == "executions":
+                rows, is_gone = "all_judgements", "judgement IN (SELECT execution FROM gone)"
+            elif name == "sessions":
+                rows = "all_sessions"
+            elif name in AROUND:
+                is_gone = f"{AROUND[name][0]} IN ({AROUND[name][1]})"
+            gone.append(f"SELECT {key} FROM {rows} WHERE {is_gone}")
+            staying.append(f"SELECT {key} FROM {rows} WHERE NOT coalesce({is_gone}, false) AND {key} IS NOT NULL")
+    return f"({' UNION '.join(gone)}) EXCEPT ({' UNION '.join(staying)})"
+
+
 def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
-    executions = _column(snapshot, "SELECT execution FROM gone")
-    batches = set(named["batch"])
-    replays = _column(snapshot, "SELECT replay FROM gone_replays")
-    drop: dict[str, dict[str, AbstractSet[str]]] = {
-        **{table: {"execution": executions} for table in (*OF_EXECUTIONS, *OF_JUDGEMENTS)},
-        "judgements": {"judgement": executions},
-        "reused_executions": {"execution": executions, "session": _column(snapshot, GONE_SESSIONS)},
-        **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions", "deliverables")},
-        "replays": {"replay": replays},
-        "equivalences": {"replay": replays},
-        "verdicts": {"replay": replays, "recorded": executions, "execution": executions},
-        "captures": {"recorded": executions, "execution": executions},
-        "renderings": {"execution": executions, "batch": batches},
-    }
+    drop: dict[str, dict[str, AbstractSet[str]]] = {}
+    for fact, statement in GONE.items():
+        gone = _column(snapshot, statement)
+        for table, columns in columns_with(fact).items():
+            drop.setdefault(table, {}).update(dict.fromkeys(columns, gone))
+    for table, key in SHARED.items():
+        drop[table] = {key: _column(snapshot, _unshared(table, key))}
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}
     for name, table, key in (("gone_programs", "programs", "programs"), ("gone_files", "files_read", "files")):

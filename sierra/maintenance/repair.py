@@ -36,7 +36,8 @@ from sierra.maintenance.lost_remarks import Doubtful
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
-from sierra.store.row_types import OF_EXECUTIONS, OF_JUDGEMENTS
+from sierra.store.row_types import About, Of
+from sierra.store.schema import columns_with
 from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, NAME, Segment, manifest
 from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
@@ -79,12 +80,10 @@ class _Loss:
     @property
     def drop(self) -> Drop:
         drop: dict[str, dict[str, AbstractSet[str]]] = {}
-        if self.executions:
-            drop |= {table: {"execution": self.executions} for table in (*OF_EXECUTIONS, *OF_JUDGEMENTS)}
-            drop["judgements"] = {"judgement": self.executions}
-        if self.executions or self.replays:
-            drop["verdicts"] = {"recorded": self.executions, "execution": self.executions, "replay": self.replays}
-            drop["equivalences"] = {"replay": self.replays}
+        for ids, facts in ((self.executions, (Of.EXECUTION, Of.JUDGEMENT, About.EXECUTION)), (self.replays, (About.REPLAY,))):
+            for table, columns in columns_with(*facts).items() if ids else ():
+                drop.setdefault(table, {}).update(dict.fromkeys(columns, ids))
+        drop.pop("replays", None)
         if self.batches:
             drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "batch_runs")}
         return drop

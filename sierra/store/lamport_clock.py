@@ -21,11 +21,6 @@ from __future__ import annotations
 NUMBER, TIE, POSITION = 23, 18, 22
 """The widths of the three parts in bits."""
 HIGHEST = (1 << NUMBER) - 1
-ORDERED = (
-    *("batches", "builds", "captures", "deliverables", "executions", "findings", "imported_sessions", "imports"),
-    *("judgements", "looks", "replays", "sessions", "studies", "trials"),
-)
-"""The tables with the column `lamport`."""
 
 
 def stamp(number: int | None, session: str, position: int = 0) -> int:

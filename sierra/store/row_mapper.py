@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import cache
-from operator import itemgetter
-from typing import NamedTuple, TypeVar
+from functools import cache, reduce
+from operator import itemgetter, or_
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
 from sierra.errors import Damaged
 from sierra.store.sql_result import INTEGER, NUMBER, Answer
@@ -84,9 +84,20 @@ def _fields(kind: type[NamedTuple]) -> list[tuple[str, str]]:
     return [(name, _text(annotation)) for name, annotation in kind.__annotations__.items()]
 
 
+def without_facts(annotation: Any) -> Any:
+    """Return a type without what `Annotated` says about it, or about types within it."""
+    if hasattr(annotation, "__metadata__"):
+        return without_facts(annotation.__origin__)
+    inner = get_args(annotation)
+    plain = tuple(map(without_facts, inner))
+    if plain == inner:
+        return annotation
+    return list.__class_getitem__(plain) if get_origin(annotation) is list else reduce(or_, plain)
+
+
 def _text(annotation: object) -> str:
     """Return an annotation as it is written; NamedTuple keeps it as a reference if its module postpones evaluation."""
-    annotation = getattr(annotation, "__origin__", annotation) if hasattr(annotation, "__metadata__") else annotation
+    annotation = without_facts(annotation)
     if isinstance(annotation, type) and not hasattr(annotation, "__args__"):
         return annotation.__name__
     return str(getattr(annotation, "__forward_arg__", annotation))

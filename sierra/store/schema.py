@@ -6,12 +6,16 @@ The tables of the runs' own outputs are not here: the runs define their columns.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from enum import Enum
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from sierra.store.row_types import ROWS
+from sierra.store import row_types
+from sierra.store.row_mapper import without_facts
+from sierra.store.row_types import ROWS, Of, Redaction
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -23,6 +27,14 @@ class Column:
     type: str
     meaning: str
     unit: str = ""
+    facts: tuple[Enum, ...] = ()
+    """The further facts: see `sierra.store.row_types`."""
+
+    @property
+    def redaction(self) -> Redaction | None:
+        """The way in which anonymous packages show its values; None for a column of texts without a decision."""
+        default = {TEXT: None, "VARCHAR[]": None, TIME: Redaction.TIME}.get(self.type, Redaction.KEEP)
+        return next((fact for fact in self.facts if isinstance(fact, Redaction)), default)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,31 +49,51 @@ TYPES = {str: TEXT, int: INT, float: "DOUBLE", bool: "BOOLEAN", datetime: TIME, 
 """The SQL type of a column by the Python type of its values."""
 
 
-def _table(name: str, meaning: str, *columns: tuple[str, ...]) -> Table:
+def _table(name: str, meaning: str, *columns: tuple[str, str, str] | tuple[str, str, str, str]) -> Table:
     return Table(name, meaning, tuple(Column(*column) for column in columns))
 
 
 def _recorded(name: str, row: type[NamedTuple]) -> Table:
     columns = []
     for column, hint in row.__annotations__.items():
-        kind = next(one for one in (hint.__origin__, *get_args(hint.__origin__)) if one in TYPES)
-        columns.append(Column(column, TYPES[kind], *hint.__metadata__))
+        plain = without_facts(hint)
+        kind = next(each for each in (plain, *get_args(plain)) if each in TYPES)
+        said = list(_said(hint))
+        texts = [fact for fact in said if isinstance(fact, str)]
+        facts = tuple(fact for fact in said if isinstance(fact, Enum))
+        columns.append(Column(column, TYPES[kind], texts[0], " ".join(texts[1:]), facts))
     return Table(name, " ".join(str(row.__doc__).split()), tuple(columns))
+
+
+def _said(hint: Any) -> Iterator[object]:
+    """Yield all that an annotation says beside the type, also within it."""
+    for inner in get_args(hint):
+        yield from (inner,) if isinstance(inner, str | Enum) else _said(inner)
 
 
 RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 """The tables that are written, by name."""
 
 LATER: dict[str, tuple[str, ...]] = {
-    "sessions": ("build", "target"),
-    "builds": ("processors",),
-    "environments": ("packages", "workspaces"),
-    "observations": ("distributions",),
-    "images": ("variants",),
-    "robots": ("isolation", "clock_remark", "uneven_ns"),
-    "specs": ("named_inputs", "shared_files", "around", "robots"),
+    name: later
+    for name, table in RECORDED.items()
+    if (later := tuple(column.name for column in table.columns if row_types.LATER in column.facts))
 }
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
+STAMPED = tuple(name for name, table in RECORDED.items() if any(column.name == "lamport" for column in table.columns))
+"""The tables whose records have a position in the logical order."""
+OUTPUTS = "output"
+"""The name that stands for all tables that runs wrote. Their rows belong to judgements, in the column `execution`."""
+
+
+def columns_with(*facts: Enum) -> dict[str, tuple[str, ...]]:
+    """Return the columns with any of these facts, by table."""
+    found: dict[str, tuple[str, ...]] = {OUTPUTS: ("execution",)} if Of.JUDGEMENT in facts else {}
+    for name, table in RECORDED.items():
+        if columns := tuple(column.name for column in table.columns if not set(facts).isdisjoint(column.facts)):
+            found[name] = columns
+    return found
+
 
 PACKAGES = ("packages", "VARCHAR[]", "packages in which the execution came, as in imported_sessions; NULL if it was made here")
 

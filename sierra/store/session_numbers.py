@@ -13,8 +13,9 @@ from pathlib import Path
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of
+from sierra.store.lamport_clock import HIGHEST, number_of
 from sierra.store.layout import StorePaths
+from sierra.store.schema import STAMPED
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import read_sealed, write_whole
@@ -39,7 +40,7 @@ def _recorded(paths: StorePaths) -> int:
     with Store(paths.root).snapshot() as snapshot:
         unindexed = snapshot.listing.rest
         new = [segment for segment in unindexed if segment.name not in seen]
-        highest = max(highest, highest_of(snapshot, new), number_of(snapshot.highest_indexed(ORDERED, "lamport")))
+        highest = max(highest, highest_of(snapshot, new), number_of(snapshot.highest_indexed(STAMPED, "lamport")))
     if new:
         _save(paths.numbers, highest, [segment.name for segment in unindexed])
     return highest
@@ -47,7 +48,7 @@ def _recorded(paths: StorePaths) -> int:
 
 def highest_of(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
     """Return the highest number in some segments; 0 if they have none."""
-    files = [segment.files[table] for segment in segments for table in ORDERED if table in segment.files]
+    files = [segment.files[table] for segment in segments for table in STAMPED if table in segment.files]
     if not files:
         return 0
     [(highest,)] = snapshot.run(f"SELECT max(lamport) FROM {read_parquet(files, schema={'lamport': 'BIGINT'})}")

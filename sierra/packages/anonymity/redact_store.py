@@ -17,10 +17,10 @@ import pyarrow.parquet as pq
 
 from sierra.maintenance.extract import link_or_copy
 from sierra.packages.anonymity.redact_rows import HIDDEN, RowRedactor
-from sierra.packages.anonymity.redaction import RULES, VERSION, Rule, rule
+from sierra.packages.anonymity.redaction import RULES, VERSION, rule
 from sierra.store.compaction import write_whole_file
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.row_types import RedactionRow
+from sierra.store.row_types import Redaction, RedactionRow
 from sierra.store.schema import RECORDED, arrow_schema
 from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors
 from sierra.store.store import Snapshot, Store
@@ -60,16 +60,16 @@ class _Redactor:
         snapshot.views.make(tuple(RULES))
         self._rows = RowRedactor(snapshot)
         self._shift = _shift(snapshot, date)
-        self._changes: dict[Rule, Callable[[str], str]] = {
-            Rule.HOST: self._rows.host,
-            Rule.ROBOT: self._rows.robot,
-            Rule.PACKAGE: self._rows.package,
-            Rule.HIDDEN: lambda text: HIDDEN,
-            Rule.ATTEMPT: self._rows.attempt,
-            Rule.PLACE: self._rows.place,
-            Rule.ENVIRONMENT: self._rows.environment,
-            Rule.SOURCE: self._rows.source,
-            Rule.ISOLATION: self._rows.isolation,
+        self._changes: dict[Redaction, Callable[[str], str]] = {
+            Redaction.HOST: self._rows.host,
+            Redaction.ROBOT: self._rows.robot,
+            Redaction.PACKAGE: self._rows.package,
+            Redaction.HIDDEN: lambda text: HIDDEN,
+            Redaction.ATTEMPT: self._rows.attempt,
+            Redaction.PLACE: self._rows.place,
+            Redaction.ENVIRONMENT: self._rows.environment,
+            Redaction.SOURCE: self._rows.source,
+            Redaction.ISOLATION: self._rows.isolation,
         }
 
     def write(self, segment: Segment, writer: Writer) -> None:
@@ -97,13 +97,13 @@ class _Redactor:
         columns = [self._column(rule(name, column), table.column(column)) for column in table.column_names]
         return pa.table(columns, names=table.column_names)
 
-    def _column(self, decision: Rule, column: pa.ChunkedArray) -> pa.ChunkedArray:
+    def _column(self, decision: Redaction, column: pa.ChunkedArray) -> pa.ChunkedArray:
         match decision:
-            case Rule.KEEP:
+            case Redaction.KEEP:
                 return column
-            case Rule.NOTHING:
+            case Redaction.NOTHING:
                 return pa.chunked_array([pa.nulls(len(column), column.type)])
-            case Rule.TIME:
+            case Redaction.TIME:
                 return pc.add(column, pa.scalar(self._shift, pa.duration("us")))
             case _:
                 return _mapped(column, self._changes[decision])
@@ -125,7 +125,7 @@ def _shift(snapshot: Snapshot, date: str) -> timedelta:
         f"SELECT epoch_us(max({name})) FROM {table}"  # noqa: S608 - our own names
         for table, columns in RULES.items()
         for name, decision in columns.items()
-        if decision is Rule.TIME
+        if decision is Redaction.TIME
     ]
     last = max((found for one in times for (found,) in snapshot.run(one) if found is not None), default=0)
     moment = datetime.fromisoformat(date)
@@ -136,7 +136,7 @@ def _shift(snapshot: Snapshot, date: str) -> timedelta:
 def _is_rewritten(name: str, path: str) -> bool:
     columns = pq.read_schema(path).names
     own = columns[: len(RECORDED[name].columns)] if name == "experiments" else columns
-    return any(rule(name, column) is not Rule.KEEP for column in own)
+    return any(rule(name, column) is not Redaction.KEEP for column in own)
 
 
 def _write(target: Path, name: str, tables: Iterator[pa.Table]) -> None:

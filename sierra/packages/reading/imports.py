@@ -35,24 +35,23 @@ from sierra.packages.reading.received import records
 from sierra.store import index_builder
 from sierra.store.compaction import Compaction, groups
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of, stamp
-from sierra.store.row_types import OF_EXECUTIONS, OF_JUDGEMENTS, ImportedSessionRow, ImportRow
+from sierra.store.lamport_clock import HIGHEST, number_of, stamp
+from sierra.store.row_types import ImportedSessionRow, ImportRow, Of
+from sierra.store.schema import STAMPED, columns_with
 from sierra.store.segments import OUTPUT, Segment, listed
 from sierra.store.store import Snapshot, Store
 from sierra.store.views import ONCE
 from sierra.util.hashing import short
 
 Drop = dict[str, dict[str, AbstractSet[str]]]
-BY_EXECUTION = (*OF_EXECUTIONS, "judgements", "duplicates")
-"""Tables whose rows belong to the execution in the column of this name."""
-OF_SESSIONS = ("sessions", "attempts", "builds", "build_products", "stale_sessions", "reused_executions", "unused_changes")
-"""Tables whose rows belong to the session in the column of this name."""
+BY_EXECUTION, BY_JUDGEMENT, BY_SESSION = map(columns_with, Of)
+"""Tables whose rows are added with an execution, a judgement or a session; the first two in the column `execution`."""
 BY_ID = {
     **{name: keys[0] for name, keys in ONCE.items() if name not in ("findings", "imports", "imported_sessions")},
     "batch_runs": "batch",
 }
 """Tables whose records are not added if the store has one with the same id, in this column."""
-IMPORTED = frozenset((*BY_EXECUTION, *OF_JUDGEMENTS, *OF_SESSIONS, *BY_ID))
+IMPORTED = frozenset((*BY_EXECUTION, *BY_JUDGEMENT, *BY_SESSION, *BY_ID))
 """The tables that are imported."""
 LAST_NUMBER = HIGHEST // 2
 """The largest Lamport number that is imported. A larger one would leave too few for later sessions of this store."""
@@ -159,7 +158,7 @@ def _check(path: Path, store: Store, root: Path) -> None:
     with store.snapshot() as snapshot:
         if not snapshot.holds("batches"):
             raise Damaged(f"{path} has no batch")
-        numbers = [number_of(stamp) for table in ORDERED for stamp in _stamps(snapshot, table)]
+        numbers = [number_of(stamp) for table in STAMPED for stamp in _stamps(snapshot, table)]
     if max(numbers) > LAST_NUMBER:
         raise Damaged(f"{path}: there are records with the Lamport number {max(numbers)}, which SIERRA never assigns")
 
@@ -203,9 +202,9 @@ def _drop(own: Snapshot, theirs: Snapshot, executions: AbstractSet[str], session
             drop[name] = {key: _values(own, name, key)}
         elif name in BY_EXECUTION:
             drop[name] = {"execution": _values(theirs, name, "execution") - executions}
-        elif name in OF_JUDGEMENTS:
+        elif name in BY_JUDGEMENT:
             drop[name] = {"execution": _values(theirs, name, "execution") - judged}
-        elif name in OF_SESSIONS:
+        elif name in BY_SESSION:
             drop[name] = {"session": _values(theirs, name, "session") - sessions}
     return {name: columns for name, columns in drop.items() if any(columns.values())}
 

@@ -9,12 +9,16 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import sierra
+from sierra.maintenance import remove
+from sierra.store.row_types import About, AttemptRow, DuplicateRow, Of
+from sierra.store.schema import OUTPUTS, RECORDED, columns_with
 from tests import projects, stores
 from tests.conftest import held
 
@@ -95,6 +99,39 @@ def test_batch_is_removed_completely_but_shared_runs_stay(root: Path) -> None:
     assert {row["sha256"] for row in rows(root, "SELECT DISTINCT sha256 FROM objects")} < bytes_of
     assert sound(root)
     assert not [path for path in (root / ".sierra" / "work").iterdir() if path.is_dir()]
+
+
+def test_a_removal_knows_each_table() -> None:
+    """A new table says with which objects its rows are removed: beside its columns, or in one of these two tables."""
+    assert {*columns_with(*Of, *About), *remove.AROUND, *remove.SHARED, "blobs", "objects"} == {*RECORDED, OUTPUTS}
+
+
+def test_what_a_cluster_did_for_a_batch_is_removed_with_it(root: Path) -> None:
+    """Records of attempts and duplicates once stayed, and an environment that only attempts named was lost."""
+    opened = sierra.open(root)
+    execution = rows(root, "SELECT * FROM executions JOIN sessions s USING (session) WHERE purpose = 'run' LIMIT 1")[0]
+    session, batch, environment = execution["session"], execution["batch"], execution["environment"]
+    moment = datetime(2026, 1, 1, tzinfo=UTC)
+    values = {"session": session, "batch": batch, "environment": environment, "started": moment, "ended": moment}
+    fields = dict.fromkeys(AttemptRow._fields) | {
+        "attempt": "a 1",
+        "array_task": 0,
+        "node": "n",
+        "runs": 1,
+        "interrupted_runs": 0,
+    }
+    writer = opened.store.writer(root / "new", batch)
+    writer.records([AttemptRow(**(fields | {"state": "finished"} | values))])  # type: ignore[arg-type]
+    writer.records([DuplicateRow(execution["execution"], execution["run"], "a 1", execution["result"], True)])
+    opened.store.publish(writer)
+    for one in rows(root, "SELECT execution FROM executions WHERE environment = $e", e=environment):
+        opened.remove(one["execution"])
+    assert rows(root, "SELECT environment FROM environments WHERE environment = $e", e=environment)
+    assert not rows(root, "FROM duplicates")
+    assert rows(root, "FROM attempts")
+    opened.remove(batch)
+    assert not rows(root, "FROM attempts")
+    assert sound(root)
 
 
 @pytest.mark.nightly

@@ -16,9 +16,9 @@ import pytest
 import sierra
 from sierra.errors import Damaged
 from sierra.execution.sessions import Session
-from sierra.store.lamport_clock import ORDERED, POSITION, TIE, number_of
+from sierra.store.lamport_clock import POSITION, TIE, number_of
 from sierra.store.layout import StorePaths
-from sierra.store.schema import LATER
+from sierra.store.schema import LATER, STAMPED
 from sierra.store.segments import MANIFEST, manifest
 from sierra.store.store import Store
 from sierra.util.hashing import sha256
@@ -66,7 +66,7 @@ def root(made: Path) -> Any:
     return made
 
 
-def rewrite(root: Path, change: Change, tables: Iterable[str] = ORDERED) -> None:
+def rewrite(root: Path, change: Change, tables: Iterable[str] = STAMPED) -> None:
     """Rewrite all records of these tables, as another clock or another version would have written them."""
     for folder in sorted((root / ".sierra" / "segments").iterdir()):
         for path in folder.glob("*.parquet"):
