@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.store.row_mapper import without_facts
 from sierra.store.row_types import BatchRow, SessionRow
 from sierra.store.store import Store
 from sierra.util.hashing import sha256
@@ -35,5 +36,5 @@ def _record(kind: type[NamedTuple], row: int, **more: object) -> NamedTuple:
     now = BEGAN + timedelta(minutes=row)
     given = {"batch": _id(row), "query": f"population_size={row}", "lamport": row, "runs": 1, "missing": 1, **more}
     empty = {str: "", int: 0, bool: False, list[str]: [], datetime: now}
-    columns = {name: hint.__origin__ for name, hint in kind.__annotations__.items()}
+    columns = {name: without_facts(hint) for name, hint in kind.__annotations__.items()}
     return kind(**{name: given.get(name, empty.get(column)) for name, column in columns.items()})
