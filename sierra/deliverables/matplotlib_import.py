@@ -22,6 +22,8 @@ from sierra.util.first_import import Load, load_with
 
 NAME = "matplotlib"
 BACKEND, FILE = "MPLBACKEND", "MATPLOTLIBRC"
+FONTS = ("FONTCONFIG_FILE", "FONTCONFIG_PATH")
+"""Settings of fontconfig, which matplotlib asks for fonts. It reports on standard error that such a file does not exist."""
 OWN_FILE = "mpl-data/matplotlibrc"
 """The file with matplotlib's own settings, in its folder."""
 
@@ -32,7 +34,8 @@ def prepare() -> None:
 
 
 def _load(module: ModuleType, load: Load) -> None:
-    with _quiet(), variables({BACKEND: None, FILE: str(Path(module.__path__[0], OWN_FILE))}):
+    lost = [name for name in FONTS if name in os.environ and not Path(os.environ[name]).exists()]
+    with _quiet(), variables({BACKEND: None, FILE: str(Path(module.__path__[0], OWN_FILE)), **dict.fromkeys(lost)}):
         try:
             load(module)
         except (ValueError, OSError) as error:
