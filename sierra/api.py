@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.report.files import Written
     from sierra.deliverables.sample_size import RunsNeeded
-    from sierra.deliverables.videos.render import Made as MadeVideos
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
@@ -139,6 +138,15 @@ class Project:
         'sierra.toml'
         """
         return self._found.file
+
+    @property
+    def loaded(self) -> project_file.LoadedProject:
+        """The project's file with its configuration, for extensions.
+
+        >>> project.loaded.written
+        True
+        """
+        return self._loaded
 
     @property
     def config(self) -> project_file.Project:
@@ -337,7 +345,7 @@ class Project:
 
         selected = None if only is None else condition.select(only, plan.batch).runs
         options = RunOptions(
-            _slots(jobs),
+            slots(jobs),
             self.runner_of(plan, runner, detach=detach, jobs=jobs),
             fail_fast,
             selected,
@@ -679,7 +687,7 @@ class Project:
         from sierra.replay import replay
         from sierra.replay.options import ReplayOptions
 
-        options = ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
+        options = ReplayOptions(slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
@@ -709,7 +717,7 @@ class Project:
 
         if prefix is None or prefix in self.config.queries:
             prefix = self.batch(prefix)
-        options = capture.CaptureOptions(_slots(jobs), runs, runner, engine, again)
+        options = capture.CaptureOptions(slots(jobs), runs, runner, engine, again)
         return capture.capture(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False, runs: Container[str] | None = None) -> Estimate | None:
@@ -1088,56 +1096,11 @@ class Project:
         title = package.path.name if package else self.root.name
         return Server(Answers(source, self.store, writes=write), title, port)
 
-    def videos(
-        self,
-        prefix: str | None = None,
-        *names: str,
-        jobs: int | None = None,
-        progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
-    ) -> MadeVideos:
-        """Make the videos `[videos.NAME]` of a batch, all or those with these names; return the files and notes.
-
-        Notes say what could not be shown, and which runs are not in a video; `complete` is False if a file could not be made.
-        `jobs` is the number of files that are made at a time, by default the number of cores. `progress` receives the number of
-        frames that are done, that of all frames of a video, and `frames read` or `frames drawn`. Raises NotFound, SierraError
-        if a video that is named cannot be made.
-
-        >>> project.videos(summary.batch)
-        Traceback (most recent call last):
-        sierra.errors.NotFound: sierra.toml declares no [videos.NAME]
-        """
-        from sierra.deliverables.videos import render
-
-        batches = {"": self.batch(prefix)}
-        return render.videos(self._loaded, self.store, batches, names, jobs=_slots(jobs), progress=progress)
-
-    def videos_of_two(
-        self,
-        first: str,
-        second: str,
-        *names: str,
-        jobs: int | None = None,
-        progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
-    ) -> MadeVideos:
-        """Make the videos `[videos.NAME]` of two batches side by side: A, B and, for matrices, A − B; return files and notes.
-
-        The batches are prefixes or names of queries, also as `LABEL=PREFIX`. There is a file for each experiment that both
-        have. The other arguments, and errors, are those of `videos`; UsageError if shapes or times of the batches differ.
-
-        >>> project.videos_of_two("a", "a")
-        Traceback (most recent call last):
-        sierra.errors.NotFound: ...
-        """
-        from sierra.deliverables.videos import render
-
-        found = self._groups_of((first, second))
-        return render.videos(self._loaded, self.store, found, names, jobs=_slots(jobs), progress=progress)
-
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.
 
         A figure's `problem` is None if its files are those that were drawn and the store gives the same data; else the reason.
-        Tables, comparisons, videos and reports are checked, too.
+        Tables, comparisons, reports and other deliverables are checked, too.
 
         >>> {checked.problem for checked in project.check_figures(summary.batch)}
         {None}
@@ -1162,7 +1125,7 @@ class Project:
 
         if len(words) < 2:
             raise UsageError("name two batches or more, to draw them together")
-        found = self._groups_of(words)
+        found = self.groups_of(words)
         return render.overlaid(self._loaded, self.store, found, name, overlay.BATCH, formats=named(formats))
 
     def model_errors(self, prefix: str | None = None, name: str | None = None) -> ModelErrors:
@@ -1335,7 +1298,7 @@ class Project:
         """Return the batches that words name, by group, and the stores of the groups that are in packages."""
         found = {word: match for word in words if (match := IN_PACKAGE.fullmatch(word))}
         others = [word for word in words if word not in found]
-        own = self._groups_of(others) if others or not found else {}
+        own = self.groups_of(others) if others or not found else {}
         rest, groups, packaged = iter(own.items()), dict[str, str](), dict[str, Store]()
         for word in words or own:
             if word in found:
@@ -1361,8 +1324,12 @@ class Project:
             raise NotFound(f"{path}: name one of its batches, as {Path(path).name}:HASH; it has {known}")
         return store, same[0]
 
-    def _groups_of(self, words: Sequence[str]) -> dict[str, str]:
-        """Return the batches that words name, by the names of their groups. Raises NotFound, UsageError."""
+    def groups_of(self, words: Sequence[str]) -> dict[str, str]:
+        """Return the batches that words name, by the names of their groups. Raises NotFound, UsageError.
+
+        >>> len(project.groups_of([summary.batch]))
+        1
+        """
         from sierra.deliverables import comparison
 
         named = [self._labelled_batch(word) for word in words] or [("", self.batch())]
@@ -1520,7 +1487,7 @@ class Project:
             "alpha": alpha,
         }
         asked = options(Comparison, {key: value for key, value in given.items() if value is not None}, "the comparison")
-        return planning.runs_for_power(self._loaded, self.store, self._groups_of(words), asked, wanted)
+        return planning.runs_for_power(self._loaded, self.store, self.groups_of(words), asked, wanted)
 
     def draw_comparison(self, compared: Compared) -> list[Path]:
         """Draw the figure of a comparison; return the files.
@@ -1634,7 +1601,7 @@ class Project:
         pythons: Sequence[str] = (),
         machines: Sequence[str] = (),
         report: bool = True,
-        videos: bool = True,
+        without: Sequence[str] = (),
         anonymous: bool = False,
         allow: Sequence[str] = (),
     ) -> Packed | None:
@@ -1645,7 +1612,8 @@ class Project:
 
         `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`. With `wheels`, Python
         packages are packed for these versions of Python (as `3.12`) and processors (as `x86_64`); by default, for this Python.
-        `report` and `videos`: false to leave out the report, which is made now, and the videos, which were made before.
+        `report`: false to leave out the report, which is made now. `without`: kinds of deliverables that are left out, such as
+        `figure`.
 
         Raises NotFound if such a batch has not been recorded, UsageError if there is no batch or the file exists, ConfigError
         if `[package]` has no title, authors or licence, Missing for a source that no longer exists, Identifying if an anonymous
@@ -1660,7 +1628,7 @@ class Project:
         from sierra.packages.anonymity.anonymous import Anonymity
         from sierra.packages.subject import Options
 
-        options = Options(image, wheels, tuple(pythons), tuple(machines), report, videos)
+        options = Options(image, wheels, tuple(pythons), tuple(machines), report, tuple(without))
         if allow and not anonymous:
             raise UsageError("--allow accepts names in anonymous packages; add --anonymous")
         pack.check_needs(self._loaded, Path(path), options, anonymous=anonymous)
@@ -1798,7 +1766,7 @@ def reproduce(
     """
     from sierra.packages.reproduction import reproduce as steps
 
-    options = steps.Options(_slots(jobs), tuple(claims), budget, engine, runner)
+    options = steps.Options(slots(jobs), tuple(claims), budget, engine, runner)
     folder = None if into is None else Path(into)
     return steps.reproduce(Path(package), folder, options, agree or steps.isolated_only, observer or _observer(progress))
 
@@ -1830,7 +1798,7 @@ def _observer(wanted: bool | None) -> Observer:
     return progress.observer(wanted)
 
 
-def _slots(jobs: int | None) -> int:
+def slots(jobs: int | None) -> int:
     """Return the number of runs at a time: `jobs`, or the user's setting, or the number of usable cores.
 
     Raises UsageError for less than 1.

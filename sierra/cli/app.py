@@ -41,7 +41,6 @@ COMMANDS = {
     "figures": "sierra.cli.figures:figures",
     "report": "sierra.cli.report:report",
     "explore": "sierra.cli.explore:explore",
-    "video": "sierra.cli.video:video",
     "models": "sierra.cli.models:models",
     "claims": "sierra.cli.claims:claims",
     "baseline": "sierra.cli.baseline:app",

@@ -5,7 +5,8 @@ Making all commands takes a tenth of the time of `sierra ls`, and most calls nee
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -17,23 +18,66 @@ if TYPE_CHECKING:
     from typer._click.core import Command
 
 
-class Commands(Mapping[str, "Command"]):
-    """The commands by name, made from functions and groups that are named as `module:attribute`."""
+GIVEN: ContextVar[tuple[object, ...]] = ContextVar("given", default=())
+"""What the options that extensions add to a command have returned, for this call of the command."""
 
-    def __init__(self, places: Mapping[str, str]) -> None:
+
+class Commands(Mapping[str, "Command"]):
+    """The commands by name, made from functions and groups that are named as `module:attribute`.
+
+    Extensions add commands: they are asked when a name is not known, and when all names are wanted. `group` begins the names of
+    those that belong here, as in `open video`.
+    """
+
+    def __init__(self, places: Mapping[str, str], group: str = "") -> None:
         self._places = places
+        self._group = group
         self._made: dict[str, Command] = {}
 
     def __getitem__(self, name: str) -> Command:
         if name not in self._made:
-            self._made[name] = _command(name, self._places[name])
+            place = self._places.get(name) or self._added()[name]
+            self._made[name] = _with_options(_command(name, place), f"{self._group}{name} ")
         return self._made[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
+        return iter((*self._places, *sorted(self._added())))
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._places) + len(self._added())
+
+    def _added(self) -> Mapping[str, str]:
+        from sierra.config.extensions import added
+
+        every = added("commands").items()
+        own = {name.removeprefix(self._group): place for name, place in every if name.startswith(self._group)}
+        return {name: place for name, place in own.items() if " " not in name}
+
+
+def _with_options(command: Command, words: str) -> Command:
+    """Add the options that extensions have for a command. Each is a function; `GIVEN` has what it returns."""
+    from sierra.config.extensions import added
+
+    for name, place in added("options").items():
+        if name.startswith(words):
+            more = _command(name, place)
+            more.params = [one for one in more.params if one.name != "help"]
+            command.params += more.params
+            command.callback = _both(command.callback, more)
+    return command
+
+
+def _both(own: Callable[..., object] | None, more: Command) -> Callable[..., object]:
+    names = {one.name for one in more.params}
+
+    def both(**values: object) -> object:
+        assert own  # noqa: S101
+        assert more.callback  # noqa: S101
+        given = more.callback(**{name: value for name, value in values.items() if name in names})
+        GIVEN.set((*GIVEN.get(), *([] if given is None else [given])))
+        return own(**{name: value for name, value in values.items() if name not in names})
+
+    return both
 
 
 def _command(name: str, place: str) -> Command:

@@ -22,7 +22,6 @@ READING = ("ls", "show", "sql", "stats", "explore", "outputs", "files", "compare
 """Commands that read records, and execute nothing of the package."""
 OF_PACKAGES = {
     "figures": "sierra.cli.open_figures:figures",
-    "video": "sierra.cli.open_figures:video",
     "report": "sierra.cli.open_report:report",
     "claims": "sierra.cli.open_claims:claims",
 }
@@ -34,7 +33,7 @@ class Reading(lazy_parameters.Group):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = cast("dict[str, Command]", Commands({name: COMMANDS[name] for name in READING} | OF_PACKAGES))
+        self.commands = cast("dict[str, Command]", Commands({name: COMMANDS[name] for name in READING} | OF_PACKAGES, "open "))
 
 
 app = typer.Typer(name="open", cls=Reading, invoke_without_command=True, rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -1,4 +1,4 @@
-"""`sierra open FILE.zip figures` and `video`: list or write the figures and videos of a package."""
+"""`sierra open FILE.zip figures`: list or write the figures of a package, and other deliverables."""
 
 from __future__ import annotations
 
@@ -26,28 +26,11 @@ def figures(
       sierra open results.zip figures
       sierra open results.zip figures coverage --to figures
     """
-    _show(context, names, to, as_json=as_json)
+    show(context, names, to, as_json=as_json)
 
 
-def video(
-    context: typer.Context,
-    names: Annotated[list[str] | None, typer.Argument(metavar="NAME", help="Videos (default: all).")] = None,
-    to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write their files to this folder.")] = None,
-    as_json: AsJsonList = False,
-) -> None:
-    """List the videos of a package, as they were made.
-
-    Nothing is made. With --to, their files are written.
-
-    \b
-    Examples:
-      sierra open results.zip video
-      sierra open results.zip video heat --to videos
-    """
-    _show(context, names, to, kind="video", as_json=as_json)
-
-
-def _show(context: typer.Context, names: list[str] | None, to: Path | None, *, kind: str = "", as_json: bool) -> None:
+def show(context: typer.Context, names: list[str] | None, to: Path | None, *, kind: str = "", as_json: bool) -> None:
+    """List the deliverables of the package in the context: of one kind, by default all; with `to`, write their files there."""
     from sierra.packages.reading import drawn
 
     found = drawn.find(context.obj, names or (), kind)

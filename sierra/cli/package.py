@@ -50,7 +50,6 @@ def package(
         typer.Option("--arch", metavar="NAME[,NAME...]", help="Processors for --wheels, as x86_64 (default: this one)."),
     ] = "",
     no_report: Annotated[bool, typer.Option("--no-report", help="Leave out the report, which takes some seconds.")] = False,
-    no_videos: Annotated[bool, typer.Option("--no-videos", help="Leave out the videos that were made.")] = False,
     anonymous: Annotated[
         bool, typer.Option("--anonymous", help="For double-blind review: no names, hosts, folders, commits and dates.")
     ] = False,
@@ -64,8 +63,8 @@ def package(
     """Write batches with their code and results to one file.
 
     The file contains the records and outputs of the batches, their source, sierra.toml with the files that it names, the
-    figures and videos that were made, a report, and metadata made from [package] in sierra.toml. Things that are left out are
-    listed first, and must be confirmed.
+    figures and other files that were made, a report, and metadata made from [package] in sierra.toml. Things that are left
+    out are listed first, and must be confirmed.
 
     With --anonymous, records are rewritten, and all files are searched for names. If one is found, nothing is written, and
     the exit code is 2.
@@ -79,6 +78,7 @@ def package(
       sierra package 9e1c -o review.zip --anonymous
     """
     from sierra.cli.confirm import agreed
+    from sierra.cli.lazy_commands import GIVEN
     from sierra.cli.open_project import project
     from sierra.errors import Identifying
 
@@ -101,7 +101,7 @@ def package(
             image=image,
             wheels=wheels,
             report=not no_report,
-            videos=not no_videos,
+            without=[one for one in GIVEN.get() if isinstance(one, str)],
             **chosen,
         )
     except Identifying as error:

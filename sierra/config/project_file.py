@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, create_model, model_validator
 
+from sierra.config import extensions, group_names, targets
 from sierra.config import forbidden_directives as directives
-from sierra.config import group_names, targets
 from sierra.config.capture_table import Capture
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.claim_table import Claim
@@ -62,7 +62,6 @@ from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
-from sierra.config.video_table import Video
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT, RUN_STDERR, RUN_STDOUT
 from sierra.util.processors import ARCH
@@ -238,7 +237,6 @@ class Project(Table):
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
     capture: Capture = Capture.model_construct()
-    videos: Mapping[Name, Video] = Field(default_factory=dict, description="videos, by name, for `sierra video`")
     models: Mapping[Name, Model] = Field(
         default_factory=dict, description="predictions that are drawn with the data, by name, for figures and `sierra models`"
     )
@@ -380,6 +378,10 @@ class Project(Table):
                 raise ValueError(f"{other} and {name} both set the environment variable {variable}; use one of them")
         return self
 
+    def added(self, key: str, default: Any) -> Any:
+        """Return the value of a key that an extension adds."""
+        return getattr(self, key, default)
+
     def declared(self, table: str) -> Output | DerivedTable | None:
         """Return the declaration of an output or of a derived table; None if there is none."""
         return self.outputs.get(table) or self.tables.get(table)
@@ -388,7 +390,8 @@ class Project(Table):
         """Return the project with one target merged over its other keys, and without targets. Raises UsageError."""
         if name not in self.targets:
             raise UsageError(self._unknown(name))
-        return options(Project, targets.merged(self._written(), name), f"target {name!r}")
+        table = targets.merged(self._written(), name)
+        return options(model_of(table), table, f"target {name!r}")
 
     def changes_with(self, name: str) -> bool:
         """Return True if the values of a variable change something in runs."""
@@ -429,6 +432,25 @@ class Project(Table):
             if both := next((one for one in group_names.parameters(name) if one in taken), None):
                 raise ValueError(f"{name!r}: {{{both}}} is also a variable; use another name for one of them")
         return self
+
+
+def model_of(keys: object) -> type[Project]:
+    """Return the model of `sierra.toml` with those of the keys that extensions add. Only their modules are imported."""
+    unknown = sorted(set(keys) - KEYS) if isinstance(keys, Iterable) else []
+    return _with(tuple(key for key in unknown if key in extensions.added("tables"))) if unknown else Project
+
+
+KEYS = frozenset(field.alias or name for name, field in Project.model_fields.items())
+"""The keys of the core."""
+
+
+@cache
+def _with(keys: tuple[str, ...]) -> type[Project]:
+    """Return the model with keys of extensions."""
+    if not keys:
+        return Project
+    fields: dict[str, Any] = {key: extensions.load("tables", key) for key in keys}
+    return create_model("Project", __base__=Project, __module__=__name__, __doc__=Project.__doc__, **fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -529,7 +551,7 @@ def parse(table: object, origin: str) -> Project:
     The tables of plug-ins are validated when they are used (see `sierra.config.plugin_registry`),
     those of shipped schedulers here too.
     """
-    project = options(Project, table, origin)
+    project = options(model_of(table), table, origin)
     _check_clusters(project, origin)
     _check_names_of_targets(project, origin)
     each = {name: _resolved(project, name, origin) for name in project.targets}
@@ -550,7 +572,8 @@ def _check_names_of_targets(project: Project, origin: str) -> None:
 def _resolved(project: Project, name: str, origin: str) -> Project:
     """Return a target of a project after checking its keys. Raises ConfigError."""
     within = ("targets", name)
-    found = options(Project, targets.merged(project._written(), name), origin, within)
+    table = targets.merged(project._written(), name)
+    found = options(model_of(table), table, origin, within)
     _check_clusters(found, origin, within)
     return found
 

@@ -1,4 +1,4 @@
-"""Check whether figures, comparisons, videos and reports that were made still follow from the store."""
+"""Check whether figures, comparisons, reports and other deliverables that were made still follow from the store."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from pathlib import Path
 
 from sierra.config.field_types import Table
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import comparison, comparison_figure, declared_tables, overlay, record, render
+from sierra.deliverables import comparison, comparison_figure, declared_tables, kinds, overlay, record, render
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Checked, Content, ShownDeliverable
 from sierra.deliverables.report import recorded as reports
 from sierra.deliverables.report.make import Source
 from sierra.deliverables.report.results import REPORT
-from sierra.deliverables.videos import render as videos
-from sierra.deliverables.videos.prepare import KIND as VIDEO
+from sierra.errors import SierraError
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
@@ -60,10 +59,12 @@ def _again(
         return comparison_figure.content(project, store, row)
     if row.kind == declared_tables.KIND:
         return declared_tables.content(project, store, row.name, row.definition, row.batches)
-    if row.kind == VIDEO:
-        return videos.content(project, store, row)
     if row.kind == REPORT:
         return reports.again(Source(project, store, between), row)
+    if kind := kinds.find(row.kind):
+        return kind.content(project, store, row)
+    if row.kind != render.KIND:
+        raise SierraError(f"the extension that makes deliverables of kind {row.kind!r} is not installed")
     return render.content(project, store, row, shared)
 
 
@@ -84,9 +85,7 @@ def _declarations(project: LoadedProject, kind: str) -> dict[str, JsonView]:
     if kind == comparison.KIND:
         found = {name: one.model_dump(mode="json") for name, one in config.comparisons.items()}
         return {name: {**one, "groups": one["groups"] if one["by"] else []} for name, one in found.items()}
-    kinds: dict[str, Mapping[str, Table]] = {
-        render.KIND: config.figures,
-        declared_tables.KIND: config.paper_tables,
-        VIDEO: config.videos,
-    }
-    return {name: one.model_dump(mode="json", exclude_unset=True, by_alias=True) for name, one in kinds.get(kind, {}).items()}
+    own: dict[str, Mapping[str, Table]] = {render.KIND: config.figures, declared_tables.KIND: config.paper_tables}
+    added = kinds.find(kind)
+    tables = config.added(added.table, {}) if added else own.get(kind, {})
+    return {name: one.model_dump(mode="json", exclude_unset=True, by_alias=True) for name, one in tables.items()}

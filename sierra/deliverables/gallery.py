@@ -17,7 +17,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import SEVERAL_TABLES, Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import chosen_groups, seconds, suggest_tables
+from sierra.deliverables import chosen_groups, kinds, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather, varied
@@ -188,9 +188,9 @@ class Gallery:
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
         """Return the default figures that fit each output; and notes on outputs and columns without one, and why.
 
-        Outputs that a declared video shows need no figure, and no note.
+        Outputs that another declared deliverable shows need no figure, and no note.
         """
-        filmed = {video.table for video in self._config.videos.values()}
+        shown = kinds.shown_tables(self._config)
         found: dict[str, Figure] = {}
         problems = self.frame.problems
         notes = [f"no figure of table {name!r}: {error}" for name, error in problems.items() if not isinstance(error, NoRuns)]
@@ -202,7 +202,7 @@ class Gallery:
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
-            if output.name not in filmed:
+            if output.name not in shown:
                 notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
                 notes += suggest_tables.notes(self.frame, output, time)
             try:
@@ -210,7 +210,7 @@ class Gallery:
             except DamagedFile:
                 raise
             except SierraError as error:
-                if output.name in filmed:
+                if output.name in shown:
                     continue
                 notes.append(f"no figure of output {output.name!r}: {error}")
                 continue

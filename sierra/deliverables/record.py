@@ -18,7 +18,7 @@ from typing import ClassVar
 from sierra.config.deliverable_tables import Comparison, Figure, TableForPaper
 from sierra.config.field_types import Table
 from sierra.config.validate import options
-from sierra.config.video_table import Video
+from sierra.deliverables import kinds
 from sierra.errors import ConfigError, Damaged, DamagedFile, Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.stats.comparison.model import VERSION
@@ -156,7 +156,6 @@ class Checked:
 
 REMEDIES = {
     "report": "write it again with: sierra report",
-    "video": "make it again with: sierra video",
     "comparison": "draw it again with: sierra compare",
 }
 """The advice for a deliverable that does not follow from the store any more, by its kind."""
@@ -166,7 +165,6 @@ DECLARATIONS: Mapping[str, type[Table]] = {
     "figure": Figure,
     "table": TableForPaper,
     "comparison": Comparison,
-    "video": Video,
 }
 """The models of the declarations, by kind of deliverable; a definition has the declaration under the name of the kind."""
 VERSIONS: Mapping[str, int] = {"comparison": VERSION}
@@ -254,7 +252,9 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
     except SierraError as error:
         return f"it can no longer be made: {error}"
     changed = _changed(row, now)
-    return f"{changed}; {REMEDIES.get(row.kind, DRAW_AGAIN)}" if changed else None
+    added = kinds.find(row.kind)
+    remedy = added.remedy if added else REMEDIES.get(row.kind, DRAW_AGAIN)
+    return f"{changed}; {remedy}" if changed else None
 
 
 def _changed(row: DeliverableRow, now: Content) -> str:
@@ -278,11 +278,12 @@ def _parts(kind: str, definition: Mapping[str, JsonView]) -> tuple[Mapping[str, 
     if isinstance(models := rest.get("models"), Mapping):
         rest["models"] = {name: one.get("label") for name, one in models.items() if isinstance(one, Mapping)}
     declared = definition.get(kind)
-    if kind not in DECLARATIONS or not isinstance(declared, Mapping):
+    added = kinds.find(kind)
+    model = added.declaration if added else DECLARATIONS.get(kind)
+    if model is None or not isinstance(declared, Mapping):
         return rest, {}
     with contextlib.suppress(ConfigError):
-        model = options(DECLARATIONS[kind], dict(declared), kind)
-        declared = model.model_dump(mode="json", by_alias=True)
+        declared = options(model, dict(declared), kind).model_dump(mode="json", by_alias=True)
     return rest, declared
 
 

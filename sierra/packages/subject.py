@@ -30,8 +30,8 @@ class Options:
     """Processors for the wheels, as x86_64; default: this one."""
     report: bool = True
     """False if the report is left out."""
-    videos: bool = True
-    """False if videos are left out."""
+    without: tuple[str, ...] = ()
+    """Kinds of deliverables that are left out."""
 
 
 @dataclass(frozen=True, slots=True)

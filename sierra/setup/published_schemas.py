@@ -18,6 +18,7 @@ from typing import TypedDict, cast
 
 from pydantic import BaseModel, TypeAdapter
 
+from sierra.config import extensions
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import NAME
 from sierra.config.plugin_registry import (
@@ -35,7 +36,7 @@ from sierra.config.plugin_registry import (
     TEMPLATES,
     Kind,
 )
-from sierra.config.project_file import Project
+from sierra.config.project_file import model_of
 from sierra.config.targets import SHARED
 from sierra.errors import PluginError
 from sierra.execution.plan_json import PlanPreview
@@ -99,7 +100,7 @@ def json_schema(note: Note | None = None) -> Schema:
 
     With `note`, those of other packages are included. `note` receives a line for each one that cannot be used.
     """
-    schema = _schema(Project)
+    schema = _schema(model_of(extensions.added("tables")))
     for kind in (PLATFORMS, RUNNERS, LINKS, TEMPLATES, ENGINES, READERS, STATISTICS, COMPARISONS, CRITERIA):
         table = schema["properties"][kind.table]
         named = {name: _define(schema, f"{kind.table}.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
@@ -239,7 +240,7 @@ class _Reference:
         self._explained: set[str] = set()
 
     def lines(self) -> Iterator[str]:
-        examples: Values = tomllib.loads(EXAMPLES.read_text())
+        examples: Values = tomllib.loads(EXAMPLES.read_text()) | _of_extensions()
         figures = cast("Values", examples["figures"])
         shown = {figure.get("kind") for figure in figures.values() if isinstance(figure, dict)}
         for kind in self._schema["$defs"]["Figure"]["properties"]["kind"]["enum"]:
@@ -337,6 +338,12 @@ class _Reference:
                 return ("whole number" if kind == "integer" else "number") + _bound(schema)
             case kind:
                 return {"string": "text", "boolean": "true or false"}.get(str(kind), "table")
+
+
+def _of_extensions() -> Values:
+    """Return the examples of the keys that extensions add."""
+    files = extensions.FOLDER.glob("*/all_keys.toml")
+    return {key: value for file in sorted(files) for key, value in tomllib.loads(file.read_text()).items()}
 
 
 def _has_header(path: tuple[str, ...], value: Json) -> bool:

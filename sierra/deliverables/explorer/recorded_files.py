@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from sierra.deliverables.explorer.checked_files import Hashes
 from sierra.deliverables.explorer.tickets import Content, Made, Tickets
-from sierra.deliverables.report import films
+from sierra.deliverables.report import moving_pictures
 from sierra.deliverables.report.make import Source
 from sierra.errors import SierraError
 from sierra.store import deliverable_records
@@ -18,7 +18,6 @@ from sierra.store.store import Store
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView
 
-KIND = "video"
 AT_MOST = 100
 """The largest number of videos of a batch that the page shows."""
 LARGEST = 64 << 20
@@ -35,8 +34,8 @@ Raises TooLarge for a file that cannot be played because of its size.
 def videos(source: Source, store: Store, batch: str, tickets: Tickets, hashes: Hashes) -> list[JsonView]:
     """Return the recorded videos of a batch: of each, the address of the first file that is as it was recorded, or why not."""
     find = _in_project(source.project.root, hashes) if source.read is None else _in_package(source.read)
-    rows = [row for row in deliverable_records.latest(store, batch) if row.kind == KIND]
-    every = [(row, name, files) for row in rows for name, files in (films.by_name(row.files) or {row.name: ()}).items()]
+    rows = [row for row in deliverable_records.latest(store, batch) if moving_pictures.by_name(row.files)]
+    every = [(row, name, files) for row in rows for name, files in moving_pictures.by_name(row.files).items()]
     shown: list[JsonView] = [_video(row, name, files, find, tickets) for row, name, files in every[:AT_MOST]]
     more = len(every) - len(shown)
     return [*shown, *([{"name": f"and {more:,} more", "problem": f"only the first {AT_MOST} are shown"}] if more else [])]
@@ -48,12 +47,17 @@ def _video(row: DeliverableRow, name: str, files: Sequence[str], find: Find, tic
     for file in files:
         try:
             content = find(file, hashes[file])
-        except films.TooLarge:
+        except moving_pictures.TooLarge:
             content, problem = None, TOO_LARGE
         if content:
-            kind = films.FORMATS[PurePosixPath(file).suffix]
+            kind = moving_pictures.FORMATS[PurePosixPath(file).suffix]
             address = tickets.issue(Made(kind, content))
-            return {"name": films.captions(row)(name), "file": file, "address": address, "picture": kind == "image/gif"}
+            return {
+                "name": moving_pictures.captions(row)(name),
+                "file": file,
+                "address": address,
+                "picture": kind == "image/gif",
+            }
     return {"name": name, "file": ", ".join(files or row.files), "problem": problem}
 
 
@@ -68,7 +72,7 @@ def _in_project(root: Path, hashes: Hashes) -> Find:
     return find
 
 
-def _in_package(read: films.Read) -> Find:
+def _in_package(read: moving_pictures.Read) -> Find:
     """Return a function that finds files of a package, which are read again each time that a browser asks for a part."""
 
     def find(name: str, recorded: str) -> Content | None:
@@ -81,7 +85,7 @@ def _in_package(read: films.Read) -> Find:
     return find
 
 
-def _checked(read: films.Read, name: str, recorded: str) -> bytes:
+def _checked(read: moving_pictures.Read, name: str, recorded: str) -> bytes:
     """Return the content of a file in a package. Raises FileNotFoundError if it is not there or not the recorded one."""
     data = read(name, LARGEST)
     if data is None or sha256(data) != recorded:

@@ -14,8 +14,8 @@ from sierra.deliverables.report import (
     design,
     environment,
     failures,
-    films,
     index,
+    moving_pictures,
     page,
     question,
     reproduce,
@@ -25,7 +25,7 @@ from sierra.deliverables.report import (
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.claims import Claims
 from sierra.deliverables.report.comparisons import Comparisons
-from sierra.deliverables.report.films import Films
+from sierra.deliverables.report.moving_pictures import Films
 from sierra.deliverables.report.page import Chapter
 from sierra.deliverables.report.parts import Place, Section
 from sierra.deliverables.report.reproduce import Received
@@ -47,12 +47,12 @@ class Source:
     """Makes a declared comparison of several batches; None in a package, whose queries are not resolved."""
     received: Received | None = None
     """The package; None for the user's own project."""
-    read: films.Read | None = None
+    read: moving_pictures.Read | None = None
     """Reads files of videos; None to read them from the project."""
 
     def films(self) -> Films:
         """Return the videos of a new page."""
-        return Films(self.read or films.from_project(self.project.root))
+        return Films(self.read or moving_pictures.from_project(self.project.root))
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from sierra.deliverables.html.escaping import data
 from sierra.deliverables.html.sections import Content, as_data
 from sierra.deliverables.record import origin_of
 from sierra.deliverables.report.batch_state import BatchState
-from sierra.deliverables.report.films import Films
+from sierra.deliverables.report.moving_pictures import Films
 from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records

@@ -1,4 +1,4 @@
-"""The part `figures/` of a package: figures, tables and videos as they were made, if they still follow from the packed records.
+"""The part `figures/` of a package: deliverables as they were made, if they still follow from the packed records.
 
 A figure that shows other data, whose file was changed, or that rests on batches that are not packed, is named and left out.
 Reports are not among them, because a package has a report of its own.
@@ -7,11 +7,11 @@ Reports are not among them, because a package has a report of its own.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import product
 
 from sierra.deliverables.check import check
 from sierra.deliverables.record import Checked
 from sierra.deliverables.report.results import REPORT
-from sierra.deliverables.videos.prepare import KIND as VIDEO
 from sierra.errors import Missing
 from sierra.packages.layout import drawn
 from sierra.packages.members import unsafe
@@ -23,12 +23,12 @@ from sierra.util.hashing import short
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     """Return the files of the recorded deliverables of all packed batches that follow from the packed records.
 
-    `Options.videos` leaves videos out.
+    `Options.without` leaves kinds out.
     """
     made: list[Member] = []
     done: set[Checked] = set()
     notes: list[str] = []
-    without = (REPORT,) if subject.options.videos else (REPORT, VIDEO)
+    without = (REPORT, *subject.options.without)
     for batch in subject.batches:
         try:
             for one in check(subject.project, subject.store, batch, without=without):
@@ -44,13 +44,11 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
 
 
 def _left_out(subject: Subject) -> Iterator[str]:
-    """Yield a line for each batch whose videos are left out."""
-    if subject.options.videos:
-        return
-    for batch in subject.batches:
-        names = [row.name for row in deliverable_records.latest(subject.store, batch) if row.kind == VIDEO]
+    """Yield a line for each batch and each kind that is left out."""
+    for batch, kind in product(subject.batches, subject.options.without):
+        names = [row.name for row in deliverable_records.latest(subject.store, batch) if row.kind == kind]
         if names:
-            yield f"the videos of batch {short(batch)} are left out: {', '.join(dict.fromkeys(names))}"
+            yield f"the {kind}s of batch {short(batch)} are left out: {', '.join(dict.fromkeys(names))}"
 
 
 def _files(subject: Subject, deliverable: Checked) -> Iterator[Member]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sierra.deliverables.report import make, recorded
-from sierra.deliverables.report.films import Read
+from sierra.deliverables.report.moving_pictures import Read
 from sierra.deliverables.report.reproduce import Received
 from sierra.errors import DamagedFile, SierraError
 from sierra.packages.layout import REPORT, drawn

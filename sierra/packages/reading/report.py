@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sierra.deliverables.report import files, make, recorded
 from sierra.deliverables.report.files import Written
-from sierra.deliverables.report.films import Read, TooLarge
+from sierra.deliverables.report.moving_pictures import Read, TooLarge
 from sierra.deliverables.report.reproduce import Received as About
 from sierra.packages.archive import Archive
 from sierra.packages.layout import drawn

@@ -15,7 +15,7 @@ import pytest
 import sierra
 from sierra.cli import progress
 from sierra.deliverables.record import Content, Recorder
-from sierra.deliverables.report import films
+from sierra.deliverables.report import moving_pictures
 from sierra.packages.reading import received
 from tests import projects, stores
 from tests.support import filmed
@@ -119,7 +119,7 @@ def test_small_videos_are_played_in_the_report_if_they_are_the_recorded_ones(
     shutil.move(root / "figures", tmp_path / "figures")
     (root / "figures").symlink_to(tmp_path / "figures")
     assert played() == [], "nothing outside of the project becomes a part of a page"
-    monkeypatch.setattr(films, "LARGEST", 100)
+    monkeypatch.setattr(moving_pictures, "LARGEST", 100)
     assert played() == []
     assert "These files are not in this page." in to.read_text()
 

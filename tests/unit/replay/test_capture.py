@@ -14,6 +14,7 @@ import pytest
 import sierra
 from sierra.api import Project
 from sierra.errors import Missing, NotFound
+from sierra.extensions.videos import videos as make_videos
 from tests import projects, videos
 from tests.waiting import until
 
@@ -284,9 +285,9 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
     """The frames of the second experiment have one colour, which has more green than the others."""
     project = sierra.open(configured(root, CAPTURE + VIDEO))
     with pytest.raises(NotFound, match="no captured frames of run 0 of experiment 0; sierra capture --runs 1 makes them"):
-        project.videos(None, "seen")
+        make_videos(project, names=["seen"])
     assert captured(root)[0] == 0
-    made = project.videos()
+    made = make_videos(project)
     paths, notes = made.files, made.notes
     assert [path.name for path in paths] == ["seen_experiment0.mp4", "seen_experiment1.mp4"]
     assert [note for note in notes if "NOT what was measured" in note] == []
@@ -298,5 +299,5 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
 
     changed = sierra.open(configured(root, CAPTURE + 'environment = { DRIFT = "0.5" }\n' + VIDEO))
     assert captured(root)[0] == 1
-    notes = changed.videos().notes
+    notes = make_videos(changed).notes
     assert any("NOT what was measured: run 0 differs when it is rendered (swarm.csv: " in note for note in notes), notes

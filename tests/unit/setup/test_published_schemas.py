@@ -15,8 +15,9 @@ import pytest
 from pydantic import BaseModel
 
 import sierra
-from sierra.config import field_types, project_file, validate
+from sierra.config import extensions, field_types, project_file, validate
 from sierra.config.plugin_registry import FIGURES
+from sierra.config.project_file import model_of
 from sierra.platforms.argos import ArgosOptions
 from sierra.setup import published_schemas
 from tests import projects
@@ -27,12 +28,14 @@ EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm" / "sierr
 
 def own(model: type[BaseModel]) -> list[type[BaseModel]]:
     """Return the models of `sierra.toml` that inherit from a model, without those that others inherit from."""
-    of_file = re.compile(r"sierra\.config\.(\w+_tables?|project_file)")
+    of_file = re.compile(r"sierra\.(config\.(\w+_tables?|project_file)|extensions\.\w+\.table)")
     found = [one for one in model.__subclasses__() if of_file.fullmatch(one.__module__)]
     return [leaf for one in found for leaf in own(one) or [one]]
 
 
+model_of(extensions.added("tables"))  # imports them
 MODELS = {model.__name__: model for model in own(field_types.Table)}
+"""The models of all tables, also of those that extensions add."""
 OF_KINDS = {key for name in FIGURES.shipped for key in FIGURES.load(name).Options.model_fields}
 """The keys of `[figures.NAME]` that only one kind of figure has."""
 

@@ -23,8 +23,8 @@ from sierra.deliverables.explorer.server import Server
 from sierra.deliverables.explorer.tickets import Made, Tickets
 from sierra.deliverables.figures.drawing import Drawing, explorable, explored, rendered
 from sierra.deliverables.record import Content, Recorder
-from sierra.deliverables.report.films import TooLarge
 from sierra.deliverables.report.make import Source
+from sierra.deliverables.report.moving_pictures import TooLarge
 from sierra.errors import UsageError
 from sierra.model import Axis
 from sierra.store import derived_tables, read_lock, several_batches

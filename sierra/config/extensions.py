@@ -1,0 +1,47 @@
+"""The names that extensions add. What a name stands for is imported when the name is used.
+
+An extension is a folder in `sierra/extensions` that can be deleted. `ADDS` gives its names as another package gives entry
+points in its `pyproject.toml`: reading them imports nothing, and no other module knows an extension. An extension whose folder
+does not exist adds nothing; its names are only used to say where an unknown key of `sierra.toml` belongs.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
+    "videos": {
+        "commands": {"video": "command:video", "open video": "of_package:video"},
+        "options": {"package --no-videos": "command:left_out"},
+        "tables": {"videos": "table:TABLE"},
+        "deliverables": {"video": "deliverable:Videos"},
+    },
+}
+"""By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`."""
+FOLDER = Path(__file__).parents[1] / "extensions"
+
+
+@cache
+def added(kind: str) -> Mapping[str, str]:
+    """Return all names that extensions add to a kind, each with its place, as `module:attribute`."""
+    return {name: f"sierra.extensions.{one}.{place}" for one in _present() for name, place in ADDS[one].get(kind, {}).items()}
+
+
+def load(kind: str, name: str) -> Any:
+    """Return what a name stands for."""
+    module, _, attribute = added(kind)[name].partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def home(key: str) -> str | None:
+    """Return the extension that a key of `sierra.toml` belongs to, also one that is not there."""
+    return next((one for one, adds in ADDS.items() if key in adds.get("tables", {})), None)
+
+
+def _present() -> Iterator[str]:
+    yield from (one for one in ADDS if os.path.isdir(FOLDER / one))  # noqa: PTH112 - `Path.is_dir` takes longer

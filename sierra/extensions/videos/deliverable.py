@@ -1,0 +1,29 @@
+"""Videos as deliverables: how the core checks whether a video still follows from the store."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sierra.extensions.videos.table import Video
+
+if TYPE_CHECKING:
+    from sierra.config.project_file import LoadedProject
+    from sierra.deliverables.record import Content
+    from sierra.store.row_types import DeliverableRow
+    from sierra.store.store import Store
+
+KIND = "video"
+
+
+class Videos:
+    """See `sierra.deliverables.kinds.DeliverableKind`."""
+
+    table = "videos"
+    declaration = Video
+    remedy = "make it again with: sierra video"
+
+    @staticmethod
+    def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+        from sierra.extensions.videos.render import content
+
+        return content(project, store, row)
