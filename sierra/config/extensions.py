@@ -43,5 +43,25 @@ def home(key: str) -> str | None:
     return next((one for one, adds in ADDS.items() if key in adds.get("tables", {})), None)
 
 
+def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the settings of a package without the keys of extensions that do not exist here, and a note for each of these.
+
+    No id depends on such keys, so the package can be read and executed without them.
+    """
+    absent = {key: extension for key in table if key not in added("tables") and (extension := home(key))}
+    kept = {key: value for key, value in table.items() if key not in absent}
+    notes = [
+        f"sierra.toml: {where}{key} of the package is ignored: the extension {extension!r} is not installed"
+        for key, extension in absent.items()
+    ]
+    if isinstance(targets := kept.get("targets"), Mapping):
+        for name, target in targets.items():
+            if isinstance(target, Mapping):
+                own, more = without_absent(target, f"{where}targets.{name}.")
+                kept["targets"] = {**kept["targets"], name: own}
+                notes += more
+    return kept, tuple(notes)
+
+
 def _present() -> Iterator[str]:
     yield from (one for one in ADDS if os.path.isdir(FOLDER / one))  # noqa: PTH112 - `Path.is_dir` takes longer

@@ -469,6 +469,8 @@ class LoadedProject:
     """True for the verified copy of a package that somebody else may have made."""
     content: bytes = b""
     """The bytes of the file from which this was read; none if it was made from a table."""
+    notes: tuple[str, ...] = ()
+    """Notes on keys of a package that are ignored."""
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -538,11 +540,15 @@ def read(found: ProjectFolder) -> LoadedProject:
 def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject:
     """Return a project with the configuration in a table, which is that of its file or was made from it. Raises ConfigError."""
     root, file, _ = found
+    notes: tuple[str, ...] = ()
+    if found.is_package:
+        table, notes = extensions.without_absent(table)
     origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
     whole = parse(table, origin)
     if not whole.targets:
-        return LoadedProject(root, file, whole)
-    return LoadedProject(root, file, whole.for_target(whole.target) if whole.target else whole, declared=whole)
+        return LoadedProject(root, file, whole, notes=notes)
+    chosen = whole.for_target(whole.target) if whole.target else whole
+    return LoadedProject(root, file, chosen, declared=whole, notes=notes)
 
 
 def parse(table: object, origin: str) -> Project:

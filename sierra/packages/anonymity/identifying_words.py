@@ -40,7 +40,7 @@ FORGES = frozenset(
 )
 """Hosts that anybody may use."""
 PSEUDONYM = re.compile(r"host-\d+")
-"""Names of hosts in records that were rewritten before: see `sierra.packages.anonymity.redaction`."""
+"""Names of hosts in records that were rewritten before: see `sierra.packages.anonymity.redact_store`."""
 SHORTEST = 2
 """The number of characters of the shortest word that is searched."""
 DEPTH = 2

@@ -1,4 +1,9 @@
-"""Rewriting the records of a store by the rules of `sierra.packages.anonymity.redaction`.
+"""Redaction: rewriting the records of a store, so that they no longer show who executed runs, where and when.
+
+The decision about each column is beside the column, in `sierra.store.row_types`; a column without one stops the command. Ids of
+batches, experiments, runs, executions and sessions, hashes of outputs and of programs, and all rows and files that runs wrote
+stay as they are. The table `redactions` names the sessions whose records were rewritten. Texts that are kept may contain names
+all the same: see `sierra.packages.anonymity.content_search`.
 
 Each segment is written again, under the new name that its new hashes give. Files without a column to rewrite stay as they are.
 """
@@ -6,7 +11,7 @@ Each segment is written again, under the new name that its new hashes give. File
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,9 +20,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from sierra.errors import Damaged
 from sierra.maintenance.extract import link_or_copy
 from sierra.packages.anonymity.redact_rows import HIDDEN, RowRedactor
-from sierra.packages.anonymity.redaction import RULES, VERSION, rule
 from sierra.store.compaction import write_whole_file
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.row_types import Redaction, RedactionRow
@@ -26,6 +31,12 @@ from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.store.verified_files import verify
 
+VERSION = "sierra redaction 1"
+"""The version of the rules, which the table `redactions` names."""
+RULES: Mapping[str, Mapping[str, Redaction | None]] = {
+    name: {column.name: column.redaction for column in table.columns} for name, table in RECORDED.items()
+}
+"""The decision about each column, by table. Texts in columns that are kept are searched for names."""
 ROWS = 65_536
 MARKS = "redactions"
 MARKED = {
@@ -52,6 +63,14 @@ def rewrite(store: Store, folder: Path, date: str) -> None:
             shutil.rmtree(store.paths.segments / name)
     for writer in writers:
         store.publish(writer)
+
+
+def rule(table: str, column: str) -> Redaction:
+    """Return the decision about a column. Raises Damaged if there is none."""
+    found = RULES.get(table, {}).get(column)
+    if found is None:
+        raise Damaged(f"the table {table} has a column {column!r} that this SIERRA cannot make anonymous")
+    return found
 
 
 class _Redactor:

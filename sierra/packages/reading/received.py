@@ -61,9 +61,8 @@ def open_package(path: Path) -> Received:
         identity = archive.id
         known = verifier.is_ours(archive.hashes.get(PROGRAM))
     project = project_file.load(folder)
-    return Received(
-        path, identity, described, project, Store(folder / STORE, project.rules).confined(), () if known else (OTHER,)
-    )
+    notes = (*(() if known else (OTHER,)), *project.notes)
+    return Received(path, identity, described, project, Store(folder / STORE, project.rules).confined(), notes)
 
 
 def batches(store: Store) -> list[str]:

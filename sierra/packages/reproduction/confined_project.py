@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from sierra.config import project_file, user
+from sierra.config import extensions, project_file, user
 from sierra.config.find_project import ProjectFolder, settings
 from sierra.config.project_file import LoadedProject
 from sierra.store.layout import CONFIG, PYPROJECT
@@ -30,8 +30,8 @@ REMOVED = {
 def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
     """Return the project in `root` without these keys, and a line for each removed key. Raises ConfigError."""
     file = next((root / name for name in (CONFIG, PYPROJECT) if (root / name).is_file()), root / CONFIG)
-    table = settings(file) or {}
-    notes = [*_confine(table, "")]
+    table, absent = extensions.without_absent(settings(file) or {})
+    notes = [*absent, *_confine(table, "")]
     targets = table.get("targets")
     for name, target in targets.items() if isinstance(targets, dict) else ():
         if isinstance(target, dict):

@@ -6,8 +6,7 @@ import pytest
 
 from sierra.errors import Damaged
 from sierra.packages.anonymity.redact_rows import RowRedactor
-from sierra.packages.anonymity.redact_store import MARKED
-from sierra.packages.anonymity.redaction import RULES, rule
+from sierra.packages.anonymity.redact_store import MARKED, RULES, rule
 from sierra.store.row_types import Redaction
 from sierra.store.schema import ID, RECORDED, TIME
 
