@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 GIVEN: ContextVar[tuple[object, ...]] = ContextVar("given", default=())
-"""What the options that extensions add to a command have returned, for this call of the command."""
+"""The values that the options of extensions have returned, for this call of the command."""
 
 
 class Commands(Mapping[str, "Command"]):

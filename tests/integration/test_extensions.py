@@ -29,7 +29,7 @@ class Use(NamedTuple):
     """A project that uses an extension."""
 
     config: str
-    """What is added to its sierra.toml."""
+    """The lines that are added to its sierra.toml."""
     makes: tuple[tuple[str, ...], ...]
     """The commands that use it, after the project's query was executed."""
     traces: tuple[str, ...]
