@@ -61,21 +61,24 @@ def _with_options(command: Command, words: str) -> Command:
     for name, place in added("options").items():
         if name.startswith(words):
             more = _command(name, place)
-            more.params = [one for one in more.params if one.name != "help"]
+            more.params = [option for option in more.params if option.name != "help"]
             command.params += more.params
             command.callback = _both(command.callback, more)
     return command
 
 
 def _both(own: Callable[..., object] | None, more: Command) -> Callable[..., object]:
-    names = {one.name for one in more.params}
+    names = {option.name for option in more.params}
 
     def both(**values: object) -> object:
         assert own  # noqa: S101
         assert more.callback  # noqa: S101
         given = more.callback(**{name: value for name, value in values.items() if name in names})
-        GIVEN.set((*GIVEN.get(), *([] if given is None else [given])))
-        return own(**{name: value for name, value in values.items() if name not in names})
+        before = GIVEN.set((*GIVEN.get(), *([] if given is None else [given])))
+        try:
+            return own(**{name: value for name, value in values.items() if name not in names})
+        finally:
+            GIVEN.reset(before)
 
     return both
 

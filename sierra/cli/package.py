@@ -101,7 +101,7 @@ def package(
             image=image,
             wheels=wheels,
             report=not no_report,
-            without=[one for one in GIVEN.get() if isinstance(one, str)],
+            without=[kind for kind in GIVEN.get() if isinstance(kind, str)],
             **chosen,
         )
     except Identifying as error:

@@ -29,7 +29,7 @@ FOLDER = Path(__file__).parents[1] / "extensions"
 @cache
 def added(kind: str) -> Mapping[str, str]:
     """Return all names that extensions add to a kind, each with its place, as `module:attribute`."""
-    return {name: f"sierra.extensions.{one}.{place}" for one in _present() for name, place in ADDS[one].get(kind, {}).items()}
+    return {name: f"sierra.extensions.{owner}.{place}" for owner, names in _present(kind) for name, place in names.items()}
 
 
 def load(kind: str, name: str) -> Any:
@@ -40,7 +40,7 @@ def load(kind: str, name: str) -> Any:
 
 def home(key: str) -> str | None:
     """Return the extension that a key of `sierra.toml` belongs to, also one that is not there."""
-    return next((one for one, adds in ADDS.items() if key in adds.get("tables", {})), None)
+    return next((extension for extension, adds in ADDS.items() if key in adds.get("tables", {})), None)
 
 
 def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -63,5 +63,6 @@ def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str,
     return kept, tuple(notes)
 
 
-def _present() -> Iterator[str]:
-    yield from (one for one in ADDS if os.path.isdir(FOLDER / one))  # noqa: PTH112 - `Path.is_dir` takes longer
+def _present(kind: str) -> Iterator[tuple[str, Mapping[str, str]]]:
+    """Yield the extensions that exist, each with its names of a kind. `Path.is_dir` would take longer."""
+    yield from ((name, adds.get(kind, {})) for name, adds in ADDS.items() if os.path.isdir(FOLDER / name))  # noqa: PTH112

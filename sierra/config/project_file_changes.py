@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sierra.errors import Missing, UsageError
 from sierra.store import read_lock
-from sierra.util.fs import unfinished_beside
+from sierra.util.fs import replacing
 from sierra.util.regular_files import read_regular
 
 
@@ -27,13 +27,9 @@ def replace_content(file: Path, before: bytes, after: bytes) -> None:
 
 
 def _replace(file: Path, before: bytes, after: bytes) -> None:
-    unfinished = unfinished_beside(file)
-    try:
+    with replacing(file) as unfinished:
         unfinished.touch(0o600)
         unfinished.write_bytes(after)
         unfinished.chmod(stat.S_IMODE(file.stat().st_mode))
         if read_regular(file) != before:
             raise UsageError(f"{file.name} has changed since it was read; try again")
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)

@@ -40,4 +40,4 @@ def shown_tables(config: Project) -> set[str]:
     """Return the outputs that declared deliverables of these kinds show. Without a declaration, nothing is imported."""
     keys = config.model_fields_set - KEYS
     kinds = filter(None, map(find, extensions.added("deliverables"))) if keys else ()
-    return {str(getattr(one, "table", "")) for kind in kinds for one in config.added(kind.table, {}).values()}
+    return {str(getattr(declared, "table", "")) for kind in kinds for declared in config.added(kind.table, {}).values()}

@@ -94,7 +94,7 @@ def _stored_blobs(snapshot: Snapshot) -> set[str]:
     """Return the source files with both their entry and their content; a repair may have removed the content."""
     snapshot.views.make(("blobs",))
     blobs: dict[str, str] = dict(snapshot.run("SELECT blob, sha256 FROM blobs"))
-    kept = snapshot.kept(blobs.values())
+    kept = snapshot.kept_sizes(blobs.values())
     return {blob for blob, digest in blobs.items() if digest in kept}
 
 

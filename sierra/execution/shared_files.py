@@ -103,7 +103,7 @@ def keep(rows: Sequence[SharedFileRow], root: Path, objects: Objects, known: Ite
 
 def stored(rows: Sequence[SharedFileRow], snapshot: Snapshot) -> set[str]:
     """Return the SHA-256 of those files whose content the store has."""
-    return set(snapshot.kept(row.sha256 for row in rows)) if rows else set()
+    return set(snapshot.kept_sizes(row.sha256 for row in rows)) if rows else set()
 
 
 def recorded(store: Store, shared: str) -> list[SharedFileRow]:

@@ -168,7 +168,7 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
     while some := list(islice(pending, AT_A_TIME)):
         with store.snapshot() as snapshot:
             past = [one for one in _past(snapshot, context, some, mismatched=mismatched) if not _is_hopeless(one, context)]
-            sizes = snapshot.kept({row.sha256 for one in past for row in one.artifacts})
+            sizes = snapshot.kept_sizes({row.sha256 for one in past for row in one.artifacts})
         lacking = {one.last.run: lack for one in past if (lack := _lacking(one, context, sizes)) is not None}
         yield Foreseen({one.last.run: one for one in past if one.last.run not in lacking}, lacking)
 

@@ -83,7 +83,6 @@ class _Loss:
         for ids, facts in ((self.executions, (Of.EXECUTION, Of.JUDGEMENT, About.EXECUTION)), (self.replays, (About.REPLAY,))):
             for table, columns in columns_with(*facts).items() if ids else ():
                 drop.setdefault(table, {}).update(dict.fromkeys(columns, ids))
-        drop.pop("replays", None)
         if self.batches:
             drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "batch_runs")}
         return drop

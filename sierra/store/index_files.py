@@ -29,7 +29,7 @@ from pathlib import Path
 from sierra.store.layout import StorePaths
 from sierra.store.schema import RECORDED
 from sierra.store.verified_files import begins_with
-from sierra.util.fs import UNFINISHED_END, unfinished_beside
+from sierra.util.fs import UNFINISHED_END, replacing
 from sierra.util.hashing import sha256, sha256_file
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import remove_abandoned
@@ -129,12 +129,8 @@ def publish(paths: StorePaths, segments: int, built: Path) -> Path:
     """Copy an index of so many segments into the store. Raises OSError."""
     paths.index.mkdir(exist_ok=True)
     path = paths.index / f"{format_now()}-{segments:09d}-{sha256_file(built)[:16]}.duckdb"
-    unfinished = unfinished_beside(path)
-    try:
+    with replacing(path) as unfinished:
         shutil.copyfile(built, unfinished)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
     return path
 
 

@@ -647,7 +647,7 @@ class Snapshot:
         rest = (segment.name for segment in self.listing.rest if "objects" in segment.files)
         return self.listing.named([*rest, *indexed])
 
-    def kept(self, digests: Iterable[str]) -> dict[str, int]:
+    def kept_sizes(self, digests: Iterable[str]) -> dict[str, int]:
         """Return those of these SHA-256s whose contents the store keeps, with the sizes in bytes."""
         if not self.holds("objects"):
             return {}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
 import secrets
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -99,13 +101,22 @@ UNFINISHED_END = r"(\.[0-9a-f]{8})?\.\d+"
 
 def write_whole(path: Path, data: bytes) -> Path:
     """Write a file completely or not at all, replacing an existing one."""
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(data)
+    return path
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a new path for a file that gets its name at the end of the `with` block, replacing an existing one; not after an
+    error.
+    """
     unfinished = unfinished_beside(path)
     try:
-        unfinished.write_bytes(data)
+        yield unfinished
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
-    return path
 
 
 def is_gone(path: str) -> bool:

@@ -22,22 +22,23 @@ from pathlib import Path
 import grimp
 import networkx
 from idle import project
-from lines import PACKAGE, ROOT, core, packages
+from lines import PACKAGE, ROOT, Size, core, packages
 
 LIMITS = Path(__file__).with_name("ratchet.toml")
 SLACK = 3
 """The number of modules more that a command may import: a few depend on the machine."""
 FEWEST = 0.15
 """The lines of docstrings for each line of code, at least."""
-COMMANDS = ("--version", "--help", "status", "ls", "sql", "show", "why", "run -n", "run")
-QUERY = "population_size=1,2"
-WORDS = {
+RUN = ("run", "--runs", "1", "--no-figures")
+COMMANDS = {
+    **{name: (name,) for name in ("--version", "--help", "status", "ls")},
     "sql": ("sql", "SELECT count(*) FROM runs"),
     "show": ("show", "{batch}"),
     "why": ("why", "{batch}"),
     "run -n": ("run", "-n", "population_size=3"),
-    "run": ("run", "--runs", "1", "--no-figures", QUERY),
+    "run": (*RUN, "population_size=4,5"),
 }
+"""The commands whose imports are counted, in a project with one batch."""
 PROBE = """
 import atexit, sys
 from pathlib import Path
@@ -53,7 +54,8 @@ program()
 
 def main() -> int:
     limits = tomllib.loads(LIMITS.read_text())
-    now = measured()
+    size = core(packages())
+    now = measured(size)
     if "--lower" in sys.argv:
         LIMITS.write_text(lowered(LIMITS.read_text(), limits, now))
         return 0
@@ -63,27 +65,23 @@ def main() -> int:
         for name, value in values.items()
         if value > limits[table].get(name, 0) + (SLACK if table == "imported modules" else 0)
     ]
-    documented = core(packages())
-    if documented.docstrings < FEWEST * documented.code:
-        over.append(
-            f"docstrings: {documented.docstrings:,} lines for {documented.code:,} lines of code, fewer than {FEWEST} each"
-        )
+    if size.docstrings < FEWEST * size.code:
+        over.append(f"docstrings: {size.docstrings:,} lines for {size.code:,} lines of code, fewer than {FEWEST} each")
     for line in over:
         print(f"ratchet: {line}: make it smaller, or say why not in {LIMITS.relative_to(ROOT)}", file=sys.stderr)
-    print(f"Ratchet: {documented.code:,} lines of code in the core, of {limits['size']['core code']:,}.")
+    print(f"Ratchet: {size.code:,} lines of code in the core, of {limits['size']['core code']:,}.")
     return 1 if over else 0
 
 
-def measured() -> dict[str, dict[str, int]]:
+def measured(core: Size) -> dict[str, dict[str, int]]:
     """Return the present numbers, by table and name as in ratchet.toml."""
     from sierra.config import extensions
 
-    found = core(packages())
     extensions.added = lambda kind: {}  # their commands and keys are free, too
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     floors = next(len(contract["layers"]) for contract in contracts if contract["type"] == "layers")
     return {
-        "size": {"core code": found.code, "core modules": found.modules},
+        "size": {"core code": core.code, "core modules": core.modules},
         "structure": {"entries": entries(), "floors": floors, "circles": circles()},
         "breadth": {"commands": commands(), "keys": keys()},
         "imported modules": imported(),
@@ -140,13 +138,9 @@ def imported() -> dict[str, int]:
             done = subprocess.run([sys.executable, probe, file, *words], cwd=root, capture_output=True, text=True, check=True)
             return int(file.read_text()), done.stdout
 
-        called(*WORDS["run"])
+        called(*RUN, "population_size=1,2")
         [batch] = json.loads(called("ls", "--json")[1])
-        words = {name: WORDS.get(name, (name,)) for name in COMMANDS}
-        again = {"run": [*WORDS["run"][:-1], "population_size=4,5"]}
-        return {
-            name: called(*(word.format(batch=batch["batch"]) for word in again.get(name, words[name])))[0] for name in COMMANDS
-        }
+        return {name: called(*(word.format(**batch) for word in words))[0] for name, words in COMMANDS.items()}
 
 
 def lowered(text: str, limits: Mapping[str, Mapping[str, int]], now: Mapping[str, Mapping[str, int]]) -> str:

@@ -48,7 +48,7 @@ def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
     if not used:
         return
     with store.snapshot() as snapshot:
-        stored = snapshot.kept(one.sha256 for one in used.values())
+        stored = snapshot.kept_sizes(one.sha256 for one in used.values())
     left = plan.project.config.source.max_ignored
     for size, path, one in sorted((path.stat().st_size, path, one) for path, one in used.items() if path.is_file()):
         if size > left:

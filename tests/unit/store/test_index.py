@@ -694,12 +694,12 @@ def test_contents_that_were_lost_are_stored_again(project: Path) -> None:
     source = opened.store.values(str, "SELECT sha256 FROM blobs ORDER BY ALL")[0]
     assert index_builder.build(opened.store.paths) is not None
     with opened.store.snapshot() as snapshot:
-        assert snapshot.kept([source]).keys() == {source}
+        assert snapshot.kept_sizes([source]).keys() == {source}
     for each in held:
         if (source,) in held[each]:
             each.unlink()
     with opened.store.snapshot() as snapshot:
-        assert not snapshot.kept([source])
+        assert not snapshot.kept_sizes([source])
     opened.run("population_size=7", runs=1, figures=False)
     assert opened.store.object(source)
 
