@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import logging
 import os
 import warnings
 from collections.abc import Iterator
@@ -60,6 +59,8 @@ def _apply_settings(module: ModuleType) -> None:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Report no warning of matplotlib; it uses both ways to report one."""
+    import logging
+
     logger = logging.getLogger(NAME)
     before = logger.level
     logger.setLevel(logging.CRITICAL)
