@@ -128,7 +128,7 @@ def _doubt(opened: Project, folder: Path) -> None:
 
 def _recover(opened: Project, outcomes: Iterable[Outcome], folder: Path) -> None:
     """Write what can be read of bags that were cut off, and print a note on each table."""
-    from sierra.ingest.bags.recovery import recover
+    from sierra.extensions.ros.bags.recovery import recover
     from sierra.ingest.base import check_packages
     from sierra.store.recorded_files import OUTPUT_FOLDER
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from sierra.cli.output import note, print_json
+from sierra.config import extensions
 from sierra.util.text import few, one_line
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ def init(
         typer.Option(
             "--example",
             metavar="NAME",
-            help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, gazebo, ros, mesa, ngspice, ns3, "
-            "netlogo, robots, turtlebot3, webots.",
+            help="Copy a bundled example to FOLDER: "
+            + ", ".join(("swarm", "mesa", "netlogo", "ngspice", "ns3", "robots", "webots", *extensions.examples()))
+            + ".",
         ),
     ] = None,
     from_sierra1: Annotated[

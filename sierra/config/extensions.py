@@ -15,6 +15,31 @@ from pathlib import Path
 from typing import Any
 
 ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
+    "argos": {
+        "platforms": {"argos": "platform:Argos"},
+        "inputs": {".argos": "xml"},
+        "starts": {".argos": "argos"},
+        "variables": {"ARGOS_PLUGIN_PATH": "libraries"},
+    },
+    "gazebo": {
+        "platforms": {"gazebo": "platform:Gazebo"},
+        "inputs": {".world": "xml", ".sdf": "xml"},
+        "variables": {"GZ_VERSION": ""},
+        "examples": {"gazebo": "examples/gazebo"},
+    },
+    "ros": {
+        "platforms": {"ros": "platform:Ros"},
+        "readers": {"bag": "bags.bag_topics:BagTopics"},
+        "inputs": {".launch": "xml"},
+        "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
+        "examples": {"ros": "examples/ros", "turtlebot3": "examples/turtlebot3"},
+    },
+    "simulators": {
+        "platforms": {"jsbsim": "jsbsim:Jsbsim", "mujoco": "mujoco:Mujoco", "sumo": "sumo:Sumo"},
+        "starts": {".sumocfg": "sumo"},
+        "variables": {"MUJOCO_GL": ""},
+        "examples": {name: f"examples/{name}" for name in ("jsbsim", "mujoco", "sumo")},
+    },
     "videos": {
         "commands": {"video": "command:video", "open video": "of_package:video"},
         "options": {"package --no-videos": "command:left_out"},
@@ -22,7 +47,12 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "deliverables": {"video": "deliverable:Videos"},
     },
 }
-"""By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`."""
+"""By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
+
+Four kinds are data. `inputs` are endings of input files, with the format of their templates. `starts` are endings of those
+whose platform starts the simulator itself, with its name. `variables` are recorded with the environment; `libraries` are search
+paths of libraries. `examples` are projects for `sierra init --example`, with their folders.
+"""
 FOLDER = Path(__file__).parents[1] / "extensions"
 
 
@@ -38,9 +68,25 @@ def load(kind: str, name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def home(key: str) -> str | None:
-    """Return the extension that a key of `sierra.toml` belongs to, also one that is not there."""
-    return next((extension for extension, adds in ADDS.items() if key in adds.get("tables", {})), None)
+@cache
+def data(kind: str) -> Mapping[str, str]:
+    """Return all names that extensions add to a kind that is data, each with its text."""
+    return {name: text for _, names in _present(kind) for name, text in names.items()}
+
+
+def examples() -> Mapping[str, Path]:
+    """Return the example projects of extensions, each with its folder."""
+    return {name: FOLDER / owner / text for owner, names in _present("examples") for name, text in names.items()}
+
+
+def home(kind: str, name: str) -> str | None:
+    """Return the extension that a name of a kind belongs to, also one that is not there."""
+    return next((extension for extension, adds in ADDS.items() if name in adds.get(kind, {})), None)
+
+
+def belongs(name: str, home: str) -> str:
+    """Return the end of a message about a name whose extension is not there."""
+    return f"{name!r} belongs to the extension {home!r}, which is not installed; install sierra-{home}"
 
 
 def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -48,7 +94,7 @@ def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str,
 
     No id depends on such keys, so the package can be read and executed without them.
     """
-    absent = {key: extension for key in table if key not in added("tables") and (extension := home(key))}
+    absent = {key: extension for key in table if key not in added("tables") and (extension := home("tables", key))}
     kept = {key: value for key, value in table.items() if key not in absent}
     notes = [
         f"sierra.toml: {where}{key} of the package is ignored: the extension {extension!r} is not installed"

@@ -1,8 +1,9 @@
 """The registry of plug-ins: classes of several kinds that are found by name, shipped with SIERRA or added by other packages.
 
-A package adds a class by an entry point of the group of its kind. The shipped classes are entry points too, but they are
-written here, so that no metadata is read for them. A plug-in is imported when its name is used, and not before. A command that
-uses no plug-in imports none. A plug-in that cannot be used is an error of one line, only for commands that use it.
+A package adds a class by an entry point of the group of its kind. The shipped classes are written here and in
+`sierra.config.extensions`, so that no metadata is read for them. A plug-in is imported when its name is used, and not before.
+A command that uses no plug-in imports none. A plug-in that cannot be used is an error of one line, only for commands that use
+it.
 
 A class of another package has `contract = 1`, the version of the contracts that it was made for, and `Options`, the model of
 its table in `sierra.toml`. Tables stay as they are until their plug-in is used. Then `options` validates them.
@@ -13,11 +14,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sierra.config import figure_options
+from sierra.config import extensions, figure_options
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
 from sierra.config.project_file import Project
@@ -70,8 +71,8 @@ class Kind:
     """The singular word that messages use."""
     protocol: str
     """The contract, as `module:Protocol`."""
-    shipped: Mapping[str, str]
-    """The shipped classes by name, as `module:Class`."""
+    core: Mapping[str, str]
+    """The classes by name that are no extensions, as `module:Class`."""
     options_base: type[Table] = Table
     """The class that the `Options` of these plug-ins inherit from."""
     tables: str = ""
@@ -87,6 +88,11 @@ class Kind:
         """Return the name of the tables with options in `sierra.toml`."""
         return self.tables or _plural(self.word)
 
+    @cached_property
+    def shipped(self) -> dict[str, str]:
+        """The shipped classes by name, those of extensions included, as `module:Class`."""
+        return {**self.core, **extensions.added(_plural(self.word))}
+
     def names(self) -> tuple[str, ...]:
         """Return the names of all plug-ins of this kind, the shipped ones first."""
         return (*self.shipped, *sorted(self._others().keys() - self.shipped.keys()))
@@ -95,13 +101,8 @@ class Kind:
         """Return the names that other packages offer, shipped names included."""
         return tuple(sorted(self._others()))
 
-    def own(self) -> tuple[str, ...]:
-        """Return the names that SIERRA offers as other packages do, by entry points."""
-        found = self._others().items()
-        return tuple(sorted(name for name, offers in found if any(offer.module == SIERRA for offer in offers)))
-
     def packages(self, name: str) -> tuple[str, ...]:
-        """Return the packages that offer a name, except SIERRA."""
+        """Return the other packages that offer a name."""
         return tuple(offer.package for offer in self._others().get(name, ()))
 
     def load(self, name: str) -> Any:
@@ -116,8 +117,14 @@ class Kind:
         if shipped is not None:
             return _attribute(shipped)
         if not others:
-            raise ConfigError(f"unknown {self.word} {name!r}; known are {', '.join(self.names())}")
+            raise ConfigError(self.unknown(name))
         return self._checked(others[0])
+
+    def unknown(self, name: str) -> str:
+        """Return the message that no plug-in has a name, with the extension that has it, or with all known names."""
+        if home := extensions.home(_plural(self.word), name):
+            return f"the {self.word} {extensions.belongs(name, home)}"
+        return f"unknown {self.word} {name!r}; known are {', '.join(self.names())}"
 
     def options(self, name: str, table: RawTable) -> Table:
         """Return the options of a plug-in from its table. Raises ConfigError."""
@@ -140,7 +147,7 @@ class Kind:
         """Check all tables of this kind. Raises ConfigError for an unknown name, or options that are invalid."""
         for name, table in tables.items():
             if name not in self.names():
-                raise ConfigError(f"[{self.table}.{name}]: unknown {self.word} {name!r}; known are {', '.join(self.names())}")
+                raise ConfigError(f"[{self.table}.{name}]: {self.unknown(name)}")
             self.options(name, table)
 
     def _checked(self, offer: Offer) -> type:
@@ -172,7 +179,7 @@ class Kind:
 PLATFORMS = Kind(
     "platform",
     "sierra.platforms.base:Platform",
-    {"command": "sierra.platforms.command:Command", "argos": "sierra.platforms.argos:Argos"},
+    {"command": "sierra.platforms.command:Command"},
 )
 TEMPLATES = Kind(
     "template",
@@ -223,7 +230,6 @@ READERS = Kind(
         "sqlite": "sierra.ingest.sqlite_tables:SqliteTables",
         "hdf5": "sierra.ingest.hdf5_datasets:Hdf5Datasets",
         "netcdf": "sierra.ingest.netcdf_variables:NetcdfVariables",
-        "bag": "sierra.ingest.bags.bag_topics:BagTopics",
     },
 )
 _KINDS = "sierra.deliverables.figures.kinds"

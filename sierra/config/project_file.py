@@ -152,8 +152,9 @@ class Project(Table):
     )
     platform: str = Field(
         "command",
-        description="platform, which drives the simulator: `command`, `argos`, `sumo`, `mujoco`, `jsbsim`, `gazebo`, `ros`, "
-        "or a plug-in",
+        description="platform, which drives the simulator: "
+        + "".join(f"`{name}`, " for name in ("command", *extensions.added("platforms")))
+        + "or a plug-in",
     )
     runner: str = Field(
         "local", description="where runs execute unless `--on` says otherwise: `local`, or a cluster of `runners`"

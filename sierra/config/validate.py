@@ -60,8 +60,8 @@ def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, 
     """Return the first error in one line; for an unknown key, with the most similar valid key."""
     complaint = error.errors()[0]
     where = ".".join(str(part) for part in (*within, *complaint["loc"]))
-    if complaint["type"] == "extra_forbidden" and (home := extensions.home(where)):
-        return f"{where!r} belongs to the extension {home!r}, which is not installed; install sierra-{home}, or remove the key"
+    if complaint["type"] == "extra_forbidden" and (home := extensions.home("tables", where)):
+        return f"{extensions.belongs(where, home)}, or remove the key"
     if complaint["type"] == "extra_forbidden":
         return f"unknown key {where!r}{_dotted(complaint['loc'], complaint['input']) or _nearest(model, complaint['loc'])}"
     if complaint["type"] == "missing":

@@ -21,10 +21,6 @@ from sierra.templates.base import Files, Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
 from sierra.util.text import counted
 
-USUAL = {"command": ("input.xml",), "argos": ("input.argos",)}
-"""The names of input files, by platform, that are not part of specifications: these have kept the ids of format 1."""
-
-
 Renderers = Mapping[str, Renderer]
 """Functions that make the inputs of runs, by the group of a robot's place; without robots, there is one."""
 
@@ -101,7 +97,7 @@ class Expansion:
         cell = self._design.cells[0]
         files = self._files(cell, self._renderers(cell), 0, self._seed(cell, 0))
         own = tuple(name for name in (name.removeprefix(self._folder) for name, _ in files) if name not in spec.named_inputs)
-        usual = (USUAL.get(spec.platform), ())
+        usual = (getattr(self._platform, "usual_files", None), ())
         return spec if own in usual else replace(spec, named_inputs=(*spec.named_inputs, *own))
 
     def _experiment(self, cell: Cell) -> Experiment:

@@ -19,7 +19,7 @@ from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, tab
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
-    from sierra.ingest.bags.proposals import Proposal
+    from sierra.extensions.ros.bags.proposals import Proposal
 
 NUMBER = re.compile("[0-9]+")
 NAMED = {
@@ -188,7 +188,7 @@ def _text_keys(one: Alike) -> Keys:
 
 def _of_bag(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
     """Return the tables that the topics of a bag make; nothing for other files, and for bags that are declared or not read."""
-    from sierra.ingest.bags.proposals import proposals
+    from sierra.extensions.ros.bags.proposals import proposals
 
     if _ending(one.path) not in BAG_ENDINGS or any(output.matches(one.path) for output in outputs.values()):
         return ()

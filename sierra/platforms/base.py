@@ -1,7 +1,11 @@
 """The Platform contract for driving one simulator or robot stack, and the function to find one by name.
 
-Shipped platforms are `command` (any program) and `argos`. Others are entry points of the group `sierra.platforms` (see
-`sierra.plugin`). `sierra.testing.platforms` checks that they fulfil the contract.
+The core has the platform `command` (any program), extensions have those of simulators, and others are entry points of the group
+`sierra.platforms` (see `sierra.plugin`). `sierra.testing.platforms` checks that they fulfil the contract.
+
+Two class attributes are optional. `usual_files` are the names of input files that are no part of specifications: two platforms
+have it since format 1 of ids, and no other needs it. `finds_files` is True if a platform finds all files that a template names,
+so that `sierra init` need not.
 """
 
 from __future__ import annotations

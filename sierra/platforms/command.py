@@ -18,6 +18,7 @@ class Command:
     """The platform `command`: arguments with placeholders; the project defines everything else."""
 
     Options: ClassVar[type[Table]] = NoOptions
+    usual_files: ClassVar = ("input.xml",)
 
     def __init__(self, project: Project, options: NoOptions) -> None:
         if not project.command:

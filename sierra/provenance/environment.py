@@ -16,6 +16,7 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
+from sierra.config import extensions
 from sierra.provenance import dependency_model, pythons
 from sierra.provenance.machine import Fact, facts
 from sierra.util import open_files
@@ -26,8 +27,8 @@ VARIABLES = (
     *("LANG", "LANGUAGE", "LC_*", "TZ", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "GLIBC_TUNABLES", "MALLOC_*"),
     *("PYTHONPATH", "PYTHONHASHSEED", "CONDA_DEFAULT_ENV", "CONDA_PREFIX", "VIRTUAL_ENV"),
     *("OMP_*", "GOMP_*", "KMP_*", "OPENBLAS_*", "MKL_*", "BLIS_*", "VECLIB_*", "NUMEXPR_*", "NPY_*"),
-    *("CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "XLA_FLAGS", "MUJOCO_GL", "PYOPENGL_PLATFORM", "LIBGL_*", "MESA_*"),
-    *("ARGOS_PLUGIN_PATH", "ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH", "GZ_VERSION"),
+    *("CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "XLA_FLAGS", "PYOPENGL_PLATFORM", "LIBGL_*", "MESA_*"),
+    *extensions.data("variables"),
 )
 """Names (or patterns) of the variables that are recorded."""
 LOADED = "LOADEDMODULES"

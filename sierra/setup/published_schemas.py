@@ -144,8 +144,8 @@ def _with_options(kind: Kind, note: Note | None) -> Iterator[str]:
 
 
 def _usable(kind: Kind, note: Note | None) -> Iterator[str]:
-    """Yield the plug-ins behind entry points that can be used: those of SIERRA and, if there is a `note`, of other packages."""
-    for name in kind.added() if note else kind.own():
+    """Yield the plug-ins of other packages that can be used, if there is a `note`, which gets the others' errors."""
+    for name in kind.added() if note else ():
         try:
             kind.load(name)
         except PluginError as error:

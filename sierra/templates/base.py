@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from sierra.config import extensions
 from sierra.config.change_tables import PORT_NAMES
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import TEMPLATES, Tables
@@ -97,7 +98,7 @@ class Document(Protocol):
         """
 
 
-ENDINGS = {"yml": "yaml", "txt": "text", "argos": "xml", "sdf": "xml", "world": "xml", "launch": "xml", "urdf": "xml"}
+ENDINGS = {".yml": "yaml", ".txt": "text", ".urdf": "xml", **extensions.data("inputs")}
 """The formats of files whose ending is not the name of a format."""
 _BLANKS = b"\xef\xbb\xbf\xff\xfe \t\r\n\0"
 
@@ -127,8 +128,8 @@ def of_bytes(path: Path, data: bytes, tables: Tables | None = None, format: str 
 
 def _format(path: Path, data: bytes, name: str) -> str:
     """Return the format of a file by its ending, or `xml` by its first character. Raises TemplateError if it is doubtful."""
-    ending = path.suffix.removeprefix(".").lower()
-    known = ending if ending in TEMPLATES.names() else ENDINGS.get(ending)
+    ending = path.suffix.lower()
+    known = name if (name := ending.removeprefix(".")) in TEMPLATES.names() else ENDINGS.get(ending)
     looks_like_xml = data.lstrip(_BLANKS).startswith(b"<")
     if known in TEMPLATES.shipped and known != "xml" and looks_like_xml:
         raise TemplateError(f"{name}: its ending means {known}, but it begins as XML; {_choose()}")

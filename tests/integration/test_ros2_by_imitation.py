@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-import sierra.simulators
-from sierra.simulators.ros_launch import Launch2
+import sierra.extensions.ros
+from sierra.extensions.ros.launch import Launch2
 from tests import bags, projects
 from tests.waiting import PATIENCE_S, until
 
-DRIVER = Path(sierra.simulators.__file__).parent / "drivers" / "ros_driver.py"
+DRIVER = Path(sierra.extensions.ros.__file__).parent / "drivers" / "ros_driver.py"
 IMITATION = """\
 import os, re, shlex, shutil, signal, subprocess, sys, time
 import xml.etree.ElementTree as tree

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from sierra import platforms
-from sierra.config import project_file
+from sierra.config import extensions, project_file
 from sierra.design.run_values import Declared
 from sierra.errors import UsageError
 from sierra.execution import commands
@@ -26,8 +26,6 @@ from sierra.setup.init.answers import Ask, Question, settled
 
 EXAMPLE = "python3 sim.py {input}"
 EXAMPLE_WITHOUT = "python3 sim.py --robots 4 --seed 1"
-PLATFORMS = {".argos": "argos", ".sumocfg": "sumo"}
-"""The platforms that start the simulator themselves, by the ending of their template."""
 TO_BUILD = ("Makefile", "makefile", "CMakeLists.txt", "Cargo.toml", "meson.build")
 SHELL = re.compile(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
 
@@ -38,7 +36,7 @@ def platform(inputs: Mapping[str, object], command: str | None) -> tuple[str, Pl
     `inputs` are the settings of the templates.
     """
     written = str([inputs.get("template"), inputs.get("templates")])
-    name = next((name for ending, name in PLATFORMS.items() if f"{ending}'" in written), "command")
+    name = next((name for ending, name in extensions.data("starts").items() if f"{ending}'" in written), "command")
     table = {"platform": name, **inputs} | ({"command": command} if command else {})
     return name, platforms.find(name, project_file.parse(table, "sierra init"))
 
@@ -63,7 +61,7 @@ def _has_input(words: Iterable[str]) -> bool:
 
 def choose(root: Path, template: str | None, given: str | None, ask: Ask | None) -> str | None:
     """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
-    if template and template.endswith(tuple(PLATFORMS)) and given is None:
+    if template and template.endswith(tuple(extensions.data("starts"))) and given is None:
         return None
     found = folder.simulators(root)
     lines = {name: joined([*words, "{input}"] if template else words) for name, words in found.items()}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from sierra.config import find_project
+from sierra.config import extensions, find_project
 from sierra.errors import Missing, TemplateError, UsageError
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
@@ -17,7 +17,7 @@ from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
 from sierra.util.regular_files import open_regular
 
-TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch", ".sumocfg")
+TEMPLATES = tuple(dict.fromkeys((".xml", *extensions.data("inputs"), *extensions.data("starts"))))
 DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
 """The endings of data files, which are templates only if there is none of the others."""
 TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")

@@ -16,6 +16,7 @@ from sierra.errors import SierraError
 from sierra.model import IN_PROJECT
 from sierra.provenance import referenced_files
 from sierra.setup.init import variables
+from sierra.setup.init.folder import TEMPLATES
 from sierra.store.layout import CONFIG, RUN_NAMES
 from sierra.templates.base import read
 
@@ -24,13 +25,8 @@ AT_MOST = 12
 MAX_SIZE = 1 << 16
 """The largest size in bytes of a further template; larger documents are data, such as maps."""
 TREES = (
-    ".xml",
-    ".argos",
-    ".world",
-    ".sdf",
-    ".launch",
+    *TEMPLATES,
     ".urdf",
-    ".sumocfg",
     ".json",
     ".yaml",
     ".yml",

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from sierra import templates
-from sierra.config import project_file
+from sierra.config import extensions, project_file
+from sierra.config.plugin_registry import PLATFORMS
 from sierra.model import Set
 from sierra.provenance import referenced_files
 from sierra.setup.init import arguments, command, folder, named_files, source, variables
@@ -89,7 +90,8 @@ def _with_arguments(started: str | None, *, seeded: bool) -> tuple[str | None, d
 
 def _inputs(root: Path, template: str, options: Options, started: str | None) -> tuple[Inputs, str | None]:
     """Return the templates and the files that they name, and the command with the placeholders of all templates."""
-    if template.endswith(".argos"):  # its platform finds the files that it names
+    name = extensions.data("starts").get(Path(template).suffix)
+    if name is not None and getattr(PLATFORMS.load(name), "finds_files", False):
         return Inputs(template), started
     words = shlex.split(started or "")
     others = {} if options.command is None or "{input" in options.command else named_files.by_command(root, words)

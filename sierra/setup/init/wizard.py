@@ -9,10 +9,10 @@ import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.config import extensions
 from sierra.config.output_tables import with_rotation
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
@@ -40,6 +40,7 @@ __all__ = [
     "write",
 ]
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 LOGS = (RUN_STDERR, RUN_STDOUT)
 LAST = 1 << 14
 """The number of bytes at the end of a log that are searched for the names of files."""
@@ -145,20 +146,18 @@ def _end(log: Path) -> str:
 
 def copy_example(name: str, target: Path) -> list[str]:
     """Copy a bundled example; return the files' names. Raises UsageError for an unknown name or a folder that is not empty."""
-    examples = resources.files("sierra.setup") / "examples"
-    known = sorted(entry.name for entry in examples.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
-    if name not in known:
-        raise UsageError(f"no example {name!r}; known are {', '.join(known)}")
+    examples = {**{folder.name: folder for folder in EXAMPLES.glob("[a-z]*/")}, **extensions.examples()}
+    if (example := examples.get(name)) is None:
+        raise UsageError(f"no example {name!r}; known are {', '.join(sorted(examples))}")
     if target.exists() and any(target.iterdir()):
         raise UsageError(f"{target} is not empty; use a new folder")
     target.mkdir(parents=True, exist_ok=True)
-    with resources.as_file(examples / name) as example:
-        found = [file.relative_to(example) for file in example.rglob("*") if file.is_file()]
-        files = sorted(file for file in found if "__pycache__" not in file.parts)
-        for file in files:
-            (target / file).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(example / file, target / file)
-            if os.access(example / file, os.X_OK):
-                mode = (target / file).stat().st_mode
-                (target / file).chmod(mode | (mode & 0o444) >> 2)  # whoever can read it can execute it
+    found = [file.relative_to(example) for file in example.rglob("*") if file.is_file()]
+    files = sorted(file for file in found if "__pycache__" not in file.parts)
+    for file in files:
+        (target / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(example / file, target / file)
+        if os.access(example / file, os.X_OK):
+            mode = (target / file).stat().st_mode
+            (target / file).chmod(mode | (mode & 0o444) >> 2)  # whoever can read it can execute it
     return [str(file) for file in files]

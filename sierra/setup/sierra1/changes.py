@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from xml.sax.saxutils import quoteattr
 
 from sierra.errors import SierraError
+from sierra.extensions.argos.platform import PLACEHOLDER, ROOT
 from sierra.model import Add, Change, Remove, Rename, Set, Value
-from sierra.platforms.argos import PLACEHOLDER, ROOT
 from sierra.templates.base import Template
 from sierra.templates.yaml_values import Plain
 

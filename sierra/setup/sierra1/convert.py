@@ -19,8 +19,8 @@ from sierra import platforms, templates
 from sierra.config import field_types, project_file
 from sierra.config.group_names import GROUP_NAME
 from sierra.errors import ConfigError, Missing, QueryError, SierraError, UsageError
+from sierra.extensions.argos.platform import ARENA, EXPERIMENT, PLACEHOLDER
 from sierra.model import Add, Change, Remove, Rename, Set
-from sierra.platforms.argos import ARENA, EXPERIMENT, PLACEHOLDER
 from sierra.platforms.base import Following, Platform
 from sierra.query import grammar
 from sierra.setup.init import folder

@@ -18,7 +18,7 @@ import sierra
 from sierra.config import extensions, field_types, project_file, validate
 from sierra.config.plugin_registry import FIGURES
 from sierra.config.project_file import model_of
-from sierra.platforms.argos import ArgosOptions
+from sierra.extensions.argos.platform import ArgosOptions
 from sierra.setup import published_schemas
 from tests import projects
 

@@ -15,8 +15,8 @@ from sierra.config import field_types, project_file
 from sierra.config.change_tables import OWN_PLACEHOLDERS
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.errors import ConfigError, TemplateError
+from sierra.extensions.argos.platform import Argos
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
-from sierra.platforms.argos import Argos
 from sierra.platforms.base import Platform, Reader, Rendering
 from sierra.platforms.command import Command
 from sierra.query import grammar

@@ -1,0 +1,1 @@
+"""The platform of ARGoS 3."""

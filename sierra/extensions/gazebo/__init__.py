@@ -1,0 +1,1 @@
+"""The platform of Gazebo classic, and the program that drives it."""

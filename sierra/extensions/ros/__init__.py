@@ -1,0 +1,1 @@
+"""ROS: the platform that starts launch files, and the reader of bags."""

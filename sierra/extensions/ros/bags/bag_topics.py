@@ -1,0 +1,234 @@
+"""The reader of bags: the messages of the topics that `topics` names become the rows of a table.
+
+A topic may have a name in braces for one part of it, which becomes a column, or `*`. So `/{robot}/odom` makes a table of the
+odometry of all robots, with the columns `topic` and `robot`. Both times of a message are kept: `received_ns`, when the recorder
+received it, and `header_stamp_ns`, the stamp in its header. The rows are in the order in which the messages were recorded.
+
+The messages are read from the first to the last without the index of the bag. The index has their number, which must be the
+same. They are written in batches, so a bag may be larger than memory.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from sierra.config.output_tables import PLACEHOLDER
+from sierra.extensions.ros.bags import db3_bag, mcap_bag, message_rates, ros1_bag
+from sierra.extensions.ros.bags.containers import Bag, Channel, Message
+from sierra.extensions.ros.bags.message_types import MessageType, MessageTypes
+from sierra.ingest.base import UnreadableError
+from sierra.ingest.model import PLAIN, Form, Shape
+from sierra.ingest.parquet import Parquet
+from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.shipped_reader_base import TableReader
+from sierra.ingest.sqlite_tables import MAGIC as SQLITE
+from sierra.ingest.sqlite_tables import opened as opened_database
+from sierra.store.connections import Database
+from sierra.store.sql_names import column_names, stored_names
+from sierra.util.text import few
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ROWS, BYTES = 5_000, 16 << 20
+"""The limits on the messages of a batch, and on their bytes."""
+RECEIVED = "received_ns"
+NAMED = 8
+"""The number of topics that an error names."""
+
+
+class BagTopics(Rewriter):
+    """The reader of bags."""
+
+    def __init__(self, shape: Shape, connection: Database) -> None:
+        super().__init__(shape, connection)
+        self._counted = 0
+
+    @classmethod
+    def reader(cls) -> type[TableReader]:
+        return Parquet
+
+    def plain(self) -> Shape:
+        return replace(self.shape, format="parquet", form=replace(PLAIN, na=self.shape.form.na))
+
+    def rewrite(self, source: Source, target: BinaryIO) -> int:
+        with opened(source) as bag:
+            index = bag.index()
+            table = TopicTable(index, self.shape.form)
+            self.shape = replace(self.shape, lengths=table.lengths, places=(*table.places, *table.lengths))
+            self._counted = sum(index[channel] for channel in table.channels)
+            return write(table, self._messages(bag, table), target)
+
+    def _messages(self, bag: Bag, table: TopicTable) -> Iterator[Message]:
+        """Yield the messages of the table. Raises UnreadableError if a topic has too few."""
+        least = self.shape.form.min_rate
+        if not least:
+            return bag.scan(table.channels.__contains__)
+        return message_rates.checked(bag.scan(lambda channel: True), table.channels, least)
+
+    def count(self, source: Source, written: int) -> int:
+        """Return the number of messages by the index, which `rewrite` has read."""
+        return self._counted
+
+
+@contextmanager
+def opened(source: Source, *, whole: bool = True) -> Iterator[Bag]:
+    """Open a bag. Raises UnreadableError if it is none; `whole`: also if parts of its file are missing."""
+    head = next(source.pieces(), b"")
+    if head.startswith(SQLITE):
+        with opened_database(source, whole=whole) as database:
+            yield db3_bag.Db3Bag(database)
+    elif head.startswith((ros1_bag.MAGIC, mcap_bag.MAGIC)):
+        kind = ros1_bag.Ros1Bag if head.startswith(ros1_bag.MAGIC) else mcap_bag.McapBag
+        with _plain(source) as path, path.open("rb") as file:
+            yield kind(file)
+    else:
+        raise UnreadableError("is not a bag: it is neither ROS 1 (version 2.0) nor MCAP nor SQLite" if head else "is empty")
+
+
+@contextmanager
+def _plain(source: Source) -> Iterator[Path]:
+    """Yield the path of the decompressed file."""
+    if not source.compressed:
+        yield source.path
+        return
+    with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
+        path = Path(folder, "bag")
+        with path.open("wb") as file:
+            file.writelines(source.pieces())
+        yield path
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A topic, or a pattern of topics; names in braces and `*` stand for parts."""
+
+    text: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(PLACEHOLDER.findall(self.text))
+
+    def of(self, topic: str) -> tuple[str, ...] | None:
+        """Return the parts of a topic that the names stand for; None for another topic."""
+        literals = PLACEHOLDER.split(self.text)[::2]
+        found = re.fullmatch("([^/]+)".join(re.escape(one).replace(r"\*", ".*") for one in literals), topic)
+        return None if found is None else found.groups()
+
+
+class TopicTable:
+    """The table of some topics of a bag: its channels and its columns."""
+
+    def __init__(self, known: Mapping[Channel, int], form: Form) -> None:
+        """Choose the channels. Raises UnreadableError if a topic is missing, or if topics have different columns."""
+        patterns = [Pattern(one) for one in form.topics]
+        self.names = patterns[0].names
+        self.channels: dict[Channel, tuple[str, ...]] = {}
+        """The channels with the parts of their topics that are columns."""
+        for pattern in patterns:
+            found = {channel: parts for channel in known if (parts := pattern.of(channel.topic)) is not None}
+            if not found:
+                topics = sorted({channel.topic for channel in known})
+                has = few(topics, NAMED) if topics else "no topic"
+                raise UnreadableError(f"has no topic {pattern.text!r}; it has {has}")
+            self.channels = found | self.channels
+        types = MessageTypes(form.ros)
+        self._types = {channel: types.of(channel) for channel in self.channels}
+        self._check_alike()
+        first = next(iter(self._types.values()))
+        self.fields = tuple(one for one in first.fields if form.covariances or not _is_covariance(one.name))
+        self._places = _places(first)
+
+    def _check_alike(self) -> None:
+        (first, expected), *others = self._types.items()
+        for channel, found in others:
+            if found.fields != expected.fields:
+                raise UnreadableError(
+                    f"the topics {first.topic!r} ({first.type}) and {channel.topic!r} ({channel.type}) have different fields; "
+                    "make a table of each type"
+                )
+
+    @cached_property
+    def schema(self) -> pa.Schema:
+        import pyarrow as pa
+
+        own = [("topic", pa.string()), *((name, pa.string()) for name in self.names), (RECEIVED, pa.int64())]
+        columns = [*own, *((field.name, field.arrow) for field in self.fields)]
+        taken = column_names([name for name, _ in own], ())
+        names = (*taken, *stored_names([field.name for field in self.fields], taken))
+        return pa.schema([(name, kind) for name, (_, kind) in zip(names, columns, strict=True)])
+
+    @property
+    def lengths(self) -> tuple[str, ...]:
+        """The columns that have only the number of the items of a list."""
+        return tuple(field.name for field in self.fields if field.kind in ("length", "bytes"))
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """The columns with the topic of a message, the parts of it that have names, and when it was received."""
+        return tuple(self.schema.names[: len(self.names) + 2])
+
+    def decoded(self, channel: Channel, data: bytes) -> tuple[Any, ...]:
+        return self._types[channel].decoded(data)
+
+    def batch(self, heads: Sequence[tuple[Channel, int]], values: Sequence[tuple[Any, ...]]) -> pa.RecordBatch:
+        """Return some rows: the channels and times of messages, and the values of their attributes. Raises UnreadableError."""
+        import pyarrow as pa
+
+        parts = list(zip(*((channel.topic, *self.channels[channel]) for channel, _ in heads), strict=True))
+        own = [*parts, [received for _, received in heads]]
+        found = list(zip(*values, strict=True))
+        columns = [field.values(found[self._places[field.name]]) for field in self.fields]
+        try:
+            arrays = [pa.array(values, field.type) for values, field in zip([*own, *columns], self.schema, strict=True)]
+            return pa.record_batch(arrays, schema=self.schema)
+        except (pa.ArrowException, OverflowError) as error:
+            raise UnreadableError(f"a table cannot hold its messages ({' '.join(str(error).split())})") from error
+
+
+def _places(kind: MessageType) -> Mapping[str, slice]:
+    """Return the places of the attributes of each field among those of all fields."""
+    ends, places = 0, {}
+    for field in kind.fields:
+        places[field.name] = slice(ends, ends + len(field.attributes))
+        ends += len(field.attributes)
+    return places
+
+
+def _is_covariance(name: str) -> bool:
+    return "covariance" in name.rpartition(".")[2].lower()
+
+
+def write(table: TopicTable, messages: Iterable[Message], target: BinaryIO) -> int:
+    """Write the messages as Parquet; return their number. Raises UnreadableError."""
+    import pyarrow.parquet as pq
+
+    rows = 0
+    with pq.ParquetWriter(target, table.schema) as writer:
+        for batch in batches(table, messages):
+            writer.write_batch(batch)
+            rows += batch.num_rows
+    return rows
+
+
+def batches(table: TopicTable, messages: Iterable[Message]) -> Iterator[pa.RecordBatch]:
+    """Yield the messages as rows, some at a time. Raises UnreadableError."""
+    heads: list[tuple[Channel, int]] = []
+    values: list[tuple[Any, ...]] = []
+    size = 0
+    for channel, received, data in messages:
+        heads.append((channel, received))
+        values.append(table.decoded(channel, data))
+        size += len(data)
+        if len(heads) >= ROWS or size >= BYTES:
+            yield table.batch(heads, values)
+            heads, values, size = [], [], 0
+    if heads:
+        yield table.batch(heads, values)
