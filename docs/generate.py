@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -65,128 +64,34 @@ def _help(command: Any, words: tuple[str, ...], parent: Any) -> Iterator[tuple[t
         yield from _help(inner, (*words, name), context)
 
 
+LINKS = {
+    "list of changes": "list of [changes](#keys-of-a-change)",
+    "table of tolerances": "table of [tolerances](#keys-of-a-tolerance)",
+}
+
+
 def keys() -> Iterator[str]:
     """Yield the keys of `sierra.toml`, table by table."""
-    from sierra.setup import published_schemas
+    from sierra.setup.key_tables import key_tables
 
-    schema = published_schemas.json_schema()
     yield "# sierra.toml"
     yield (
         "These are all keys of `sierra.toml`. The same table may be `[tool.sierra]` in `pyproject.toml`. "
-        "An XPath is XPath 1.0. `sierra schema --toml` prints them with an example for each. "
+        "An XPath is XPath 1.0. `sierra schema NAME` prints one of these tables, or one key. "
         "`schemas/sierra.toml.schema.json` is for editors."
     )
-    found = schema["properties"]
-    models = {name: _model(schema, key) for name, key in found.items()}
-    yield "## Top level"
-    yield _keys(schema, schema, [name for name in found if models[name] is None and name != "platforms"])
-    for name, headed in models.items():
-        if headed is not None:
-            yield from _section(schema, name, found[name], *headed)
-    for kind, name in ((one, name) for one in ("platforms", "runners") for name in found[one]["properties"]):
-        yield from _options(schema, f"{kind}.{name}", "[{}]", _resolve(schema, found[kind]["properties"][name]))
-    yield "## Keys of a change"
-    change = schema["$defs"]["ChangeTable"]
-    yield _sentence(change)
-    yield _keys(schema, change, change["properties"])
-    yield "## Keys of a tolerance"
-    tolerance = schema["$defs"]["Tolerance"]
-    yield _sentence(tolerance)
-    yield _keys(schema, tolerance, tolerance["properties"])
-
-
-def _options(schema: Mapping[str, Any], name: str, header: str, model: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the keys of a plug-in's table, then those of the tables within it."""
-    properties = model.get("properties", {})
-    if properties:
-        yield f"## {name}"
-        yield f"Header: `{header.format(name)}`"
-        yield _closed(_sentence(model))
-        yield _keys(schema, model, properties)
-    for key, inner in properties.items():
-        if (headed := _model(schema, inner)) is not None:
-            yield from _options(schema, f"{header.format(name).strip('[]')}.{key}", *headed)
-
-
-def _section(
-    schema: Mapping[str, Any], name: str, key: Mapping[str, Any], header: str, model: Mapping[str, Any]
-) -> Iterator[str]:
-    yield f"## {name}"
-    yield f"Header: `{header.format(name)}`"
-    yield from filter(None, dict.fromkeys((_closed(_sentence(key)), _closed(_sentence(model)))))
-    if model["title"] == "ChangeTable":
-        yield "The keys are in [keys of a change](#keys-of-a-change)."
-    else:
-        yield _keys(schema, model, model["properties"])
-    if name == "figures":
-        yield from _keys_of_kinds(schema)
-
-
-def _keys_of_kinds(schema: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the keys that only one kind of figure has, kind by kind."""
-    for title, model in schema["$defs"].items():
-        if title.startswith("figures."):
-            yield f"### Figures of kind {title.partition('.')[2]}"
-            yield _sentence(model)
-            yield _keys(schema, model, model["properties"])
-
-
-def _model(schema: Mapping[str, Any], key: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
-    """Return the header of a key that is a table, with `{}` for the key, and the table's schema; None for a plain value."""
-    free: Any = next(iter(key.get("patternProperties", {}).values()), key.get("additionalProperties"))
-    forms: tuple[tuple[str, Any], ...] = (("[{}.NAME]", free), ("[{}]", key), ("[[{}]]", key.get("items")))
-    for header, inner in forms:
-        if isinstance(inner, dict):
-            model = _resolve(schema, inner)
-            if "properties" in model:
-                return header, model
-    return None
-
-
-def _resolve(schema: Mapping[str, Any], value: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the table that a schema refers to, directly or beside a short form; else the schema itself."""
-    for option in (value, *value.get("anyOf", ())):
-        if "$ref" in option:
-            found: Mapping[str, Any] = schema["$defs"][option["$ref"].rpartition("/")[2]]
-            return found
-    return value
-
-
-def _keys(schema: Mapping[str, Any], model: Mapping[str, Any], names: Iterable[str]) -> str:
-    """Return the Markdown table of a table's keys."""
-    found, required = model["properties"], model.get("required", ())
-    rows = [
-        (f"`{name}`", _type(found[name]), _default(found[name], required=name in required), _sentence(found[name]))
-        for name in names
-    ]
-    return _table(("key", "type", "default", "meaning"), rows)
-
-
-def _default(key: Mapping[str, Any], *, required: bool) -> str:
-    if required:
-        return "required"
-    value = key.get("default")
-    return "" if value in (None, "", [], {}) else f"`{json.dumps(value, ensure_ascii=False)}`"
-
-
-def _type(key: Mapping[str, Any]) -> str:
-    """Return the type of a key in words."""
-    if options := key.get("anyOf"):
-        return " or ".join(dict.fromkeys(_type(one) for one in options if one.get("type") != "null"))
-    if choices := key.get("enum"):
-        return " or ".join(f"`{json.dumps(choice)}`" for choice in choices)
-    names = {"string": "text", "integer": "whole number", "number": "number", "boolean": "true or false"}
-    match key.get("type"):
-        case "array" if "ChangeTable" in str(key.get("items")):
-            return "list of [changes](#keys-of-a-change)"
-        case "array" if "prefixItems" in key:
-            return f"list: {', '.join(map(_type, key['prefixItems']))}"
-        case "array":
-            return f"list: {_type(key.get('items', {}))}"
-        case "object" if "Tolerance" in str(key.get("additionalProperties")):
-            return "table of [tolerances](#keys-of-a-tolerance)"
-        case kind:
-            return names.get(str(kind), "table")
+    for table in key_tables():
+        if table.kind:
+            yield f"### Figures of kind {table.kind}"
+        elif table.header:
+            yield f"## {table.name}"
+            yield f"Header: `{table.header}`"
+        else:
+            yield f"## Keys of a {table.name}" if table.name else "## Top level"
+        yield from table.sentences
+        rows = [(f"`{key.name}`", LINKS.get(key.type, key.type), key.default, key.meaning) for key in table.keys]
+        shown = _table(("key", "type", "default", "meaning"), rows)
+        yield shown if rows else "The keys are in [keys of a change](#keys-of-a-change)."
 
 
 def tables() -> Iterator[str]:
@@ -205,10 +110,6 @@ def tables() -> Iterator[str]:
             yield _closed(table.meaning)
             rows = [(f"`{column.name}`", f"`{column.type}`", column.unit, column.meaning) for column in table.columns]
             yield _table(("column", "type", "unit", "meaning"), rows)
-
-
-def _sentence(schema: Mapping[str, Any]) -> str:
-    return " ".join(str(schema.get("description", "")).split())
 
 
 def _closed(text: str) -> str:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from sierra.config import project_file
+    from sierra.config.output_tables import Key
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from sierra.execution.supervised.supervisor import Supervisor
     from sierra.execution.takeover import Cancelled
     from sierra.execution.trial import Trial
-    from sierra.execution.unread_files import Key
     from sierra.execution.write_inputs import WrittenInputs
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.why_executed import Why

@@ -27,7 +27,7 @@ Each class has two class attributes beside what its contract says:
 - `contract = 1`: the version of the contracts that it was made for, as a number. SIERRA refuses any other than `VERSION`.
 - `Options`: a model of its table in `sierra.toml`: a subclass of `Table`, `NoOptions` if there are none, or `ClusterTable` (or
   a subclass) for schedulers. Unknown keys are errors. The class gets a valid object of it as the last argument when it is made.
-  `sierra schema --toml` and `sierra doctor` list the options of each installed plug-in.
+  `sierra schema sierra.toml` and `sierra doctor` list the options of each installed plug-in.
 
 **Identity.** A run's id is the hash of its inputs, command, environment, source and image. The options of a platform and of a
 template format are part of it as far as they change these. The options of a reader, and its package's version, are part of the

@@ -19,7 +19,7 @@ from tests import samples
 
 def shape_of(path: Path, keys: dict[str, Any]) -> Shape:
     """Return how a file of this name is read that is declared with these keys."""
-    output = Output(file=path.name, **keys)
+    output = Output.model_validate({"file": path.name, **keys})
     file = OutputFile(path.name, 0, "", 0, True, "")
     result = type("", (), {"outputs": (file,)})()
     [(_, shape, _)] = OutputMatcher({"t": output}, {}).of(result)

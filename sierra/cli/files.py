@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson
+from sierra.cli.lazy_commands import GIVEN
 from sierra.cli.output import fields, note, print_json, readable, table
 from sierra.errors import UsageError
 from sierra.util.text import counted, verb
@@ -30,6 +31,13 @@ WHICH = {
 }
 
 
+class Beside(NamedTuple):
+    """An option of an extension that writes more beside the written files."""
+
+    option: str
+    write: Callable[[Project, Sequence[Outcome], Path], None]
+
+
 def files(
     prefix: Annotated[
         str,
@@ -41,9 +49,6 @@ def files(
         list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Listed paths, or glob patterns.")
     ] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write the files into this folder.")] = None,
-    recover: Annotated[
-        bool, typer.Option("--recover", help="With --to: also write what can be read of bags that were cut off.")
-    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """List recorded files, or write them out.
@@ -54,29 +59,26 @@ def files(
 
     Files that became tables are written as CSV from the recorded rows: the values are the same, the bytes may differ.
 
-    With --recover, the messages that can be read of a bag that was cut off are written beside it as
-    BAG.OUTPUT.partial.parquet, with the column partial. They are in no table of the store.
-
     \b
     Examples:
       sierra files 4fc1
       sierra files 4fc1 swarm.csv
       sierra files 9e1c --to recorded
       sierra files 9e1c "*.csv" stderr --to recorded
-      sierra files 4fc1 "*.bag" --to recovered --recover
     """
     from sierra.cli.open_project import project
     from sierra.store.export_recorded_files import extract, listing
 
-    if recover and to is None:
-        raise UsageError("--recover needs --to FOLDER")
+    besides = [given for given in GIVEN.get() if isinstance(given, Beside)]
+    if besides and to is None:
+        raise UsageError(f"{besides[0].option} needs --to FOLDER")
     opened = project()
     listed = listing(opened.store, prefix, paths or (), check=to is None and (as_json or not paths))
     if to is not None:
         outcomes = list(extract(opened.store, listed, to))
         _doubt(opened, to)
-        if recover:
-            _recover(opened, [outcome for outcome in outcomes if not outcome.failure], to)
+        for beside in besides:
+            beside.write(opened, [outcome for outcome in outcomes if not outcome.failure], to)
         _print_outcomes(listed, outcomes, to, as_json=as_json)
     elif as_json:
         print_json(_as_json(listed))
@@ -124,20 +126,6 @@ def _doubt(opened: Project, folder: Path) -> None:
     target = folder.resolve()
     if target.is_relative_to(opened.root) and not opened.config.source.paths:
         note(f"{folder} is in the project, and changes its source (which makes the next runs new) unless git ignores it")
-
-
-def _recover(opened: Project, outcomes: Iterable[Outcome], folder: Path) -> None:
-    """Write what can be read of bags that were cut off, and print a note on each table."""
-    from sierra.extensions.ros.bags.recovery import recover
-    from sierra.ingest.base import check_packages
-    from sierra.store.recorded_files import OUTPUT_FOLDER
-
-    check_packages({"bag"})
-    for outcome in outcomes:
-        name = outcome.file.path.removeprefix(OUTPUT_FOLDER)
-        for found in recover(folder / outcome.path, name, opened.config.outputs) if outcome.file.kind != "log" else ():
-            what = f"{counted(found.rows, 'message')} written" if found.rows else "nothing was written"
-            note(f"{readable(str(found.path))}: {what}; {found.reason}")
 
 
 def _execution(run: ChosenExecution) -> str:

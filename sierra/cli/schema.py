@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli.output import note, print_json, table
 
+if TYPE_CHECKING:
+    from sierra.setup.key_tables import KeyTable
+    from sierra.store.schema import Table
+
+CONFIG = "sierra.toml"
+
 
 def schema(
-    name: Annotated[str | None, typer.Argument(metavar="TABLE", help="A table of the store (default: all).")] = None,
-    toml: Annotated[bool, typer.Option("--toml", help="Print all keys of sierra.toml instead, as commented TOML.")] = False,
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="A table of the store, a table or key of sierra.toml, or sierra.toml for all keys (default: the store).",
+        ),
+    ] = None,
     write: Annotated[
         Path | None, typer.Option("--write", metavar="FOLDER", help="Write the schema files to this folder, as in schemas/.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the tables as JSON; with --toml, the JSON Schema.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; for sierra.toml, its JSON Schema.")] = False,
 ) -> None:
-    """Describe the tables of the store, or the keys of sierra.toml.
+    """Describe the tables of the store, or the keys of sierra.toml with those of installed plug-ins.
 
     \b
     Examples:
       sierra schema
       sierra schema executions
-      sierra schema --toml
-      sierra schema --toml --json > sierra.toml.schema.json
+      sierra schema outputs
+      sierra schema sierra.toml --json > sierra.toml.schema.json
     """
     from sierra.errors import NotFound
     from sierra.setup import published_schemas
@@ -33,17 +44,47 @@ def schema(
     if write is not None:
         published_schemas.write(write)
         return
-    if toml:
-        print(published_schemas.toml_schema(note) if as_json else published_schemas.toml(note), end="")
+    if name == CONFIG and as_json:
+        print(published_schemas.toml_schema(note), end="")
         return
     tables = published_schemas.tables()
-    if name is not None and name not in tables:
-        raise NotFound(f"unknown table {name!r}; the store's own tables are {', '.join(tables)} (sierra sql 'SHOW TABLES')")
-    chosen = [tables[name]] if name else list(tables.values())
+    chosen = [one for one in tables.values() if name in (None, one.name)]
+    keys = _keys(name) if name else []
+    if not chosen and not keys:
+        raise NotFound(f"unknown name {name!r}; tables of the store are {', '.join(tables)} (sierra sql 'SHOW TABLES')")
     if as_json:
-        print_json(chosen)
+        print_json(chosen or keys)
         return
     for one in chosen:
-        print(f"{one.name}: {one.meaning}")
-        table(("column", "type", "unit", "meaning"), [(c.name, c.type, c.unit, c.meaning) for c in one.columns])
-        print()
+        _print_columns(one)
+    for found in keys:
+        _print_keys(found)
+
+
+def _keys(name: str) -> list[KeyTable]:
+    """Return the tables of `sierra.toml` with a name, and those within them; else those that have a key of this name."""
+    from dataclasses import replace
+
+    from sierra.setup.key_tables import key_tables
+
+    every = list(key_tables(note))
+    if name == CONFIG:
+        return every
+    named = [one for one in every if one.name == name or one.name.startswith(f"{name}.")]
+    having = [replace(one, keys=tuple(key for key in one.keys if key.name == name)) for one in every]
+    return named or [one for one in having if one.keys]
+
+
+def _print_columns(one: Table) -> None:
+    print(f"{one.name}: {one.meaning}")
+    table(("column", "type", "unit", "meaning"), [(c.name, c.type, c.unit, c.meaning) for c in one.columns])
+    print()
+
+
+def _print_keys(one: KeyTable) -> None:
+    kind = f', kind = "{one.kind}"' if one.kind else ""
+    title = one.header or (f"keys of a {one.name}" if one.name and not one.kind else one.name) or "top level of sierra.toml"
+    print(" ".join((f"{title}{kind}:", *one.sentences)).replace("`", ""))
+    rows = [tuple(text.replace("`", "") for text in (key.name, key.type, key.default, key.meaning)) for key in one.keys]
+    table(("key", "type", "default", "meaning"), rows)
+    print()

@@ -21,6 +21,24 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "starts": {".argos": "argos"},
         "variables": {"ARGOS_PLUGIN_PATH": "libraries"},
     },
+    "formats": {
+        "readers": {
+            "graphml": "graphml:GraphMl",
+            "npy": "numpy_arrays:NumpyArrays",
+            "arrow": "arrow_files:ArrowFiles",
+            "sqlite": "sqlite_tables:SqliteTables",
+            "hdf5": "hdf5_datasets:Hdf5Datasets",
+            "netcdf": "netcdf_variables:NetcdfVariables",
+        },
+        "outputs": {
+            "graphml": "outputs:GraphMlOutput",
+            "npy": "outputs:NumpyOutput",
+            "arrow": "outputs:ArrowOutput",
+            "sqlite": "outputs:SqliteOutput",
+            "hdf5": "outputs:Hdf5Output",
+            "netcdf": "outputs:NetcdfOutput",
+        },
+    },
     "gazebo": {
         "platforms": {"gazebo": "platform:Gazebo"},
         "inputs": {".world": "xml", ".sdf": "xml"},
@@ -30,6 +48,8 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "ros": {
         "platforms": {"ros": "platform:Ros"},
         "readers": {"bag": "bags.bag_topics:BagTopics"},
+        "outputs": {"bag": "output:BagOutput"},
+        "options": {"files --recover": "command:recovered"},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
         "examples": {"ros": "examples/ros", "turtlebot3": "examples/turtlebot3"},
@@ -66,6 +86,12 @@ def load(kind: str, name: str) -> Any:
     """Return what a name stands for."""
     module, _, attribute = added(kind)[name].partition(":")
     return getattr(import_module(module), attribute)
+
+
+@cache
+def names(kind: str) -> tuple[str, ...]:
+    """Return all names of a kind, also those of extensions that are not there."""
+    return tuple(name for adds in ADDS.values() for name in adds.get(kind, {}))
 
 
 @cache

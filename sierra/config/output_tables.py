@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
+    ConfigDict,
     Field,
+    ModelWrapValidatorHandler,
     PositiveInt,
     Strict,
     StrictInt,
@@ -20,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 
+from sierra.config import extensions
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
 from sierra.model import Measure
 
@@ -27,7 +31,7 @@ SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
-NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite", "hdf5", "netcdf", "bag")
+NAMED_FORMATS = ("json", "xml", *extensions.names("outputs"))
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
 PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
@@ -41,19 +45,11 @@ ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
-    "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
+    "rows": ("json", "xml"),
     **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
-    **dict.fromkeys(("topics", "ros", "covariances", "min_rate"), ("bag",)),
 }
-"""Keys of `[outputs.NAME]` that are only for certain formats."""
+"""Keys of `[outputs.NAME]` that are only for certain formats, besides those of extensions that have them in `Output.takes`."""
 ROTATED_FORMATS = ("csv", "jsonl")
-SEVERAL_TABLES = ("bag",)
-"""Formats whose files may belong to several outputs, each of which makes a table of another part."""
-BAG_ENDINGS = ("bag", "mcap", "db3")
-"""The endings of bags."""
-BAG_COLUMNS = ("topic", "received_ns")
-"""The columns of each table that is made from a bag."""
-ROS_VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
 LATER_KEYS = (*KEYS_OF_FORMATS, "na", "time_order")
 """Keys of `[outputs.NAME]` that were added after rules had been recorded."""
 Comment = str | Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
@@ -81,6 +77,26 @@ def _numbered(file: str) -> re.Pattern[str]:
     return re.compile("([0-9]{1,18})".join(map(re.escape, literals)))
 
 
+Key = str | bool | int | Sequence[str] | Mapping[str, str]
+Keys = Mapping[str, Key]
+"""Keys of `[outputs.NAME]`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A table that a file can make, or the reason why it makes none."""
+
+    what: str
+    """The part of the file, in words."""
+    name: str
+    keys: Keys
+    """The keys that make the table, without `file`."""
+    usual: Keys
+    """More keys that suit such a table."""
+    lacking: str = ""
+    """The reason why this part makes no table; empty if it does."""
+
+
 class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
@@ -95,21 +111,7 @@ class Output(Table):
             WithJsonSchema(
                 {
                     "type": "string",
-                    "enum": [
-                        "csv",
-                        "parquet",
-                        "jsonl",
-                        "json",
-                        "xml",
-                        "graphml",
-                        "npy",
-                        "arrow",
-                        "sqlite",
-                        "hdf5",
-                        "netcdf",
-                        "bag",
-                        "file",
-                    ],
+                    "enum": ["csv", "parquet", "jsonl", "json", "xml", *extensions.added("outputs"), FILE_FORMAT],
                 }
             ),
         ]
@@ -155,20 +157,6 @@ class Output(Table):
         None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
     )
     unnest: str = Field("", description="list in each JSON object whose items become rows, such as `robots`")
-    topics: tuple[str, ...] = Field(
-        (),
-        description="topics of a bag whose messages are the rows, such as `/{robot}/odom`: a name in braces is a part of the "
-        "topic and a column, `*` is any text",
-    )
-    ros: str = Field(
-        "", description="version of ROS 2, such as `humble`, whose types count if a bag does not have their definitions"
-    )
-    covariances: bool = Field(False, description="whether covariances in a bag become columns")
-    min_rate: NotNegative = Field(
-        0.0,
-        description="fewest messages per second of each topic of a bag, at any time from its first message to the end of the "
-        "bag; a run with fewer fails",
-    )
     time: str = Field("", description="column that is the time axis; default: the row number")
     time_order: Literal["ascending", "any"] = Field(
         "ascending",
@@ -202,11 +190,43 @@ class Output(Table):
         (), description="not compared by a replay: columns of a table; for other files, regular expressions that match lines"
     )
 
+    takes: ClassVar[tuple[str, ...]] = ()
+    """Keys of `KEYS_OF_FORMATS` that this format has too."""
+    endings: ClassVar[Mapping[str, str]] = {}
+    """The endings of files of this format, each with the keys that make a table of such a file, for messages."""
+    most_searched: ClassVar[int] = 1 << 24
+    """The largest number of bytes of a file that is searched for its tables."""
+    needs: ClassVar[tuple[str, str, str] | None] = None
+    """What reading needs: the format in words, a package, and the extra that installs it."""
+    series: ClassVar[str] = ""
+    """The column that tells series of rows apart that have times of their own, as topics of a bag have; "" for none.
+
+    A file of such a format may belong to several outputs, each of which makes a table of another part.
+    """
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _of_format(cls, data: object, handler: ModelWrapValidatorHandler[Output]) -> Output:
+        """Validate the keys of a format of an extension by its own class."""
+        if cls is not Output or not isinstance(data, Mapping):
+            return handler(data)
+        name = str(data.get("format"))
+        if name in extensions.added("outputs"):
+            own: type[Output] = extensions.load("outputs", name)
+            return own.model_validate(data)
+        if name in extensions.names("outputs"):
+            return AbsentOutput.model_validate(data)
+        for key in data.keys() - cls.model_fields.keys():
+            if formats := [name for name, own in of_extensions().items() if key in own.model_fields]:
+                known = handler({name: value for name, value in data.items() if name in cls.model_fields})
+                raise ValueError(f"{key} needs {_formats(formats)}, but the format is {known.kind!r}")
+        return handler(data)
+
     @model_validator(mode="after")
     def _fitting(self) -> Output:
         for key, known in KEYS_OF_FORMATS.items():
-            if getattr(self, key) and key not in self.unused_later_keys and self.kind not in known:
-                formats = " or ".join(f'format = "{name}"' for name in known)
+            if getattr(self, key) and key not in (*self.unused_later_keys, *self.takes) and self.kind not in known:
+                formats = _formats((*known, *(name for name, own in of_extensions().items() if key in own.takes)))
                 raise ValueError(f"{key} needs {formats}, but the format is {self.kind!r}")
         if self.na and self.kind == FILE_FORMAT:
             raise ValueError(f'na needs a format that makes a table, but the format is "{FILE_FORMAT}"')
@@ -214,15 +234,7 @@ class Output(Table):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
             raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
-        if self.kind == "graphml" and self.rows not in ("nodes", "edges", "graph"):
-            raise ValueError('format = "graphml" needs rows = "nodes", rows = "edges", or rows = "graph" for both')
-        if self.kind == "sqlite" and not self.rows:
-            raise ValueError('format = "sqlite" needs rows, the name of a table or a SELECT statement')
-        if self.kind in ("hdf5", "netcdf") and not self.rows.strip(" ,"):
-            what = "the path of a dataset or group" if self.kind == "hdf5" else "one or more variables, separated by commas"
-            raise ValueError(f'format = "{self.kind}" needs rows, {what}')
-        if self.kind == "bag":
-            _check_topics(self.topics, self.ros, self.ticks)
+        self.check_own_keys()
         if self.rotated:
             if self.kind not in ROTATED_FORMATS:
                 raise ValueError(f"file: {ROTATION} needs one of the formats {', '.join(ROTATED_FORMATS)}, not {self.kind!r}")
@@ -245,7 +257,29 @@ class Output(Table):
     @property
     def unused_later_keys(self) -> frozenset[str]:
         """Return the keys of `LATER_KEYS` that have their default; hashes of rules do not contain them, and stay the same."""
-        return _unused(self, LATER_KEYS)
+        return _unused(self, (*LATER_KEYS, *self.own_keys))
+
+    @property
+    def own_keys(self) -> Mapping[str, object]:
+        """Return the keys that only outputs of this format have, with their values."""
+        return {key: getattr(self, key) for key in type(self).model_fields if key not in Output.model_fields}
+
+    @property
+    def own_columns(self) -> tuple[str, ...]:
+        """Return the names of columns that keys of this format declare."""
+        return ()
+
+    def check_own_keys(self) -> None:
+        """Check what this format needs. Raises ValueError."""
+
+    @classmethod
+    def proposals(cls, content: bytes, name: str) -> Sequence[Proposal]:
+        """Return the tables that a file can make; none if it cannot be read. Only formats with `series` are asked."""
+        return ()
+
+    def doubt(self) -> str:
+        """Return a warning about runs on robots, whose outputs are read only when the robots have moved; "" for none."""
+        return ""
 
     @property
     def rotated(self) -> bool:
@@ -286,18 +320,20 @@ class Output(Table):
         return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
 
 
-def _check_topics(topics: tuple[str, ...], ros: str, ticks: tuple[str, ...]) -> None:
-    """Check the keys of a bag; `ticks` are the names in braces in its file. Raises ValueError."""
-    if not topics:
-        raise ValueError('format = "bag" needs topics, such as ["/{robot}/odom"]')
-    names = [tuple(PLACEHOLDER.findall(topic)) for topic in topics]
-    if len(set(names)) > 1:
-        raise ValueError("topics: all should have the same names in braces, because these become columns")
-    taken = [*BAG_COLUMNS, *ticks]
-    if len({name.lower() for name in (*names[0], *taken)}) < len(names[0]) + len(taken):
-        raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(taken)}")
-    if ros not in ("", *ROS_VERSIONS):
-        raise ValueError(f"ros: unknown version {ros!r}; known are {', '.join(ROS_VERSIONS)}")
+class AbsentOutput(Output):
+    """An output in the format of an extension that is not installed. It cannot be read, and its keys are kept as they are."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+@cache
+def of_extensions() -> Mapping[str, type[Output]]:
+    """Return the classes of the outputs of extensions by format."""
+    return {name: extensions.load("outputs", name) for name in extensions.added("outputs")}
+
+
+def _formats(names: Iterable[str]) -> str:
+    return " or ".join(f'format = "{name}"' for name in names)
 
 
 def _unused(table: Table, keys: Iterable[str]) -> frozenset[str]:
@@ -334,12 +370,12 @@ def newest_of(path: str) -> str | None:
 
 
 def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
-    """Check that no two outputs have the same file, except bags. Raises ValueError."""
+    """Check that no two outputs have the same file, unless its format has several tables. Raises ValueError."""
     owners: dict[str, str] = {}
     for name, output in outputs.items():
         file = output.file.removeprefix("./")
         first = owners.setdefault(file, name)
-        if first != name and not (outputs[first].kind == output.kind in SEVERAL_TABLES):
+        if first != name and not (outputs[first].kind == output.kind and output.series):
             raise ValueError(f"{first!r} and {name!r} have the same file {file!r}; a file becomes one table")
     return outputs
 

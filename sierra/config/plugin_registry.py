@@ -224,12 +224,6 @@ READERS = Kind(
         "jsonl": "sierra.ingest.jsonl:Jsonl",
         "json": "sierra.ingest.json_rows:JsonDocument",
         "xml": "sierra.ingest.xml_rows:XmlRows",
-        "graphml": "sierra.ingest.graphml:GraphMl",
-        "npy": "sierra.ingest.numpy_arrays:NumpyArrays",
-        "arrow": "sierra.ingest.arrow_files:ArrowFiles",
-        "sqlite": "sierra.ingest.sqlite_tables:SqliteTables",
-        "hdf5": "sierra.ingest.hdf5_datasets:Hdf5Datasets",
-        "netcdf": "sierra.ingest.netcdf_variables:NetcdfVariables",
     },
 )
 _KINDS = "sierra.deliverables.figures.kinds"

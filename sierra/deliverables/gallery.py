@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import SEVERAL_TABLES, Output, volatile_and_rates
+from sierra.config.output_tables import Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, kinds, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -463,14 +463,15 @@ class Gallery:
             equal = equal_runs.note(self.frame, *volatile_and_rates(self._config.outputs))
             self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
             seen = self._in_order(output, seen)
-            doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled
+            doubled = sum(seen.runs.values()) if self._series(output)[0] > 1 else seen.doubled
             self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)
-        if not several and (topics := self._topics(output)) > 1:
-            raise UsageError(
-                f"a run has messages of {topics} topics, each at times of its own: "
-                "choose one topic by `where`, or make one row for each time by a derived table"
-            )
         if not several:
+            number, column = self._series(output)
+            if number > 1:
+                raise UsageError(
+                    f"a run has rows of {number} {column}s, each at times of its own: "
+                    f"choose one {column} by `where`, or make one row for each time by a derived table"
+                )
             self.check_times(output, self._seen[output.name])
         return self._seen[output.name]
 
@@ -507,14 +508,14 @@ class Gallery:
             "their times, and final is the row of the greatest time"
         )
 
-    def _topics(self, output: OutputTable) -> int:
-        """Return the largest number of topics of a run in a table that is made from bags; 1 for other tables."""
+    def _series(self, output: OutputTable) -> tuple[int, str]:
+        """Return the largest number of series of rows in a run, such as topics of a bag, and the column with their names."""
         declared = self._config.declared(output.name)
-        if not isinstance(declared, Output) or declared.kind not in SEVERAL_TABLES:
-            return 1
+        if not isinstance(declared, Output) or not declared.series:
+            return 1, ""
         source = _Output(self.frame, output, self.time(output))
-        rows = source.rows("SELECT count(DISTINCT topic) AS topics FROM data GROUP BY run").to_pylist()
-        return max((int(row["topics"]) for row in rows), default=1)
+        rows = source.rows(f"SELECT count(DISTINCT {declared.series}) AS series FROM data GROUP BY run").to_pylist()  # noqa: S608
+        return max((int(row["series"]) for row in rows), default=1), declared.series
 
     def takes_mean(self, output: OutputTable) -> bool:
         """Return whether runs count by the mean of an output's rows, and note it: it has no time, but a row for each event."""

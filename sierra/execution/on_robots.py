@@ -68,8 +68,8 @@ def _of_robots(name: str, output: Output) -> Output:
         )
     if ROBOT in PLACEHOLDER.findall(output.file):
         raise ConfigError(f"[outputs.{name}] file: {{{ROBOT}}} is the folder of a robot; begin with it, or use another name")
-    if any(ROBOT in PLACEHOLDER.findall(topic) for topic in output.topics):
-        raise ConfigError(f"[outputs.{name}] topics: the column {ROBOT} is the place of a robot; use another name in braces")
+    if ROBOT in output.own_columns:
+        raise ConfigError(f"[outputs.{name}]: the column {ROBOT} is the place of a robot; use another name in braces")
     return output.model_copy(update={"file": OF_ROBOT + "/" + output.file.removeprefix("./")})
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from sierra.config.output_tables import FILE_FORMAT, Output, with_rotation
+from sierra.config.output_tables import FILE_FORMAT, Key, Output, with_rotation
 from sierra.errors import SierraError
-from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
+from sierra.execution.unread_files import NUMBER, Alike, UnreadFiles, most_searched, unread_files
 from sierra.ingest import open_names, robot_files
 from sierra.store.samples import ON_ROBOTS, names_time
 from sierra.store.sql_names import column_names, identifier, stored_names

@@ -29,7 +29,7 @@ from sierra.execution.checkout import Checkout
 from sierra.execution.plan import Plan
 from sierra.execution.resolve_plan import this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
-from sierra.ingest.base import Used, check_packages, described
+from sierra.ingest.base import Used, check_formats, described
 from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Criterion, Experiment, Listed, Query, Run, RunSpec
 from sierra.provenance.change_guard import guard
@@ -149,7 +149,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
-    check_packages({output.kind for output in outputs.values()})
+    check_formats(outputs)
     return Recalled(
         batch, _spec_of(row), manifest, commit, used, programs, outputs, success, installed(readers), build, observed
     )

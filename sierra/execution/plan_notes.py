@@ -23,8 +23,6 @@ from sierra.provenance.dependency_model import Programs
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util.text import few
 
-DATABASE = re.compile(r"\.db3(\.gz|\.zst)?$")
-
 
 def unobserved(config: Project, image: AnyImage | None) -> Iterator[str]:
     """Yield a note if the project requests an observation that is not possible.
@@ -66,17 +64,11 @@ def doubts(designed: Design, command: Sequence[str], config: Project) -> Iterato
         yield "the command does not contain {input}: all experiments are the same unless it finds the generated file itself"
 
 
-def unknown_types(config: Project) -> Iterator[str]:
-    """Yield a note for each output of runs on robots whose bags may lack the definitions of their messages.
-
-    The recorder of the robots decides, so this is known only when they have moved.
-    """
+def unreadable_outputs(config: Project) -> Iterator[str]:
+    """Yield a note for each output of runs on robots that may not be readable, which is known only when they have moved."""
     for name, output in config.outputs.items() if config.robots is not None else ():
-        if output.format == "bag" and not output.ros and DATABASE.search(output.file):
-            yield (
-                f"[outputs.{name}]: databases of ROS 2 before Iron ({output.file}) do not have the definitions of their "
-                'messages, so that runs fail after the robots have moved: set ros = "humble", or the version that records'
-            )
+        if doubt := output.doubt():
+            yield f"[outputs.{name}]: {doubt}"
 
 
 def _place_of_seed(config: Project) -> str:

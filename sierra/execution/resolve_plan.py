@@ -145,7 +145,7 @@ def plan(
         notes=(
             *code.notes,
             *plan_notes.doubts(designed, spec.words, config),
-            *plan_notes.unknown_types(config),
+            *plan_notes.unreadable_outputs(config),
             *plan_notes.outdated(root, image),
             *plan_notes.texts_of_numbers(designed, config, template),
             *plan_notes.same(batch),

@@ -8,44 +8,34 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
-from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, ROTATED_FORMATS, ROTATION, Output, newest_of
+from sierra.config.output_tables import (
+    FILE_FORMAT,
+    ROTATED_FORMATS,
+    ROTATION,
+    Key,
+    Keys,
+    Output,
+    Proposal,
+    newest_of,
+    of_extensions,
+)
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import text_headers
-from sierra.ingest.base import UnreadableError
 from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
-from sierra.util.text import counted
-
-if TYPE_CHECKING:
-    from sierra.extensions.ros.bags.proposals import Proposal
 
 NUMBER = re.compile("[0-9]+")
 NAMED = {
     "json": 'format = "json"',
     "xml": 'format = "xml", rows = "//ELEMENT"',
-    "graphml": 'format = "graphml", rows = "edges"',
-    **dict.fromkeys(("npy", "npz"), 'format = "npy"'),
-    **dict.fromkeys(("arrow", "feather"), 'format = "arrow"'),
-    **dict.fromkeys(("sqlite", "sqlite3", "db"), 'format = "sqlite", rows = "TABLE"'),
-    **dict.fromkeys(("h5", "hdf5", "hdf"), 'format = "hdf5", rows = "/DATASET"'),
-    **dict.fromkeys(("nc", "nc4", "cdf"), 'format = "netcdf", rows = "VARIABLE"'),
-    **dict.fromkeys(BAG_ENDINGS, 'format = "bag", topics = ["/TOPIC"]'),
+    **{ending: keys for output in of_extensions().values() for ending, keys in output.endings.items()},
     **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
 }
 """The keys that make tables of files with these endings, which no reader takes by itself."""
 TEXTS = ("dat", "txt", "out", "xvg", "log", "thermo", "prn")
 """The endings of texts that may be tables."""
 COMPRESSED = ("gz", "zst")
-MAX_SIZE = 1 << 24
-"""The largest number of bytes of a document that is searched for its rows."""
-MAX_BAG = 1 << 28
-"""The largest number of bytes of a bag that is searched for its topics."""
-
-Key = str | bool | int | Sequence[str] | Mapping[str, str]
-Keys = Mapping[str, Key]
-"""Keys of `[outputs.NAME]`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +77,7 @@ def unread_files(
     for one in kinds:
         if any(output.rotated and output.matches(one.path) for output in outputs.values()):
             continue  # an older part of a table
-        for made in _of_bag(one, outputs, taken, runs) or [_unread(one, outputs, known, _free(one.path, taken), runs)]:
+        for made in _proposed(one, outputs, taken, runs) or [_unread(one, outputs, known, _free(one.path, taken), runs)]:
             taken |= {made.name.lower()} if made.keys else set()
             found.append(made)
     return tuple(found)
@@ -119,7 +109,12 @@ def _read(path: Path | None) -> bytes | None:
 
 def most_searched(path: str) -> int:
     """Return the largest number of bytes of a file of this name that is searched for its tables."""
-    return MAX_BAG if _ending(path) in BAG_ENDINGS else MAX_SIZE
+    return _of_ending(path).most_searched
+
+
+def _of_ending(path: str) -> type[Output]:
+    """Return the class of the outputs of files with this ending."""
+    return next((output for output in of_extensions().values() if _ending(path) in output.endings), Output)
 
 
 def _varying(paths: Iterable[str]) -> set[int]:
@@ -186,33 +181,26 @@ def _text_keys(one: Alike) -> Keys:
     return keys if is_csv else {"format": "csv", **keys}
 
 
-def _of_bag(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
-    """Return the tables that the topics of a bag make; nothing for other files, and for bags that are declared or not read."""
-    from sierra.extensions.ros.bags.proposals import proposals
-
-    if _ending(one.path) not in BAG_ENDINGS or any(output.matches(one.path) for output in outputs.values()):
+def _proposed(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
+    """Return the tables that a file makes whose format proposes them; nothing for other, declared, and unreadable files."""
+    own = _of_ending(one.path)
+    if any(output.matches(one.path) for output in outputs.values()) or not own.series:
         return ()
     content = one.content()
-    try:
-        found = proposals(content, one.path) if content is not None else ()
-    except (UnreadableError, ImportError):  # a bag that was cut off, or without the extra
-        return ()
     made: list[UnreadFiles] = []
-    for proposal in found:
-        made.append(_topics(one, proposal, {*taken, *(table.name.lower() for table in made)}, runs))
+    for proposal in own.proposals(content, one.path) if content is not None else ():
+        made.append(_table(one, proposal, {*taken, *(table.name.lower() for table in made)}, runs))
     return made
 
 
-def _topics(one: Alike, proposal: Proposal, taken: Collection[str], runs: int) -> UnreadFiles:
-    what = f"topic {', '.join(proposal.topics)} ({proposal.type}, {counted(proposal.messages, 'message')})"
+def _table(one: Alike, proposal: Proposal, taken: Collection[str], runs: int) -> UnreadFiles:
     if proposal.lacking:
-        return UnreadFiles(one.path, one.files, f"{what}: {proposal.lacking}", False)
-    name = _free(f"{proposal.name}.bag", taken)
-    keys: dict[str, Key] = {"file": pattern(one), "format": "bag", "topics": list(proposal.topics)}
+        return UnreadFiles(one.path, one.files, f"{proposal.what}: {proposal.lacking}", False)
+    name = _free(proposal.name, taken)
+    keys: dict[str, Key] = {"file": pattern(one), **proposal.keys}
     declared = ", ".join(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in keys.items())
-    keys |= {"mismatch": "ragged", "volatile": ["received_ns"], "units": proposal.units}
-    keys |= {} if one.runs == runs else {"required": False}
-    return UnreadFiles(one.path, one.files, f"{what}; declare [outputs.{name}] {declared}", False, name, keys)
+    keys |= {**proposal.usual, **({} if one.runs == runs else {"required": False})}
+    return UnreadFiles(one.path, one.files, f"{proposal.what}; declare [outputs.{name}] {declared}", False, name, keys)
 
 
 def _rows_of(one: Alike) -> Mapping[str, str] | None:

@@ -15,18 +15,17 @@ of the hash of these rules (`Context.ingest_rules`). If one changes, executions 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypedDict
 
+from sierra.config import extensions
 from sierra.config.field_types import Table
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.plugin_registry import READERS, Tables
 from sierra.errors import ConfigError, Missing
 from sierra.util.json_types import Json
 
-EXTRAS = {"hdf5": ("HDF5", "h5py", "hdf5"), "netcdf": ("NetCDF", "h5py", "netcdf"), "bag": ("bags of ROS", "rosbags", "bags")}
-"""The formats whose readers need an extra: the format in words, the package, and the extra."""
 Columns = Mapping[str, Sequence[object]]
 """A table: the values of each column, by its name. All columns have the same length."""
 
@@ -74,28 +73,39 @@ def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
 
     Raises ConfigError if an output names a format that nothing reads, or if options are invalid.
     """
-    formats = {output.kind: output.format for output in outputs.values() if output.kind != FILE_FORMAT}
-    named = [name for name, explicit in formats.items() if explicit is not None]
-    if unknown := sorted(set(named) - set(READERS.names())):
-        first = next(name for name, output in outputs.items() if output.format == unknown[0])
-        known = ", ".join((*READERS.names(), FILE_FORMAT))
-        raise ConfigError(f"[outputs.{first}] format: unknown format {unknown[0]!r}; known are {known}")
-    check_packages(set(formats))
-    return described((name for name in formats if name in READERS.added()), tables)
+    check_formats(outputs)
+    kinds = {output.kind for output in outputs.values() if output.kind != FILE_FORMAT}
+    return described((name for name in kinds if name in READERS.added()), tables)
 
 
-def check_packages(formats: Set[str]) -> None:
-    """Check that the packages are installed that readers of these formats need. Raises Missing."""
+def check_formats(outputs: Mapping[str, Output]) -> None:
+    """Check that all formats can be read that outputs name. Raises ConfigError, and Missing for a package that is needed."""
+    for name, output in outputs.items():
+        known = (*READERS.names(), FILE_FORMAT)
+        if output.format is not None and output.format not in known:
+            raise ConfigError(f"[outputs.{name}] format: {_unknown(output.format, known)}")
+        check_package(output)
+
+
+def _unknown(name: str, known: Iterable[str]) -> str:
+    if home := extensions.home("outputs", name):
+        return extensions.belongs(name, home)
+    return f"unknown format {name!r}; known are {', '.join(known)}"
+
+
+def check_package(output: Output | type[Output]) -> None:
+    """Check that the package is installed that reading an output needs. Raises Missing."""
     from importlib.util import find_spec
 
-    for name in sorted(formats & set(EXTRAS)):
-        words, package, extra = EXTRAS[name]
-        try:
-            found = find_spec(package) is not None
-        except ValueError:
-            found = False
-        if not found:
-            raise Missing(f"outputs in {words} need the package {package}: pip install 'sierra-experiments[{extra}]'")
+    if output.needs is None:
+        return
+    words, package, extra = output.needs
+    try:
+        found = find_spec(package) is not None
+    except ValueError:
+        found = False
+    if not found:
+        raise Missing(f"outputs in {words} need the package {package}: pip install 'sierra-experiments[{extra}]'")
 
 
 def described(formats: Iterable[str], tables: Tables) -> Used:

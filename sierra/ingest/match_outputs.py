@@ -20,7 +20,6 @@ from sierra.config.output_tables import (
     NAMED_FORMATS,
     ROTATED_FORMATS,
     SAME_FORMAT,
-    SEVERAL_TABLES,
     Output,
     newest_of,
 )
@@ -88,7 +87,7 @@ class OutputMatcher:
             if shown(file.path) != file.path:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
-                for name in owners if kind in SEVERAL_TABLES else owners[:1]:
+                for name in owners if declared and self._outputs[declared].series else owners[:1]:
                     yield name, self._shape(name, self._outputs[name]), file
             elif result.robots and robot_files.place_of(file.path) is not None:
                 of_robots.setdefault(file.path.partition("/")[2], []).append(file)
@@ -155,7 +154,8 @@ class OutputMatcher:
     def _shape(self, name: str, output: Output) -> Shape:
         many = bool(output.ticks) or any(c in output.file for c in "*?[")
         reader = self._readers.get(output.kind, "")
-        form = Form(**{field.name: getattr(output, field.name) for field in fields(Form)})
+        plain = {field.name: getattr(output, field.name) for field in fields(Form) if field.name != "own"}
+        form = Form(**plain, own=tuple(output.own_keys.items()))
         return Shape(
             output.kind,
             output.delimiter,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +55,8 @@ class Form:
     rows: str = ""
     unnest: str = ""
     flatten: bool | None = None
-    topics: tuple[str, ...] = ()
-    ros: str = ""
-    covariances: bool = False
-    min_rate: float = 0.0
+    own: tuple[tuple[str, Any], ...] = ()
+    """The keys that only outputs of this format have, with their values."""
 
     @property
     def comments(self) -> tuple[str, ...]:

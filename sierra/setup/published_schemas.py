@@ -1,18 +1,13 @@
 """The published contracts: the keys of `sierra.toml`, and the store's tables as SQL.
 
-All are generated from the code; `make schemas` writes them to `schemas/`, and a test compares them. The keys of `sierra.toml`
-are published twice. One form is JSON Schema, for editors. The other is made from that schema: commented TOML for people, with
-a description and an example for each key. All examples together are one valid `sierra.toml`.
+All are generated from the code; `make schemas` writes them to `schemas/`, and a test compares them. `sierra.setup.key_tables`
+has the keys of `sierra.toml` in words.
 """
 
 from __future__ import annotations
 
 import json
-import re
-import textwrap
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from itertools import chain
 from pathlib import Path
 from typing import TypedDict, cast
 
@@ -21,12 +16,12 @@ from pydantic import BaseModel, TypeAdapter
 from sierra.config import extensions
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import NAME
+from sierra.config.output_tables import of_extensions
 from sierra.config.plugin_registry import (
     COMPARISONS,
     CRITERIA,
     ENGINES,
     FIGURES,
-    KINDS,
     LINKS,
     PLATFORMS,
     READERS,
@@ -49,15 +44,6 @@ QUERY = "query.schema.json"
 PLAN = "plan.schema.json"
 PACKAGE = "package.schema.json"
 STORE = "store.sql"
-WIDTH = 118
-INTRODUCTION = """\
-All keys of sierra.toml. They may also be in the table [tool.sierra] of pyproject.toml instead.
-A line that starts with # and no space is an example: remove the # to use it. The text above it describes the key.
-Its type, its default and whether it is required are in brackets. An XPath is XPath 1.0.
-In templates other than XML, it selects keys."""
-
-Values = dict[str, Json]
-"""An example of a table."""
 Schema = TypedDict(
     "Schema",
     {
@@ -89,10 +75,6 @@ Schema = TypedDict(
 """The parts of a JSON Schema that pydantic generates and this module reads."""
 Note = Callable[[str], None]
 """A function that receives a line for people."""
-BARE = re.compile(r"[A-Za-z0-9_-]+")
-"""The pattern of a TOML key that needs no quotes."""
-EXAMPLES = Path(__file__).with_name("all_keys.toml")
-"""A `sierra.toml` with all keys, for the commented TOML; a key that it lacks is shown with its default."""
 
 
 def json_schema(note: Note | None = None) -> Schema:
@@ -109,7 +91,10 @@ def json_schema(note: Note | None = None) -> Schema:
     _clusters(schema, note)
     _figures(schema, note)
     _targets(schema)
-    formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
+    output = schema["$defs"]["Output"]["properties"]
+    for own in of_extensions().values():
+        output |= {key: found for key, found in _schema(own)["properties"].items() if key not in output}
+    formats = output["format"]["anyOf"][0]["enum"]
     formats.extend(name for name in _usable(READERS, note) if name not in formats)
     schema["$defs"] = dict(sorted(schema["$defs"].items()))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "sierra.toml", **schema}
@@ -210,11 +195,6 @@ def toml_schema(note: Note | None = None) -> str:
     return json.dumps(json_schema(note), indent=2, ensure_ascii=False) + "\n"
 
 
-def toml(note: Note | None = None) -> str:
-    """Return all keys of `sierra.toml` as TOML that is commented out: `# sentence`, then `#key = value`."""
-    return "\n".join([*_prose(INTRODUCTION), "", *_Reference(json_schema(note)).lines()]) + "\n"
-
-
 def tables() -> Mapping[str, Table]:
     """Return the store's own tables, by name."""
     return {**RECORDED, **DERIVED}
@@ -230,176 +210,3 @@ def write(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in generated().items():
         (folder / name).write_text(text)
-
-
-class _Reference:
-    """The commented TOML of a JSON Schema. The first occurrence of a key carries its explanation."""
-
-    def __init__(self, schema: Schema) -> None:
-        self._schema = schema
-        self._explained: set[str] = set()
-
-    def lines(self) -> Iterator[str]:
-        examples: Values = tomllib.loads(EXAMPLES.read_text()) | _of_extensions()
-        figures = cast("Values", examples["figures"])
-        shown = {figure.get("kind") for figure in figures.values() if isinstance(figure, dict)}
-        for kind in self._schema["$defs"]["Figure"]["properties"]["kind"]["enum"]:
-            keys = self._schema["$defs"].get(_of_kind(kind), {}).get("properties", {})
-            if keys and kind not in shown:
-                figures[str(kind)] = {"kind": kind, **{name: _placeholder(self._plain(key)) for name, key in keys.items()}}
-        yield from self._table((), self._schema, [examples])
-
-    def _table(self, path: tuple[str, ...], model: Schema, examples: list[Values]) -> Iterator[str]:
-        """Yield the lines of a table's first example; the first table of its kind also shows the keys that no example has."""
-        known = model.get("properties", {})
-        values = examples[0] | self._lacking(model, examples)
-        names = [*(name for name in known if name in values), *(name for name in values if name not in known)]
-        below = [name for name in names if _has_header(path, values[name])]
-        for name in names:
-            if name not in below:
-                of_kind = self._schema["$defs"].get(_of_kind(values.get("kind")), model)
-                yield from self._sentence(model if name in known else of_kind, name)
-                yield f"#{name} = {_written(values[name])}"
-        for name in below:
-            yield ""
-            yield from self._below((*path, name), known.get(name) or _of_any(model), values[name])
-
-    def _lacking(self, model: Schema, examples: list[Values]) -> Values:
-        if not self._first(f"{model.get('title')}, completed"):
-            return {}
-        shown = set(chain.from_iterable(examples))
-        known = model.get("properties", {}).items()
-        left = ((name, inner) for name, inner in known if name not in shown)
-        return {name: _placeholder(inner if inner.get("examples") else self._plain(inner)) for name, inner in left}
-
-    def _sentence(self, model: Schema, name: str) -> Iterator[str]:
-        """Yield the meaning of a key, its type, and its default."""
-        schema = model.get("properties", {}).get(name)
-        if schema is None or not self._first(f"{model.get('title')}.{name}"):
-            return
-        facts = [self._type(schema)]
-        if name in model.get("required", ()):
-            facts.append("required")
-        elif schema.get("default") not in (None, "", [], {}):
-            facts.append(f"default {_written(schema['default'])}")
-        yield from _prose(f"{schema.get('description', '')} ({'; '.join(facts)})")
-
-    def _below(self, path: tuple[str, ...], schema: Schema, value: Json) -> Iterator[str]:
-        """Yield the lines, with headers, of a table, a list of tables or a mapping of names to tables."""
-        model, place = self._plain(schema), ".".join(path)
-        named = self._plain(_of_any(model))
-        match value:
-            case list():
-                model = self._plain(model["items"])
-                tables = [(f"#[[{place}]]", path, one) for one in value if isinstance(one, dict)]
-            case dict() if "properties" in named and "properties" not in model:
-                model = named
-                tables = [(f"#[{place}.{name}]", (*path, name), one) for name, one in value.items() if isinstance(one, dict)]
-            case dict():
-                tables = [(f"#[{place}]", path, value)]
-            case _:
-                tables = []
-        yield from _prose("" if schema is model else schema.get("description", ""))
-        if self._first(str(model.get("title"))):
-            yield from _prose(model.get("description", ""))
-        for k, (header, at, one) in enumerate(tables):
-            yield header
-            yield from self._table(at, model, [one, *(later for _, _, later in tables[k + 1 :])])
-
-    def _first(self, what: str) -> bool:
-        first = what not in self._explained
-        self._explained.add(what)
-        return first
-
-    def _plain(self, schema: Schema) -> Schema:
-        """Return the table that a schema refers to, alone or beside a short form; else the schema itself."""
-        for option in (schema, *schema.get("anyOf", ())):
-            if reference := option.get("$ref"):
-                return self._schema["$defs"][reference.rpartition("/")[2]]
-        return schema
-
-    def _tables(self, model: str) -> str:
-        """Return the type of a list of tables."""
-        if model == "ChangeTable":
-            return "list of changes, as in [[changes]]"
-        return f"list of tables with the keys {', '.join(self._schema['$defs'][model]['properties'])}"
-
-    def _type(self, schema: Schema) -> str:
-        if options := schema.get("anyOf"):
-            return _either(list(dict.fromkeys(self._type(o) for o in options if o.get("type") != "null")))
-        if choices := schema.get("enum"):
-            return _either([json.dumps(choice) for choice in choices])
-        match schema.get("type"):
-            case "array" if "$ref" in schema.get("items", {}):
-                return self._tables(schema["items"]["$ref"].rpartition("/")[2])
-            case "array":
-                return f"list: {self._type(schema.get('items', {}))}"
-            case "integer" | "number" as kind:
-                return ("whole number" if kind == "integer" else "number") + _bound(schema)
-            case kind:
-                return {"string": "text", "boolean": "true or false"}.get(str(kind), "table")
-
-
-def _of_extensions() -> Values:
-    """Return the examples of the keys that extensions add."""
-    files = extensions.FOLDER.glob("*/all_keys.toml")
-    return {key: value for file in sorted(files) for key, value in tomllib.loads(file.read_text()).items()}
-
-
-def _has_header(path: tuple[str, ...], value: Json) -> bool:
-    """Return whether a value has a header of its own; tables within tables are written in one line."""
-    tables = isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
-    return tables and path in ((), *((kind.table,) for kind in KINDS))
-
-
-def _of_any(schema: Schema) -> Schema:
-    """Return the schema of the values of a mapping with arbitrary names."""
-    for named in schema.get("patternProperties", {}).values():
-        return named
-    free = schema.get("additionalProperties", False)
-    return {} if isinstance(free, bool) else free
-
-
-def _placeholder(schema: Schema) -> Json:
-    """Return a value for a key without an example in a table: that of its field, its default, or one of its type."""
-    if schema.get("examples"):
-        example: Json = schema["examples"][0]
-        return example
-    if schema.get("default") is not None:
-        return schema["default"]
-    options = [schema, *schema.get("anyOf", ())]
-    kinds = [option["type"] for option in options if option.get("type", "null") != "null"]
-    of_kind: Values = {"integer": 1, "number": 1.0, "boolean": False, "array": [], "object": {}}
-    return of_kind.get(kinds[0] if kinds else "", "")
-
-
-def _either(options: list[str]) -> str:
-    return " or ".join([", ".join(options[:-1]), options[-1]]) if len(options) > 1 else options[0]
-
-
-def _bound(schema: Schema) -> str:
-    if "exclusiveMinimum" in schema:
-        return f" above {schema['exclusiveMinimum']:g}"
-    return f" from {schema['minimum']:g}" if "minimum" in schema else ""
-
-
-def _prose(text: str) -> list[str]:
-    lines = (line for part in text.splitlines() for line in textwrap.wrap(part, WIDTH, break_on_hyphens=False))
-    return [f"# {line}" for line in lines]
-
-
-def _written(value: Json) -> str:
-    """Return a value as TOML."""
-    match value:
-        case str() if '"' in value and "'" not in value:
-            return f"'{value}'"
-        case dict():
-            return "{ " + ", ".join(f"{_key(name)} = {_written(inner)}" for name, inner in value.items()) + " }"
-        case list() | tuple():
-            return f"[{', '.join(map(_written, value))}]"
-        case _:
-            return json.dumps(value, ensure_ascii=False)
-
-
-def _key(name: str) -> str:
-    return name if BARE.fullmatch(name) else json.dumps(name)

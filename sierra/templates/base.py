@@ -129,7 +129,8 @@ def of_bytes(path: Path, data: bytes, tables: Tables | None = None, format: str 
 def _format(path: Path, data: bytes, name: str) -> str:
     """Return the format of a file by its ending, or `xml` by its first character. Raises TemplateError if it is doubtful."""
     ending = path.suffix.lower()
-    known = name if (name := ending.removeprefix(".")) in TEMPLATES.names() else ENDINGS.get(ending)
+    plain = ending.removeprefix(".")
+    known = plain if plain in TEMPLATES.names() else ENDINGS.get(ending)
     looks_like_xml = data.lstrip(_BLANKS).startswith(b"<")
     if known in TEMPLATES.shipped and known != "xml" and looks_like_xml:
         raise TemplateError(f"{name}: its ending means {known}, but it begins as XML; {_choose()}")

@@ -22,7 +22,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="sierra-bench-") as folder:
         for kind in bags.KINDS:
             path = bags.record(Path(folder, kind), kind, bags.odometry(2, MESSAGES // 2))
-            shape = Shape("bag", form=Form(topics=("/{robot}/odom",)))
+            shape = Shape("bag", form=Form(own=(("topics", ("/{robot}/odom",)),)))
             with connect() as connection:
                 began = time.process_time()
                 reading = read(connection, [written(path, 0)], shape, Path(folder, "table.parquet"))

@@ -12,7 +12,7 @@ import pytest
 
 from tests import forkserver, projects
 
-CALLS = (("--version",), ("nonsense",), ("ls",), ("run", "population_size=1", "--dry-run", "--json"), ("schema", "--toml"))
+CALLS = (("--version",), ("nonsense",), ("ls",), ("run", "population_size=1", "--dry-run", "--json"), ("schema", "sierra.toml"))
 
 
 def streams(process: subprocess.Popen[str]) -> tuple[int, str, str]:

@@ -15,7 +15,6 @@ import pytest
 
 import sierra
 from sierra import plugin
-from sierra.config import project_file
 from sierra.config.plugin_registry import READERS
 from sierra.containers import engines
 from sierra.ingest.model import PLAIN, Form
@@ -302,7 +301,7 @@ def test_doctor_lists_plugins_and_their_options(project: Path) -> None:
 
 
 def test_schema_contains_the_options_of_each_plugin(project: Path) -> None:
-    schema = json.loads(succeed(project, "schema", "--toml", "--json"))
+    schema = json.loads(succeed(project, "schema", "sierra.toml", "--json"))
     settings = tomllib.loads((project / "sierra.toml").read_text())
     jsonschema.Draft202012Validator(schema).validate(settings)
     for place, key in (
@@ -315,13 +314,16 @@ def test_schema_contains_the_options_of_each_plugin(project: Path) -> None:
         kind, name = place.split(".")
         wrong = {**settings, kind: {name: {f"{key}_": 1}}}
         assert list(jsonschema.Draft202012Validator(schema).iter_errors(wrong)), place
-    text = succeed(project, "schema", "--toml")
-    assert all(
-        f"#[{table}]" in text for table in ("platforms.tortoise", "template_formats.conf", "readers.track", "runners.niced")
+    text = succeed(project, "schema", "sierra.toml")
+    tables = (
+        "platforms.tortoise",
+        "template_formats.conf",
+        "readers.track",
+        "runners.niced",
+        "runners.spool",
+        "engines.direct",
     )
-    assert all(f"#[{table}]" in text for table in ("runners.spool", "engines.direct"))
-    loaded = "\n".join(line[1:] for line in text.splitlines() if line.startswith("#") and not line.startswith("# "))
-    assert project_file.parse(tomllib.loads(loaded), "the reference").readers == {"track": {"scale": 1.0}}
+    assert all(f"[{table}]: " in text for table in tables)
 
 
 def test_published_schema_contains_only_shipped_plugins(project: Path) -> None:

@@ -25,8 +25,8 @@ from sierra.util.fs import write_whole
 from sierra.util.text import counted, few, one_line
 
 if TYPE_CHECKING:
+    from sierra.config.output_tables import Keys
     from sierra.execution.trial import Trial, TriedFile
-    from sierra.execution.unread_files import Keys
 
 SOURCE = (
     "By default, results depend on all files of this folder, including new files: a change to any file makes all runs new,\n"
@@ -197,7 +197,7 @@ def _time(table: TriedFile) -> str | None:
 
 
 def _lines(root: Path, guess: Guess) -> Iterator[str]:
-    yield "# The experiments that SIERRA runs. For all keys: sierra schema --toml"
+    yield "# The experiments that SIERRA runs. For all keys: sierra schema sierra.toml"
     yield from _inputs(guess)
     if guess.command:
         yield f"command = {quoted(guess.command)}"

@@ -297,7 +297,7 @@ def test_database_is_only_read(tmp_path: Path) -> None:
 )
 def test_keys_of_a_bag_are_checked(keys: dict[str, Any], why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        Output(**{"file": "run.bag", "format": "bag", **keys})
+        Output.model_validate({"file": "run.bag", "format": "bag", **keys})
 
 
 def test_missing_extra_is_named_before_anything_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,7 +317,9 @@ def test_bag_is_a_reader(tmp_path: Path, kind: str) -> None:
         found = rows(tmp_path / str(count), path, ROBOTS)
         tables[path.read_bytes()] = {name: [row[name] for row in found] for name in found[0]}
     first = next(iter(tables))
-    conformance.check("bag", tables, [first[:-9], gzip.compress(b"x")], tmp_path / "a", form=Form(topics=tuple(ROBOTS)))
+    conformance.check(
+        "bag", tables, [first[:-9], gzip.compress(b"x")], tmp_path / "a", form=Form(own=(("topics", tuple(ROBOTS)),))
+    )
 
 
 READ_BY_ROS = """
@@ -366,7 +368,7 @@ def test_messages_before_the_cut_are_recovered_and_marked(tmp_path: Path, kind: 
     expected = rows(tmp_path, whole, ROBOTS)
     cut = tmp_path / f"cut.{kind}"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
-    output = Output(file=cut.name, format="bag", topics=tuple(ROBOTS))
+    output = Output.model_validate({"file": cut.name, "format": "bag", "topics": tuple(ROBOTS)})
     [found] = recover(cut, cut.name, {"odom": output, "other": Output(file="other.csv")})
     assert found.path.name == f"cut.{kind}.odom.partial.parquet"
     table = pq.read_table(found.path).to_pylist()

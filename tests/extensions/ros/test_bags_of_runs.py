@@ -66,7 +66,7 @@ def test_bag_becomes_several_tables_and_a_cut_one_fails_the_run(tmp_path: Path) 
         ("odom", "table", 6, 6),
     ]
     refused = quick(here, "stats", "odom", "pose.pose.position.x").stderr
-    assert "a run has messages of 2 topics, each at times of its own: choose one topic by `where`" in refused
+    assert "a run has rows of 2 topics, each at times of its own: choose one topic by `where`" in refused
     assert quick(here, "fsck").returncode == 0
     [run] = sql(here, "SELECT run FROM executions WHERE status <> 'ok'")
     recovered = quick(here, "files", str(run["run"]), "*.mcap", "--to", str(tmp_path / "out"), "--recover")
@@ -150,4 +150,4 @@ def test_robots_have_a_column_of_their_own(tmp_path: Path) -> None:
     here = project(tmp_path / "p", more='[robots]\ncount = "population_size"\ncommand = "python3 sim.py {input}"\n')
     ended = quick(here, "run", "population_size=1")
     assert ended.returncode == 2
-    assert "[outputs.odom] topics: the column robot is the place of a robot; use another name in braces" in ended.stderr
+    assert "[outputs.odom]: the column robot is the place of a robot; use another name in braces" in ended.stderr

@@ -226,7 +226,7 @@ def test_read_only_commands_can_print_json(answered: Path, answer: dict[str, Any
     assert json.loads(quick(answered, "show", run.upper(), "--json").stdout)["kind"] == "run"
     assert {check["name"] for check in json.loads(quick(answered, "doctor", "--json").stdout)} >= {"project", "template"}
     assert {table["name"] for table in json.loads(quick(answered, "schema", "--json").stdout)} >= {"runs", "executions"}
-    assert json.loads(quick(answered, "schema", "--toml", "--json").stdout)["type"] == "object"
+    assert json.loads(quick(answered, "schema", "sierra.toml", "--json").stdout)["type"] == "object"
 
 
 @pytest.mark.integration

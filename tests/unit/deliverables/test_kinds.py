@@ -157,7 +157,7 @@ def test_wrong_keys_of_an_added_kind_are_refused_before_anything_executes(
 @pytest.mark.nightly
 def test_doctor_and_schema_list_the_keys_of_an_added_kind(dots: Path) -> None:
     assert "figure dots" in projects.quick(dots, "doctor").stdout
-    assert "#most = 5" in projects.quick(dots, "schema", "--toml").stdout
+    assert "most  whole number  5" in projects.quick(dots, "schema", "most").stdout
 
 
 @pytest.mark.integration

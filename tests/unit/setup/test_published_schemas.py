@@ -15,11 +15,12 @@ import pytest
 from pydantic import BaseModel
 
 import sierra
-from sierra.config import extensions, field_types, project_file, validate
+from sierra.config import extensions, field_types
 from sierra.config.plugin_registry import FIGURES
 from sierra.config.project_file import model_of
 from sierra.extensions.argos.platform import ArgosOptions
 from sierra.setup import published_schemas
+from sierra.setup.key_tables import key_tables
 from tests import projects
 
 FOLDER = Path(__file__).parents[3] / "schemas"
@@ -47,71 +48,9 @@ def schema(*options: str) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module")
-def reference() -> str:
-    return schema("--toml")
-
-
-def uncommented(text: str) -> dict[str, Any]:
-    """Parse TOML without the # of all lines that begin with # and no blank."""
-    return tomllib.loads(re.sub(r"(?m)^#(?! )", "", text))
-
-
 def keys(model: type[BaseModel]) -> set[str]:
     found = {field.alias or name for name, field in model.model_fields.items()}
     return found | OF_KINDS if model is MODELS["Figure"] else found
-
-
-def seen(table: dict[str, Any]) -> dict[str, set[str]]:
-    """Return the keys in tables of each kind."""
-    found: dict[str, set[str]] = {"Project": set(table)}
-    for name, model in {
-        "seed": "Seed",
-        "success": "Success",
-        "limits": "LimitsTable",
-        "environment": "Environment",
-        "container": "Container",
-        "programs": "ProgramsTable",
-        "store": "StoreTable",
-        "build": "BuildTable",
-        "sql": "SqlLimits",
-        "package": "Package",
-        "robots": "RobotsTable",
-        "trials": "Trials",
-        "capture": "Capture",
-    }.items():
-        found[model] = set(table[name])
-    for name, model in {"authors": "Author", "related": "Related", "data": "ExternalData"}.items():
-        found[model] = set().union(*table["package"][name])
-    found["DrawnPoses"] = set(table["trials"]["draw_poses"])
-    found["BaseStation"] = set(table["robots"]["base"])
-    found["GroupOfPlaces"] = set().union(*table["robots"]["groups"].values())
-    found["ClusterTable"] = set().union(*(one for name, one in table["runners"].items() if name != "robots"))
-    found["Source"] = set(table["source"])
-    found["Determinism"] = set(table["determinism"])
-    found["ChangeTable"] = set().union(*table["changes"])
-    groups = {
-        "variables": "Variable",
-        "controllers": "Group",
-        "outputs": "Output",
-        "equivalence": "Equivalence",
-        "queries": "QueryTable",
-        "tables": "DerivedTable",
-        "figures": "Figure",
-        "paper_tables": "TableForPaper",
-        "videos": "Video",
-        "comparisons": "Comparison",
-        "claims": "Claim",
-        "models": "Model",
-        "services": "ServiceTable",
-    }
-    for name, model in groups.items():
-        found[model] = set().union(*table[name].values())
-    for name, model in {"value": "ClaimedValue", "order": "ClaimedOrder", "equivalence": "ClaimedEquivalence"}.items():
-        found[model] = set().union(*(claim.get(name, {}) for claim in table["claims"].values()))
-    found["Ready"] = set().union(*(service["ready"] for service in table["services"].values()))
-    found["Tolerance"] = set().union(*(one for output in table["outputs"].values() for one in output["tolerance"].values()))
-    return found
 
 
 def test_the_options_of_all_platforms_of_sierra_are_published() -> None:
@@ -130,38 +69,37 @@ def test_only_generated_schemas_are_published() -> None:
     assert {path.name for path in FOLDER.iterdir()} == set(published_schemas.generated())
 
 
-def test_the_commented_toml_contains_only_comments_and_blank_lines(reference: str) -> None:
-    assert tomllib.loads(reference) == {}
-    assert all(re.match("(?:# |#[^ #]|$)", line) for line in reference.splitlines())
+def test_schema_describes_every_key_of_every_table() -> None:
+    tables = list(key_tables())
+    described = {key.name for one in tables for key in one.keys} | {one.name for one in tables}
+    assert not [(name, lacking) for name, model in MODELS.items() if (lacking := keys(model) - described)]
+    assert keys(ArgosOptions) == {key.name for one in tables if one.name == "platforms.argos" for key in one.keys}
 
 
-@pytest.mark.integration
-def test_the_uncommented_toml_is_a_valid_project(reference: str) -> None:
-    whole = uncommented(reference)
-    project_file.parse(whole, "sierra.toml")
-    validate.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
-    jsonschema.validate(whole, json.loads(schema("--toml", "--json")))
+def test_schema_prints_a_table_of_sierra_toml_with_the_keys_of_all_formats() -> None:
+    text = schema("outputs")
+    assert text.startswith("[outputs.NAME]: ")
+    lines = {line.split()[0]: " ".join(line.split()) for line in text.splitlines() if line}
+    assert lines["min_rows"] == "min_rows whole number 0 minimum number of rows; a run with fewer rows fails"
+    assert "topics" in lines
+    assert "[package.authors]" in schema("package")
 
 
-def test_the_commented_toml_has_every_key_of_every_table(reference: str) -> None:
-    whole = uncommented(reference)
-    assert seen(whole) == {name: keys(model) for name, model in MODELS.items()}
-    assert set(whole["platforms"]["argos"]) == keys(ArgosOptions)
-    assert "command" in whole["platforms"]
+def test_schema_prints_a_key_and_a_table_of_the_store_that_have_one_name() -> None:
+    text = schema("runs")
+    assert text.startswith("runs: ")
+    assert "top level of sierra.toml:\n" in text
+    assert [one["name"] for one in json.loads(schema("runs", "--json"))] == ["runs"]
 
 
-def test_each_key_has_its_own_line_after_a_description_with_its_type(reference: str) -> None:
-    lines = reference.splitlines()
-    for needed in (
-        ["# runs per experiment (whole number above 0; default 10)", "#runs = 10"],
-        ["# the file from which the inputs of all runs are generated; default: none (text)", '#template = "template.xml"'],
-        ["# time between SIGTERM and SIGKILL, in seconds (number above 0; default 5.0)", "#grace = 5.0"],
-        ["# whether to keep the template's visualization (true or false; default false)", "#visualization = false"],
-    ):
-        assert lines[lines.index(needed[1]) - 1 : lines.index(needed[1]) + 1] == needed
-    flowing = " ".join(line.removeprefix("# ") for line in lines)
-    assert '("strict" or "ragged"; default "strict") #mismatch = "strict"' in flowing
-    assert '("own", "carry" or "linear") #times = "own"' in flowing
+def test_schema_prints_all_keys_and_their_json_schema() -> None:
+    assert schema("sierra.toml").startswith("top level of sierra.toml:\n")
+    jsonschema.validate({"template": "x.xml"}, json.loads(schema("sierra.toml", "--json")))
+
+
+def test_schema_of_an_unknown_name_is_an_error() -> None:
+    done = projects.sierra(Path(), "schema", "nonsense")
+    assert (done.returncode, done.stderr.startswith("sierra: unknown name 'nonsense'")) == (2, True)
 
 
 def described(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -175,15 +113,6 @@ def described(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
 def test_every_key_has_a_description() -> None:
     lacking = [name for name, sentence in described(json.loads(published_schemas.toml_schema())) if not sentence]
     assert lacking == []
-
-
-def test_keys_without_an_example_are_listed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    without = re.sub(r"(?m)^(runs|wall|threads|memory|kind) = .*\n", "", published_schemas.EXAMPLES.read_text())
-    (tmp_path / "keys.toml").write_text(without)
-    monkeypatch.setattr(published_schemas, "EXAMPLES", tmp_path / "keys.toml")
-    whole = uncommented(published_schemas.toml())
-    assert seen(whole) == {name: keys(model) for name, model in MODELS.items()}
-    assert (whole["runs"], whole["platforms"]["argos"]["threads"]) == (10, 0)
 
 
 @pytest.fixture(scope="module")

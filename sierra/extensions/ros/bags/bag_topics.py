@@ -23,13 +23,14 @@ from sierra.config.output_tables import PLACEHOLDER
 from sierra.extensions.ros.bags import db3_bag, mcap_bag, message_rates, ros1_bag
 from sierra.extensions.ros.bags.containers import Bag, Channel, Message
 from sierra.extensions.ros.bags.message_types import MessageType, MessageTypes
+from sierra.extensions.ros.output import Keys
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.model import PLAIN, Form, Shape
+from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.parquet import Parquet
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
-from sierra.ingest.sqlite_tables import MAGIC as SQLITE
-from sierra.ingest.sqlite_tables import opened as opened_database
+from sierra.ingest.sqlite_file import MAGIC as SQLITE
+from sierra.ingest.sqlite_file import opened as opened_database
 from sierra.store.connections import Database
 from sierra.store.sql_names import column_names, stored_names
 from sierra.util.text import few
@@ -50,6 +51,7 @@ class BagTopics(Rewriter):
     def __init__(self, shape: Shape, connection: Database) -> None:
         super().__init__(shape, connection)
         self._counted = 0
+        self._keys = Keys(**dict(shape.form.own))
 
     @classmethod
     def reader(cls) -> type[TableReader]:
@@ -61,14 +63,14 @@ class BagTopics(Rewriter):
     def rewrite(self, source: Source, target: BinaryIO) -> int:
         with opened(source) as bag:
             index = bag.index()
-            table = TopicTable(index, self.shape.form)
+            table = TopicTable(index, self._keys)
             self.shape = replace(self.shape, lengths=table.lengths, places=(*table.places, *table.lengths))
             self._counted = sum(index[channel] for channel in table.channels)
             return write(table, self._messages(bag, table), target)
 
     def _messages(self, bag: Bag, table: TopicTable) -> Iterator[Message]:
         """Yield the messages of the table. Raises UnreadableError if a topic has too few."""
-        least = self.shape.form.min_rate
+        least = self._keys.min_rate
         if not least:
             return bag.scan(table.channels.__contains__)
         return message_rates.checked(bag.scan(lambda channel: True), table.channels, least)
@@ -126,9 +128,9 @@ class Pattern:
 class TopicTable:
     """The table of some topics of a bag: its channels and its columns."""
 
-    def __init__(self, known: Mapping[Channel, int], form: Form) -> None:
+    def __init__(self, known: Mapping[Channel, int], keys: Keys) -> None:
         """Choose the channels. Raises UnreadableError if a topic is missing, or if topics have different columns."""
-        patterns = [Pattern(one) for one in form.topics]
+        patterns = [Pattern(one) for one in keys.topics]
         self.names = patterns[0].names
         self.channels: dict[Channel, tuple[str, ...]] = {}
         """The channels with the parts of their topics that are columns."""
@@ -139,11 +141,11 @@ class TopicTable:
                 has = few(topics, NAMED) if topics else "no topic"
                 raise UnreadableError(f"has no topic {pattern.text!r}; it has {has}")
             self.channels = found | self.channels
-        types = MessageTypes(form.ros)
+        types = MessageTypes(keys.ros)
         self._types = {channel: types.of(channel) for channel in self.channels}
         self._check_alike()
         first = next(iter(self._types.values()))
-        self.fields = tuple(one for one in first.fields if form.covariances or not _is_covariance(one.name))
+        self.fields = tuple(one for one in first.fields if keys.covariances or not _is_covariance(one.name))
         self._places = _places(first)
 
     def _check_alike(self) -> None:

@@ -4,46 +4,33 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from sierra.config.output_tables import Keys, Proposal
 from sierra.extensions.ros.bags.bag_topics import RECEIVED, opened
 from sierra.extensions.ros.bags.containers import Channel
-from sierra.extensions.ros.bags.message_types import Field, MessageTypes
+from sierra.extensions.ros.bags.message_types import MessageTypes
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Written
 from sierra.ingest.rewriting import Source
+from sierra.util.text import counted
 
 STAMP = "header_stamp_ns"
 ROBOT = "robot"
 
 
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """Topics of a bag that make a table, or the reason why they make none."""
-
-    topics: tuple[str, ...]
-    """The topics, or one pattern of them."""
-    type: str
-    messages: int
-    fields: tuple[Field, ...] = ()
-    lacking: str = ""
-    """The reason why these topics make no table; empty if they do."""
-
-    @property
-    def name(self) -> str:
-        """A name for the table: the topic without the part that stands for the robot."""
-        parts = [part for part in self.topics[0].split("/") if part and part != f"{{{ROBOT}}}"]
-        return "_".join(parts)
-
-    @property
-    def units(self) -> dict[str, str]:
-        times = [field.name for field in self.fields if field.kind == "time" and field.name == STAMP]
-        return dict.fromkeys([RECEIVED, *times], "ns")
-
-
 def proposals(content: bytes, name: str) -> Sequence[Proposal]:
-    """Return the tables that a bag can make, in the order of their topics. Raises UnreadableError."""
+    """Return the tables that a bag can make, in the order of their topics.
+
+    There are none for a bag that was cut off, and without the packages that read it.
+    """
+    try:
+        return _proposals(content, name)
+    except (UnreadableError, ImportError):
+        return ()
+
+
+def _proposals(content: bytes, name: str) -> Sequence[Proposal]:
     with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
         path = Path(folder, "bag")
         path.write_bytes(content)
@@ -67,12 +54,16 @@ def _proposal(channels: Sequence[Channel], messages: int, types: MessageTypes) -
     kind = channels[0].type
     if len(topics) > 1:
         topics = (f"/{{{ROBOT}}}{_rest(topics[0])}",)
+    what = f"topic {', '.join(topics)} ({kind}, {counted(messages, 'message')})"
+    keys: Keys = {"format": "bag", "topics": list(topics)}
+    parts = [part for part in topics[0].split("/") if part and part != f"{{{ROBOT}}}"]
+    lacking, times = "", [RECEIVED]
     try:
         fields = types.of(channels[0]).fields
+        times += [field.name for field in fields if field.kind == "time" and field.name == STAMP]
+        if bulky := [field.name.removesuffix(".length") for field in fields if field.kind == "bytes"]:
+            lacking = f"{bulky[0]!r} has bytes, such as those of images, which stay in the bag"
     except UnreadableError as error:
-        return Proposal(topics, kind, messages, lacking=str(error))
-    if bulky := [field.name.removesuffix(".length") for field in fields if field.kind == "bytes"]:
-        return Proposal(
-            topics, kind, messages, fields, f"{bulky[0]!r} has bytes, such as those of images, which stay in the bag"
-        )
-    return Proposal(topics, kind, messages, fields)
+        lacking = str(error)
+    usual: Keys = {"mismatch": "ragged", "volatile": [RECEIVED], "units": dict.fromkeys(times, "ns")}
+    return Proposal(what, f"{'_'.join(parts)}.bag", keys, usual, lacking)

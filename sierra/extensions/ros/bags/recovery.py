@@ -10,15 +10,16 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
-from sierra.config.output_tables import SEVERAL_TABLES, Output
+from sierra.config.output_tables import Output
 from sierra.extensions.ros.bags.bag_topics import TopicTable, batches, opened
 from sierra.extensions.ros.bags.containers import Message
+from sierra.extensions.ros.output import BagOutput, Keys
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.match_outputs import claims
-from sierra.ingest.model import Form, Written
+from sierra.ingest.model import Written
 from sierra.ingest.rewriting import Source
 from sierra.util.fs import fitting
 
@@ -43,14 +44,14 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
     `name` is the path of the bag in the output folder of its run. Raises OSError.
     """
     source = Source(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
-    declared = [output for output in claims(outputs, name) if outputs[output].kind in SEVERAL_TABLES]
+    declared = {output: found for output in claims(outputs, name) if isinstance(found := outputs[output], BagOutput)}
     if not declared or _is_whole(source):
         return
-    for output in declared:
+    for output, keys in declared.items():
         path = bag.with_name(f"{fitting(f'{bag.name}.{output}')}.{PARTIAL}.parquet")
         rows, reason = 0, ""
         try:
-            rows, reason = _written(source, outputs[output], path)
+            rows, reason = _written(source, keys, path)
         except UnreadableError as error:
             reason = str(error)
         yield Recovered(output, path, rows, reason)
@@ -65,16 +66,16 @@ def _is_whole(source: Source) -> bool:
     return True
 
 
-def _written(source: Source, output: Output, path: Path) -> tuple[int, str]:
+def _written(source: Source, output: BagOutput, path: Path) -> tuple[int, str]:
     """Write the table; return the number of its rows, and why there are no more. Raises UnreadableError without columns."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    form = Form(**{field.name: getattr(output, field.name) for field in fields(Form)})
+    keys = Keys(output.topics, output.ros, output.covariances)
     rows = 0
     with opened(source, whole=False) as bag:
         known = Counter(channel for channel, _, _ in _Readable(bag.scan(lambda _: True)))
-        table = TopicTable(known, form)
+        table = TopicTable(known, keys)
         found = _Readable(bag.scan(table.channels.__contains__))
         schema = table.schema.append(pa.field(PARTIAL, pa.bool_()))
         with path.open("xb") as file, pq.ParquetWriter(file, schema) as writer:

@@ -16,11 +16,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
+from sierra.extensions.formats.columnar import Columnar
+from sierra.extensions.formats.hdf5_datasets import LARGEST, check, opened, resolve, values
+from sierra.extensions.formats.hdf5_datasets import MAGIC as HDF5
+from sierra.extensions.formats.numpy_arrays import plain
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.columnar import Columnar
-from sierra.ingest.hdf5_datasets import LARGEST, check, opened, resolve, values
-from sierra.ingest.hdf5_datasets import MAGIC as HDF5
-from sierra.ingest.numpy_arrays import plain
 from sierra.ingest.rewriting import Source
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import struct
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.columnar import Columnar
 from sierra.ingest.rewriting import Source
 
 if TYPE_CHECKING:

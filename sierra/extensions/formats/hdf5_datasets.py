@@ -16,9 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.extensions.formats.columnar import Columnar
+from sierra.extensions.formats.numpy_arrays import INDICES, fields_of, plain
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.columnar import Columnar
-from sierra.ingest.numpy_arrays import INDICES, fields_of, plain
 from sierra.ingest.rewriting import Source
 
 if TYPE_CHECKING:

@@ -1,30 +1,20 @@
-"""The reader of SQLite databases: `rows` is the name of a table or view, or a SELECT statement.
+"""SQLite databases that runs wrote, opened for reading only and without their journal.
 
-The file is opened read-only and without its journal. A statement can only read: an authorizer refuses everything else. The rows
-are counted a second time by SQLite's `count(*)`, and each page of the database is checked before.
+A statement can only read: an authorizer refuses everything else. Each page of the database is checked before.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import sqlite3
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.columnar import Columnar, column_of
-from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
-from sierra.store.sql_names import identifier
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-STATEMENT = re.compile(r"\s*(select|with)\b", re.IGNORECASE)
 ALLOWED = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
 MAGIC, HEADER = b"SQLite format 3\0", 100
 """The first bytes of each database, and the size of its header: https://sqlite.org/fileformat.html"""
@@ -32,34 +22,6 @@ LIMIT = 1 << 28
 """The limit on steps of SQLite's virtual machine, so that a statement ends."""
 REFUSED = (sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_AUTH)
 """SQLite's errors for a statement that was refused or ended."""
-
-
-class SqliteTables(Columnar):
-    """The reader of SQLite databases."""
-
-    def table(self, source: Source) -> pa.Table:
-        import pyarrow as pa
-
-        with opened(source) as database:
-            cursor = database.execute(self._statement)
-            names = [name for name, *_ in cursor.description]
-            rows: Sequence[Sequence[object]] = cursor.fetchall()
-        if missing := MissingValues(self.shape.form.na):
-            rows = [[None if missing.has_value(value) else value for value in row] for row in rows]
-        if len(set(names)) < len(names):
-            raise UnreadableError("the statement gives two columns of the same name")
-        columns = zip(*rows, strict=True) if rows else ((),) * len(names)
-        return pa.table({name: column_of(name, list(values)) for name, values in zip(names, columns, strict=True)})
-
-    def count(self, source: Source, written: int) -> int:
-        with opened(source) as database:
-            [[rows]] = database.execute(f"SELECT count(*) FROM ({self._statement})").fetchall()
-        return int(rows)
-
-    @property
-    def _statement(self) -> str:
-        rows = self.shape.form.rows
-        return rows if STATEMENT.match(rows) else f"SELECT * FROM {identifier(rows)}"
 
 
 def _check_size(file: Path) -> None:

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pytest
 
 from sierra.config.output_tables import Output
-from sierra.ingest import sqlite_tables
+from sierra.ingest import sqlite_file
 from tests.readings import read_file
 
 COLUMNS = {"t": [1, 2, 3], "v": [0.5, None, 1.5], "name": ["a", "b", None], "on": [True, False, None]}
@@ -161,7 +161,7 @@ def test_ctrl_c_within_a_statement_of_sqlite_is_no_fault_of_the_file(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sqlite_tables._Limits, limit, interrupted)
+    monkeypatch.setattr(sqlite_file._Limits, limit, interrupted)
     many = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 100000) SELECT max(i) AS i FROM n"
     content = sqlite(tmp_path, "CREATE TABLE s (t)")
     with pytest.raises(KeyboardInterrupt):
@@ -229,4 +229,4 @@ def test_graph_that_is_not_understood_is_an_error(tmp_path: Path, old: bytes, ne
 @pytest.mark.parametrize(("kind", "rows"), [("sqlite", ""), ("graphml", ""), ("graphml", "node")])
 def test_rows_must_be_named(kind: str, rows: str) -> None:
     with pytest.raises(ValueError, match=f'format = "{kind}" needs rows'):
-        Output(file="t.x", format=kind, rows=rows)
+        Output.model_validate({"file": "t.x", "format": kind, "rows": rows})

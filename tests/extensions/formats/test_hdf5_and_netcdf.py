@@ -243,4 +243,4 @@ def test_missing_extra_is_named_before_anything_runs(
 @pytest.mark.parametrize("kind", ["hdf5", "netcdf"])
 def test_rows_must_be_named(kind: str) -> None:
     with pytest.raises(ValueError, match="needs rows"):
-        Output(file="a", format=kind)
+        Output.model_validate({"file": "a", "format": kind})

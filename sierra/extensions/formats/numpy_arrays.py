@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.columnar import Columnar
 from sierra.ingest.rewriting import Source
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from sierra.extensions.formats.columnar import Columnar, column_of
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.columnar import Columnar, column_of
 from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
 from sierra.ingest.xml_rows import count_tags, parse, pattern

@@ -1,0 +1,1 @@
+"""Readers of NumPy arrays, Arrow files, SQLite databases, GraphML, HDF5 and NetCDF."""

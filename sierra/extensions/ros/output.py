@@ -1,0 +1,80 @@
+"""Outputs that are bags of ROS."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, NamedTuple
+
+from pydantic import Field
+
+from sierra.config.field_types import NotNegative
+from sierra.config.output_tables import PLACEHOLDER, Output, Proposal
+
+COLUMNS = ("topic", "received_ns")
+"""The columns of each table that is made from a bag."""
+VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
+DATABASE = re.compile(r"\.db3(\.gz|\.zst)?$")
+
+
+class Keys(NamedTuple):
+    """The keys of such an output that decide its rows and columns."""
+
+    topics: tuple[str, ...]
+    ros: str = ""
+    covariances: bool = False
+    min_rate: float = 0.0
+
+
+class BagOutput(Output):
+    """An output in a bag of ROS."""
+
+    topics: tuple[str, ...] = Field(
+        (),
+        description="topics of a bag whose messages are the rows, such as `/{robot}/odom`: a name in braces is a part of the "
+        "topic and a column, `*` is any text",
+    )
+    ros: str = Field(
+        "", description="version of ROS 2, such as `humble`, whose types count if a bag does not have their definitions"
+    )
+    covariances: bool = Field(False, description="whether covariances in a bag become columns")
+    min_rate: NotNegative = Field(
+        0.0,
+        description="fewest messages per second of each topic of a bag, at any time from its first message to the end of the "
+        "bag; a run with fewer fails",
+    )
+    endings: ClassVar[Mapping[str, str]] = dict.fromkeys(("bag", "mcap", "db3"), 'format = "bag", topics = ["/TOPIC"]')
+    most_searched: ClassVar[int] = 1 << 28
+    needs: ClassVar[tuple[str, str, str] | None] = ("bags of ROS", "rosbags", "bags")
+    series: ClassVar[str] = "topic"
+
+    def check_own_keys(self) -> None:
+        if not self.topics:
+            raise ValueError('format = "bag" needs topics, such as ["/{robot}/odom"]')
+        names = [tuple(PLACEHOLDER.findall(topic)) for topic in self.topics]
+        if len(set(names)) > 1:
+            raise ValueError("topics: all should have the same names in braces, because these become columns")
+        taken = [*COLUMNS, *self.ticks]
+        if len({name.lower() for name in (*names[0], *taken)}) < len(names[0]) + len(taken):
+            raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(taken)}")
+        if self.ros not in ("", *VERSIONS):
+            raise ValueError(f"ros: unknown version {self.ros!r}; known are {', '.join(VERSIONS)}")
+
+    @classmethod
+    def proposals(cls, content: bytes, name: str) -> Sequence[Proposal]:
+        from sierra.extensions.ros.bags import proposals
+
+        return proposals.proposals(content, name)
+
+    @property
+    def own_columns(self) -> tuple[str, ...]:
+        return tuple(name for topic in self.topics for name in PLACEHOLDER.findall(topic))
+
+    def doubt(self) -> str:
+        """Return a warning about bags that may lack the definitions of their messages. The recorder of the robots decides."""
+        if self.ros or not DATABASE.search(self.file):
+            return ""
+        return (
+            f"databases of ROS 2 before Iron ({self.file}) do not have the definitions of their messages, so that runs fail "
+            'after the robots have moved: set ros = "humble", or the version that records'
+        )
