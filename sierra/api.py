@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
-    from sierra.deliverables.explorer.server import Server
     from sierra.deliverables.models.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.record import Checked, ShownDeliverable
@@ -61,7 +60,6 @@ if TYPE_CHECKING:
     from sierra.packages.parts.metadata import Metadata
     from sierra.packages.reading.differences import PackageDifferences
     from sierra.packages.reading.imports import Imported
-    from sierra.packages.reading.received import Received
     from sierra.packages.reproduction.outcome import Reproduction, Statement
     from sierra.packages.subject import ImageForm
     from sierra.provenance.commits_between import Known as CommitInRepository
@@ -1070,31 +1068,6 @@ class Project:
         >>> drawn, notes = project.draw(summary.batch, formats=["html"])
         """
         return self._deliver(self.batch(prefix), name, formats=formats)
-
-    def explorer(self, *, port: int = 0, write: bool = False, package: Received | None = None) -> Server:
-        """Return a server on 127.0.0.1 for a page that explores batches; `url` is its address, `serve` answers until `close`.
-
-        `port`: 0 takes a free one. With `write`, the page may add figures to `sierra.toml`. `package`: the package that this
-        project belongs to; nothing of it is executed. Raises Missing for a port that is taken.
-
-        >>> server = project.explorer()
-        >>> server.url.startswith("http://127.0.0.1:")
-        True
-        >>> server.close()
-        """
-        from sierra.deliverables.explorer.answers import Answers
-        from sierra.deliverables.explorer.server import Server
-        from sierra.deliverables.report import make
-
-        def source() -> make.Source:
-            if package is None:
-                return make.Source(self._read(), self.store, self.compare_declared)
-            from sierra.packages.reading import report
-
-            return make.received(report.source(package))
-
-        title = package.path.name if package else self.root.name
-        return Server(Answers(source, self.store, writes=write), title, port)
 
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.

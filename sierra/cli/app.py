@@ -40,7 +40,6 @@ COMMANDS = {
     "stats": "sierra.cli.stats:stats",
     "figures": "sierra.cli.figures:figures",
     "report": "sierra.cli.report:report",
-    "explore": "sierra.cli.explore:explore",
     "models": "sierra.cli.models:models",
     "claims": "sierra.cli.claims:claims",
     "baseline": "sierra.cli.baseline:app",

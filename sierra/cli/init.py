@@ -9,12 +9,14 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 import typer
 
+from sierra.cli.lazy_commands import GIVEN
 from sierra.cli.output import note, print_json
 from sierra.config import extensions
+from sierra.errors import UsageError
 from sierra.util.text import few, one_line
 
 if TYPE_CHECKING:
@@ -28,6 +30,14 @@ LONG_S = 60.0
 """If a run takes longer than this, `sierra init` does not try another seed."""
 
 
+class FromElsewhere(NamedTuple):
+    """An option of an extension that makes a project from one of another program."""
+
+    option: str
+    write: Callable[[Path, str | None, bool], None]
+    """Write the project to a folder, with a template or None, and print what was written, also as JSON."""
+
+
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The project's folder.")] = Path(),
     example: Annotated[
@@ -38,12 +48,6 @@ def init(
             help="Copy a bundled example to FOLDER: "
             + ", ".join(("swarm", "mesa", "netlogo", "ngspice", "ns3", "robots", "webots", *extensions.examples()))
             + ".",
-        ),
-    ] = None,
-    from_sierra1: Annotated[
-        Path | None,
-        typer.Option(
-            "--from-sierra1", metavar="DIR", help="Convert a project of SIERRA 1.x (ARGoS); nothing of it is executed."
         ),
     ] = None,
     template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The simulator's input file.")] = None,
@@ -91,7 +95,6 @@ def init(
     Examples:
       sierra init
       sierra init --example swarm demo
-      sierra init --from-sierra1 ../old/projects/foraging
       sierra init -y --template arena.xml --command "./sim {input}" \\
                   --variable "population_size=//swarm/@count"
       sierra init -y --template params.yaml --command "python3 model.py {input}"
@@ -100,9 +103,10 @@ def init(
     """
     from sierra.setup.init import wizard
 
-    if from_sierra1 is not None:
-        _check_alone(example, command, variables, seed, source, format, no_try)
-        _convert(folder, from_sierra1, template, as_json=as_json)
+    for other in (given for given in GIVEN.get() if isinstance(given, FromElsewhere)):
+        if any((example, command, variables, seed, source, format, no_try)):
+            raise UsageError(f"{other.option} can be combined only with --template, --yes and --json")
+        other.write(folder, template, as_json)
         return
     if example is not None:
         _say_example(folder, wizard.copy_example(example, folder), as_json=as_json)
@@ -207,37 +211,6 @@ def _started(guess: Guess) -> str:
     return one_line(guess.command or f"platform {guess.platform}")
 
 
-def _check_alone(*others: object) -> None:
-    from sierra.errors import UsageError
-
-    if any(others):
-        raise UsageError("--from-sierra1 can be combined only with --template, --yes and --json")
-
-
-def _convert(folder: Path, old: Path, template: str | None, *, as_json: bool) -> None:
-    """Convert a project of SIERRA 1.x and print what was carried over, and what was not."""
-    from sierra.setup import sierra1
-
-    path, made = sierra1.write(old, folder, template)
-    command = f"{_there(folder)}sierra run {made.next} -n"
-    if as_json:
-        kinds = {"controllers": made.controllers, "scenarios": made.scenarios, "variables": made.variables}
-        found = {kind: list(names) for kind, names in (kinds | {"figures": made.figures}).items()}
-        written = [str(path), *([str(folder / made.template)] if made.copied else [])]
-        print_json({"written": written, "template": made.template, **found, "left_out": list(made.left_out), "next": command})
-        return
-    print(f"wrote {path}" + (f" and {folder / made.template}" if made.copied else ""))
-    print(f"  template {one_line(made.template)}")
-    for kind in ("controllers", "scenarios", "variables", "figures"):
-        if names := getattr(made, kind):
-            print(f"  {kind}: {one_line(', '.join(names))}")
-    if made.left_out:
-        print("not carried over (also at the end of the file):")
-        for line in made.left_out:
-            print(f"  {line}")
-    print(f"next: {command}    (this only shows the runs; without -n they execute)")
-
-
 def _ask(question: Question, check: Callable[[str], T]) -> T:
     """Return the answer to a question, given as text or as a choice's number; ask again until it passes the check."""
     from sierra.errors import SierraError
@@ -260,7 +233,7 @@ def _ask(question: Question, check: Callable[[str], T]) -> T:
 
 
 def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json: bool) -> None:
-    command = f"{_there(folder)}sierra run {guess.next} -n" if guess.next else None
+    command = f"{there(folder)}sierra run {guess.next} -n" if guess.next else None
     if as_json:
         tried = {"tried": trial} if trial else {}
         print_json(_answer(path, guess) | tried | {"next": command})
@@ -302,7 +275,7 @@ def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
 
     project = project_file.load(folder).config
     query = next(iter(project.queries.values()))
-    command, absent = f"{_there(folder)}sierra run {shlex.join(query.criteria)}", _absent(project)
+    command, absent = f"{there(folder)}sierra run {shlex.join(query.criteria)}", _absent(project)
     if as_json:
         print_json({"written": [str(folder / file) for file in files], "first": absent, "next": command})
         return
@@ -320,5 +293,5 @@ def _absent(project: Project) -> str | None:
     return required_packages.remedy(absent) if absent else None
 
 
-def _there(folder: Path) -> str:
+def there(folder: Path) -> str:
     return "" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} && "

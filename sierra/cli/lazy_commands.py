@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -58,13 +59,16 @@ def _with_options(command: Command, words: str) -> Command:
     """Add the options that extensions have for a command. Each is a function; `GIVEN` has what it returns."""
     from sierra.config.extensions import added
 
-    for name, place in added("options").items():
-        if name.startswith(words):
-            more = _command(name, place)
-            more.params = [option for option in more.params if option.name != "help"]
-            command.params += more.params
-            command.callback = _both(command.callback, more)
+    if isinstance(command, lazy_parameters.Command):
+        command.more = tuple(partial(_add, name, place) for name, place in added("options").items() if name.startswith(words))
     return command
+
+
+def _add(name: str, place: str, command: Command) -> None:
+    more = _command(name, place)
+    more.params = [option for option in more.params if option.name != "help"]
+    command.params += more.params
+    command.callback = _both(command.callback, more)
 
 
 def _both(own: Callable[..., object] | None, more: Command) -> Callable[..., object]:

@@ -7,6 +7,7 @@ most commands take to run. Here an adapter is made only for a value that needs i
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from typer.core import TyperCommand, TyperGroup
@@ -51,7 +52,13 @@ def _lean(parameters: list[Parameter]) -> list[Parameter]:
 
 
 class Command(TyperCommand):
+    more: tuple[Callable[[Command], None], ...] = ()
+    """Functions that add options, which are called before the parameters are used; the help of a group needs none."""
+
     def get_params(self, ctx: Context) -> list[Parameter]:
+        more, self.more = self.more, ()
+        for add in more:
+            add(self)
         return _lean(super().get_params(ctx))
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from sierra.packages.reading.received import Received
 
-READING = ("ls", "show", "sql", "stats", "explore", "outputs", "files", "compare", "diff", "why", "fsck")
+READING = ("ls", "show", "sql", "stats", "outputs", "files", "compare", "diff", "why", "fsck")
 """Commands that read records, and execute nothing of the package."""
 OF_PACKAGES = {
     "figures": "sierra.cli.open_figures:figures",

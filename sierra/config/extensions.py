@@ -21,6 +21,23 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "starts": {".argos": "argos"},
         "variables": {"ARGOS_PLUGIN_PATH": "libraries"},
     },
+    "explorer": {
+        "commands": {"explore": "command:explore", "open explore": "command:explore"},
+    },
+    "figures": {
+        "figures": {
+            "ridge": "ridge:Ridge",
+            "pareto": "pareto:Pareto",
+            "embedding": "embedding:Embedding",
+            "survival": "survival:Survival",
+            "critical_difference": "ranks:CriticalDifference",
+            "network": "network:Network",
+            "confusion": "classifiers:Confusion",
+            "roc": "classifiers:Roc",
+            "pr": "classifiers:Pr",
+            "risk_coverage": "classifiers:RiskCoverage",
+        },
+    },
     "formats": {
         "readers": {
             "graphml": "graphml:GraphMl",
@@ -54,6 +71,10 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
         "examples": {"ros": "examples/ros", "turtlebot3": "examples/turtlebot3"},
     },
+    "sierra1": {
+        "needs": {"argos": ""},
+        "options": {"init --from-sierra1": "command:converted"},
+    },
     "simulators": {
         "platforms": {"jsbsim": "jsbsim:Jsbsim", "mujoco": "mujoco:Mujoco", "sumo": "sumo:Sumo"},
         "starts": {".sumocfg": "sumo"},
@@ -69,9 +90,10 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 }
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
 
-Four kinds are data. `inputs` are endings of input files, with the format of their templates. `starts` are endings of those
+Five kinds are data. `inputs` are endings of input files, with the format of their templates. `starts` are endings of those
 whose platform starts the simulator itself, with its name. `variables` are recorded with the environment; `libraries` are search
-paths of libraries. `examples` are projects for `sierra init --example`, with their folders.
+paths of libraries. `examples` are projects for `sierra init --example`, with their folders. `needs` names other extensions,
+without which this one is as if it were not there.
 """
 FOLDER = Path(__file__).parents[1] / "extensions"
 
@@ -116,15 +138,26 @@ def belongs(name: str, home: str) -> str:
 
 
 def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return the settings of a package without the keys of extensions that do not exist here, and a note for each of these.
+    """Return the settings of a package without those of extensions that do not exist here, and a note for each of these.
 
-    No id depends on such keys, so the package can be read and executed without them.
+    No id depends on such settings, so the package can be read and executed without them: keys, figures of kinds of extensions,
+    and options of platforms that are not used.
     """
-    absent = {key: extension for key in table if key not in added("tables") and (extension := home("tables", key))}
-    kept = {key: value for key, value in table.items() if key not in absent}
+    kept: dict[str, Any] = {}
+    absent: dict[str, str] = {}
+    for key, value in table.items():
+        if key in ("figures", "platforms") and isinstance(value, Mapping):
+            names = {name: name if key == "platforms" else str(dict(inner).get("kind")) for name, inner in value.items()}
+            lost = {n: owner for n, used in names.items() if used != table.get("platform") and (owner := _absent(key, used))}
+            kept[key] = {name: inner for name, inner in value.items() if name not in lost}
+            absent |= {f"{key}.{name}": owner for name, owner in lost.items()}
+        elif owner := _absent("tables", key):
+            absent[key] = owner
+        else:
+            kept[key] = value
     notes = [
-        f"sierra.toml: {where}{key} of the package is ignored: the extension {extension!r} is not installed"
-        for key, extension in absent.items()
+        f"sierra.toml: {where}{name} of the package is ignored: the extension {owner!r} is not installed"
+        for name, owner in absent.items()
     ]
     if isinstance(targets := kept.get("targets"), Mapping):
         for name, target in targets.items():
@@ -135,6 +168,16 @@ def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str,
     return kept, tuple(notes)
 
 
+def _absent(kind: str, name: str) -> str | None:
+    """Return the extension that a name of a kind belongs to, if it does not exist here; else None."""
+    return None if name in added(kind) else home(kind, name)
+
+
+def is_there(extension: str) -> bool:
+    """Return whether an extension and those that it needs exist. `Path.is_dir` would take longer."""
+    return os.path.isdir(FOLDER / extension) and all(map(is_there, ADDS[extension].get("needs", ())))  # noqa: PTH112
+
+
 def _present(kind: str) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield the extensions that exist, each with its names of a kind. `Path.is_dir` would take longer."""
-    yield from ((name, adds.get(kind, {})) for name, adds in ADDS.items() if os.path.isdir(FOLDER / name))  # noqa: PTH112
+    """Yield the extensions that exist, each with its names of a kind."""
+    yield from ((name, adds[kind]) for name, adds in ADDS.items() if kind in adds and is_there(name))

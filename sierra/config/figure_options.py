@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Mapping
 from typing import Any
 
+from sierra.config import extensions
 from sierra.config.deliverable_tables import CHOSEN, Figure
 from sierra.config.validate import options
 from sierra.errors import ConfigError
@@ -22,6 +23,8 @@ def complaint(figure: Figure) -> str:
     """Return what is wrong with the keys of a figure for its kind, in one line; empty if nothing is."""
     from sierra.config.plugin_registry import FIGURES
 
+    if figure.kind not in FIGURES.names():
+        return FIGURES.unknown(figure.kind)
     kind = FIGURES.load(figure.kind)
     shared = {field.alias or name for name, field in Figure.model_fields.items()}
     for key in figure.own:
@@ -38,13 +41,15 @@ def complaint(figure: Figure) -> str:
 
 
 def complaint_if_shipped(figure: Figure) -> str:
-    """Return what is wrong with a figure as far as that is known without a plug-in of another package."""
+    """Return what is wrong with a figure as far as it is known without other packages and absent extensions."""
     from sierra.config.plugin_registry import FIGURES
 
     if figure.kind in FIGURES.shipped:
         return complaint(figure)
     known = FIGURES.names()
-    return "" if figure.kind in known else f"unknown kind {figure.kind!r}{_nearest(figure.kind, list(known), '')}"
+    if figure.kind in (*known, *extensions.names("figures")):
+        return ""
+    return f"unknown kind {figure.kind!r}{_nearest(figure.kind, list(known), '')}"
 
 
 def _nearest(name: str, known: list[str], kind: str) -> str:

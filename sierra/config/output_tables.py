@@ -324,6 +324,7 @@ class AbsentOutput(Output):
     """An output in the format of an extension that is not installed. It cannot be read, and its keys are kept as they are."""
 
     model_config = ConfigDict(extra="allow")
+    takes: ClassVar[tuple[str, ...]] = tuple(KEYS_OF_FORMATS)
 
 
 @cache

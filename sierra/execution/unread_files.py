@@ -26,10 +26,9 @@ from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
 
 NUMBER = re.compile("[0-9]+")
-NAMED = {
+NAMED: Mapping[str, str] = {
     "json": 'format = "json"',
     "xml": 'format = "xml", rows = "//ELEMENT"',
-    **{ending: keys for output in of_extensions().values() for ending, keys in output.endings.items()},
     **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
 }
 """The keys that make tables of files with these endings, which no reader takes by itself."""
@@ -143,7 +142,7 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         if plain := automatic_format(inner):
             why = f'compressed; to make a table of it, declare {place}, format = "{plain}"'
             return UnreadFiles(one.path, one.files, why, False, name, {**keys, "format": plain})
-        also = NAMED.get(_ending(inner))
+        also = _named(_ending(inner))
         why = f"compressed; to make a table of it, declare {place}, {also}" if also else "no reader takes it"
     elif ending in READERS.added():
         why = f"the installed reader {ending!r} takes declared files only; declare {place}"
@@ -151,8 +150,8 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         keys = {**keys, "format": "json", **rows}
         why = f"this ending is read only if its format is named; declare {place}, {in_words({'format': 'json', **rows})}"
         return UnreadFiles(one.path, one.files, why, False, name, keys)
-    elif ending in NAMED:
-        why = f"this ending is read only if its format is named; declare {place}, {NAMED[ending]}"
+    elif named := _named(ending):
+        why = f"this ending is read only if its format is named; declare {place}, {named}"
     else:
         why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
     return UnreadFiles(one.path, one.files, why, False)
@@ -216,7 +215,7 @@ def _declared(name: str, output: Output) -> tuple[str, bool]:
         return f"declared, but it could not be read with the keys of [outputs.{name}]", False
     if ending is None:
         return f'kept as a file, as declared (format = "{FILE_FORMAT}")', False
-    keys = NAMED.get(ending, f"format = {json.dumps(ending)}")
+    keys = _named(ending) or f"format = {json.dumps(ending)}"
     return f"declared without a format; set {keys} in [outputs.{name}]", True
 
 
@@ -226,6 +225,11 @@ def _not_automatic(one: Alike, tables: Collection[str]) -> str:
     if one.most > AUTOMATIC_AT_MOST or table_name(one.path).lower() not in tables:
         return "too many such files in a run"
     return "another file makes the table of that name"
+
+
+def _named(ending: str) -> str:
+    """Return the keys that make a table of files with an ending, which no reader takes by itself; "" if none are known."""
+    return NAMED.get(ending) or next((one.endings[ending] for one in of_extensions().values() if ending in one.endings), "")
 
 
 def _ending(path: str) -> str:

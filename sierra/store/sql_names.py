@@ -88,3 +88,10 @@ def unnested(columns: Mapping[str, str]) -> str:
     """Return the query whose parameters are the values of each column, as lists. `columns`: their SQL types by name."""
     names = (f"unnest(${place}::{kind}[]) AS {identifier(name)}" for place, (name, kind) in enumerate(columns.items(), 1))
     return f"SELECT {', '.join(names)}"
+
+
+def node_name(name: str) -> str:
+    """Return the SQL of the name of a network's node in a column: a whole number without `.0`, and no name for NaN."""
+    column = identifier(name)
+    number = f"CASE WHEN isfinite(TRY_CAST({column} AS DOUBLE)) THEN regexp_replace({column}::VARCHAR, '\\.0$', '') END"
+    return f"CASE WHEN typeof({column}) IN ('DOUBLE', 'FLOAT') THEN {number} ELSE {column}::VARCHAR END"

@@ -27,7 +27,7 @@ import duckdb
 from bench_drawing import SIMULATOR
 from idle import project
 
-from sierra.deliverables.explorer.answers import ROWS
+from sierra.extensions.explorer.answers import ROWS
 from sierra.store.store import Store
 
 SIERRA = str(Path(sys.executable).with_name("sierra"))

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from sierra.deliverables.explorer.server import Server
+from sierra.extensions.explorer.server import Server
 from tests.waiting import PATIENCE_S
 
 

@@ -1,15 +1,12 @@
-"""Figures of the distribution of runs: step curves, outlines of histograms, and ridges."""
+"""Figures of the distribution of runs: step curves, and outlines of histograms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.transforms import Affine2D
 
 from sierra.deliverables.figures import facets, sampled_runs, seaborn_plots, style
 from sierra.deliverables.figures.facets import Panels
@@ -25,10 +22,6 @@ BAND = float(np.sqrt(np.log(2 / 0.05) / 2))
 """The half-width of the 95 % band of Dvoretzky, Kiefer and Wolfowitz times √n (Massart 1990)."""
 DENSE = 5
 """The smallest number of runs for which a density is drawn."""
-RIDGES = 24
-"""The largest number of ridges in a panel."""
-OVERLAP = 1.6
-"""The height of the highest ridge; the distance between two ridges is 1."""
 MOST_BINS = 200
 
 
@@ -79,38 +72,6 @@ def histogram(drawing: Drawing, bins: int, *, density: bool) -> Figure:
     return within.figure
 
 
-def ridge(drawing: Drawing) -> Figure:
-    """Draw the densities of the experiments one above the other, with the same scale."""
-    within = facets.panels(drawing, over_first=False)
-    count = len(within.groups.values)
-    if count > RIDGES:
-        raise UsageError(f"the figure needs {count} ridges, but at most {RIDGES} are possible; use where, facet, or kind ecdf")
-    within.figure.set_figheight(max(within.figure.get_figheight(), 0.8 + 0.24 * count))
-    every, shapes = sampled_runs.step(drawing), []
-    colours = style.colours(within.groups) if count > 1 else [style.named_colours()[0]]
-    for panel in within.panels:
-        for ordinal, runs in sampled_runs.values(panel.drawing).items():
-            place = within.group(panel.drawing, ordinal)
-            base, colour, above = count - 1 - place, colours[place], 2 + place / count
-            shown = runs[sampled_runs.places(len(runs), every)]
-            if has_density(runs):
-                shapes.append((seaborn_plots.density(panel.plot, shown, colour, above), panel.plot, base))
-            panel.plot.plot(shown, np.full(len(shown), base), "|", color=colour, markersize=3, alpha=0.6, zorder=above)
-            panel.plot.plot([np.median(runs)] * 2, [base, base + 0.35], color=colour, linewidth=1.4, zorder=above)
-        panel.plot.set_yticks(range(count - 1, -1, -1), style.names(within.groups.values, 22))
-        panel.plot.set_ylim(-0.25, count - 1 + OVERLAP + 0.15)
-    _move(shapes)
-    style.outer_labels(within.plots, _value_label(drawing), drawing.figure.ylabel or style.axis_label(within.groups))
-    return within.figure
-
-
-def _move(shapes: Sequence[tuple[PolyCollection, Axes, int]]) -> None:
-    """Move each density up to its line, after scaling all by the same factor: the highest one gets the height `OVERLAP`."""
-    top = max((float(np.asarray(shape.get_paths()[0].vertices)[:, 1].max()) for shape, _, _ in shapes), default=1.0)
-    for shape, plot, base in shapes:
-        shape.set_transform(Affine2D().scale(1, OVERLAP / top).translate(0, base) + plot.transData)
-
-
 def edges(drawing: Drawing, bins: int) -> Floats:
     """Return the edges of the bins of all experiments."""
     values = _all(drawing)
@@ -135,11 +96,6 @@ def has_density(values: Floats) -> bool:
         return len(values) >= DENSE and 0 < float(np.var(values)) < np.inf
 
 
-def without_density(drawing: Drawing) -> list[str]:
-    few = sum(not has_density(values) for values in sampled_runs.values(drawing).values())
-    return [f"{few} without a density: fewer than {DENSE} runs, or all equal"] if few else []
-
-
 def _all(drawing: Drawing) -> Floats:
     return np.concatenate([*sampled_runs.values(drawing).values(), np.empty(0)])
 
@@ -158,7 +114,7 @@ def _lines(within: Panels) -> list[Look]:
     return looks
 
 
-def _value_label(drawing: Drawing) -> str:
+def value_label(drawing: Drawing) -> str:
     """Return the label of the values, which are on the x axis here."""
     from dataclasses import replace
 
@@ -167,7 +123,7 @@ def _value_label(drawing: Drawing) -> str:
 
 
 def _frame(drawing: Drawing, within: Panels, looks: list[Look], ylabel: str) -> None:
-    style.outer_labels(within.plots, _value_label(drawing), ylabel)
+    style.outer_labels(within.plots, value_label(drawing), ylabel)
     counts = [0] * len(within.groups.values)
     for ordinal, values in sampled_runs.values(drawing).items():
         place = within.group(drawing, ordinal)

@@ -1,4 +1,4 @@
-"""Figures of two columns: runs with fitted curves, and experiments with their Pareto front.
+"""Figures of two columns of runs, with fitted curves.
 
 A fit is a polynomial by least squares, after taking logarithms where its name says so. The interval of its mean at x is
 ŷ ∓ t · s · √(v(x)), where t has n − p degrees of freedom, s² is the residual variance and v(x) = b(x)ᵀ (BᵀB)⁻¹ b(x) for the
@@ -8,12 +8,12 @@ basis b of the polynomial (Seber and Lee 2003, section 5.2).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from sierra.deliverables.figures import bands, facets, sampled_runs, seaborn_plots, style
+from sierra.deliverables.figures import facets, sampled_runs, seaborn_plots, style
 from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
@@ -76,7 +76,7 @@ def scatter(drawing: Drawing, fit: str) -> Figure:
             if fit != "none" and (curve := fitted(x, y, fit)):
                 _curve(panel, curve, looks[place])
     _scale(within, drawing)
-    _frame(drawing, within, looks)
+    frame(drawing, within, looks)
     return within.figure
 
 
@@ -103,38 +103,6 @@ def _scale(within: Panels, drawing: Drawing) -> None:
             if log:
                 plot.set(**{f"{name}scale": "log"})
                 style.log_ticks(*((plot.xaxis, *plot.get_xlim()) if name == "x" else (plot.yaxis, *plot.get_ylim())))
-
-
-def pareto(drawing: Drawing, better: tuple[str, str]) -> Figure:
-    """Draw each experiment with its intervals, and the front as steps."""
-    within = facets.panels(drawing, over_first=False)
-    looks: list[Look] = [Look(marker="o") | look for look in style.looks(within.groups)]
-    names = bands.columns(drawing.figure)
-    for panel in within.panels:
-        first, second = panel.drawing.tables.values()
-        ordinals = first.column("experiment").to_pylist()
-        (x, *x_ends), (y, *y_ends) = ([style.column(table, name) for name in names] for table in (first, second))
-        for k, ordinal in enumerate(ordinals):
-            look = looks[within.group(panel.drawing, ordinal)]
-            colour = look["color"]
-            panel.plot.plot([x_ends[0][k], x_ends[1][k]], [y[k], y[k]], color=colour, linewidth=0.7)
-            panel.plot.plot([x[k], x[k]], [y_ends[0][k], y_ends[1][k]], color=colour, linewidth=0.7)
-            panel.plot.plot(x[k], y[k], **look | Look(linestyle="none"))
-        front = _front(x, y, better)
-        # between two experiments of the front, only what is worse than both is reached for sure
-        where: Literal["pre", "post"] = "pre" if better[0] == "high" else "post"
-        panel.plot.step(x[front], y[front], where=where, color="#333333", linewidth=0.8, zorder=1)
-    _frame(drawing, within, looks)
-    return within.figure
-
-
-def _front(x: Floats, y: Floats, better: tuple[str, str]) -> list[int]:
-    """Return the places of the experiments that no other one dominates, by ascending x."""
-    signs = [1 if one == "high" else -1 for one in better]
-    points = np.column_stack((x * signs[0], y * signs[1]))
-    known = [k for k in range(len(points)) if np.isfinite(points[k]).all()]
-    best = [k for k in known if not any((points[o] >= points[k]).all() and (points[o] > points[k]).any() for o in known)]
-    return sorted(best, key=lambda k: (x[k], y[k]))
 
 
 def notes(drawing: Drawing, fit: str) -> list[str]:
@@ -186,7 +154,7 @@ def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[in
     return {int(place): (x[good & (places == place)], y[good & (places == place)]) for place in np.unique(places[good])}
 
 
-def _frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
+def frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
     first, second = drawing.tables
     measure = drawing.figure.measure
     names = [style.label(of_run(measure, column), drawing.units.get(column, "")) for column in (first, second)]

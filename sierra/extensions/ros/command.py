@@ -31,8 +31,8 @@ def recovered(
 
 def _recover(opened: Project, outcomes: Sequence[Outcome], folder: Path) -> None:
     """Write what can be read of bags that were cut off, and print a note on each table."""
-    from sierra.extensions.ros.bags.recovery import recover
     from sierra.extensions.ros.output import BagOutput
+    from sierra.extensions.ros.recovery import recover
     from sierra.ingest.base import check_package
     from sierra.store.recorded_files import OUTPUT_FOLDER
 

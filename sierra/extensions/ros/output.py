@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -15,15 +15,6 @@ COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
 DATABASE = re.compile(r"\.db3(\.gz|\.zst)?$")
-
-
-class Keys(NamedTuple):
-    """The keys of such an output that decide its rows and columns."""
-
-    topics: tuple[str, ...]
-    ros: str = ""
-    covariances: bool = False
-    min_rate: float = 0.0
 
 
 class BagOutput(Output):
@@ -62,7 +53,7 @@ class BagOutput(Output):
 
     @classmethod
     def proposals(cls, content: bytes, name: str) -> Sequence[Proposal]:
-        from sierra.extensions.ros.bags import proposals
+        from sierra.extensions.ros import proposals
 
         return proposals.proposals(content, name)
 

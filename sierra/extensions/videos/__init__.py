@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from sierra.deliverables import matplotlib_import
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.extensions.videos.render import Made
-
-matplotlib_import.prepare()
 
 
 def videos(

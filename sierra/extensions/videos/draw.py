@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tuple[Path, ...]:
     """Write all files of a video into a folder, `jobs` at a time; return their paths. Raises SierraError."""
-    from sierra.extensions.videos.scene import settings
+    from sierra.extensions.videos.painting.scene import settings
 
     work = [(one, format) for one in prepared.films for format in prepared.video.formats]
     told = Counter(prepared.frames, progress, DRAWN)
@@ -45,7 +45,7 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
 def frames(prepared: Prepared, one: Ready) -> Iterator[Image]:
     """Yield the frames of one film."""
     from sierra.deliverables.figures import style
-    from sierra.extensions.videos.scene import Scene, Words
+    from sierra.extensions.videos.painting.scene import Scene, Words
 
     video, film = prepared.video, one.film
     title = ", ".join(filter(None, (video.title, film.title)))

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from sierra.deliverables.figures.kinds.network import node_name
 from sierra.errors import UsageError
 from sierra.extensions.videos.sql_tracks import Columns, Rows, Source
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun
-from sierra.store.sql_names import identifier, quote
+from sierra.store.sql_names import identifier, node_name, quote
 from sierra.util.hashing import sha256
 from sierra.util.text import counted, natural
 
@@ -93,7 +92,7 @@ class Networks:
 
     def places(self) -> dict[str, tuple[float, float]]:
         """Return the places of all nodes in a layout of all edges. Raises NotInstalled."""
-        from sierra.deliverables.figures.network import layout
+        from sierra.deliverables.figures.node_layout import layout
 
         return layout(self.nodes, self.edges(), self.video.layout)
 

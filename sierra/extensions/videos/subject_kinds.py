@@ -22,8 +22,8 @@ from sierra.extensions.videos.tracks import uneven
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
+    from sierra.extensions.videos.painting.scene import Painter, Scale
     from sierra.extensions.videos.pictures import PictureTrack
-    from sierra.extensions.videos.scene import Painter, Scale
     from sierra.extensions.videos.tracks import Track
 
 Layout: TypeAlias = Mapping[str, Sequence[float] | Sequence[str]]
@@ -85,14 +85,14 @@ class CellSubject(Timed):
                 yield name.replace("_", " "), "{:g} to {:g}".format(*steps)
 
     def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
-        from sierra.extensions.videos.scene import MatrixPainter
+        from sierra.extensions.videos.painting.scene import MatrixPainter
 
         del tracks
         labels = (self._names[0].replace("_", " "), self._names[1].replace("_", " "))
         return MatrixPainter(self._grid.up, self._grid.across, labels, self._scales(film, survey))
 
     def _scales(self, film: Film, survey: Survey) -> list[Scale]:
-        from sierra.extensions.videos.scene import Scale
+        from sierra.extensions.videos.painting.scene import Scale
 
         shown = tuple(k for k, panel in enumerate(film.panels) if not panel.minus)
         apart = tuple(k for k, panel in enumerate(film.panels) if panel.minus)
@@ -131,7 +131,7 @@ class RobotSubject(Timed):
         ]
 
     def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
-        from sierra.extensions.videos.pose_painter import PosePainter
+        from sierra.extensions.videos.painting.pose_painter import PosePainter
 
         del film, tracks
         x, y, *_ = survey.columns or (Range(), Range())
@@ -166,8 +166,8 @@ class NetworkSubject(Timed):
         return [*self._notes, *(["nodes beyond the limits are not shown"] if cut else [])]
 
     def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
-        from sierra.extensions.videos.network_painter import Look, NetworkPainter
-        from sierra.extensions.videos.scene import Scale
+        from sierra.extensions.videos.painting.network_painter import Look, NetworkPainter
+        from sierra.extensions.videos.painting.scene import Scale
 
         del tracks
         video = self._video
@@ -221,7 +221,7 @@ class PictureSubject:
         return []
 
     def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
-        from sierra.extensions.videos.picture_painter import PicturePainter
+        from sierra.extensions.videos.painting.picture_painter import PicturePainter
 
         del survey
         return PicturePainter([cast("PictureTrack", tracks[panel.plus[0]]) for panel in film.panels])

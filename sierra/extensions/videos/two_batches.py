@@ -18,7 +18,7 @@ from sierra.extensions.videos.survey import Survey
 from sierra.extensions.videos.table import NUMERIC, Video
 
 if TYPE_CHECKING:
-    from sierra.extensions.videos.scene import Painter
+    from sierra.extensions.videos.painting.scene import Painter
     from sierra.extensions.videos.tracks import Track
 
 ONE_BATCH = ("tiles", "difference")

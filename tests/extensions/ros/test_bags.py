@@ -19,7 +19,7 @@ import pytest
 from sierra.config.output_tables import Output
 from sierra.extensions.ros.bags import message_rates
 from sierra.extensions.ros.bags.containers import Channel
-from sierra.extensions.ros.bags.recovery import recover
+from sierra.extensions.ros.recovery import recover
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Form
 from sierra.testing import readers as conformance

@@ -12,9 +12,9 @@ import pytest
 import sierra
 from sierra.config.project_file import load
 from sierra.deliverables.gallery import Gallery
-from sierra.extensions.videos.network_painter import NetworkPainter
+from sierra.extensions.videos.painting.network_painter import NetworkPainter
+from sierra.extensions.videos.painting.scene import Scene, Words, settings
 from sierra.extensions.videos.prepare import Prepared, prepare
-from sierra.extensions.videos.scene import Scene, Words, settings
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import Frame
 from tests import projects, stores, videos

@@ -20,9 +20,9 @@ from PIL import Image as Pillow
 
 from sierra.config.output_tables import Output
 from sierra.errors import SierraError
-from sierra.extensions.videos.picture_painter import PicturePainter
+from sierra.extensions.videos.painting.picture_painter import PicturePainter
+from sierra.extensions.videos.painting.scene import Scene, Words, settings
 from sierra.extensions.videos.pictures import VideoFile, pictures
-from sierra.extensions.videos.scene import Scene, Words, settings
 from sierra.store.samples import ChosenRun
 from sierra.util.hashing import sha256
 from tests import projects, stores, videos

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sierra.deliverables.figures import style
-from sierra.extensions.videos.text_strip import Box, TextStrip
+from sierra.extensions.videos.painting.text_strip import Box, TextStrip
 
 LINES = Box(20, 40, 0, 300)
 

@@ -12,6 +12,7 @@ import pytest
 import sierra
 from sierra.config.project_file import load
 from sierra.deliverables.gallery import Gallery
+from sierra.extensions.explorer import explorer
 from sierra.extensions.videos import draw
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.table import Video
@@ -83,7 +84,7 @@ def test_two_batches_are_drawn_side_by_side_and_recorded_for_both(root: Path, tm
     for batch in (first, second):
         assert "heat_calm_noisy: follows from the store" in projects.quick(root, "figures", batch, "--check").stdout
         assert "Video. heat_experiment0" in sierra.open(root).report(batch, to=tmp_path / "page.html").file.read_text()
-        with served(sierra.open(root).explorer()) as page:
+        with served(explorer(sierra.open(root))) as page:
             (shown,) = page.ask("batch", batch=batch)["videos"]
         assert shown["file"] == path.relative_to(root).as_posix()
     path.write_bytes(path.read_bytes()[:-1])

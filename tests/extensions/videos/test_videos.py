@@ -18,9 +18,9 @@ import sierra
 from sierra.config.project_file import load, parse
 from sierra.deliverables.gallery import Gallery
 from sierra.extensions.videos import draw
-from sierra.extensions.videos.pose_painter import PosePainter
+from sierra.extensions.videos.painting.pose_painter import PosePainter
+from sierra.extensions.videos.painting.scene import MatrixPainter, Scale, Scene, Words, settings
 from sierra.extensions.videos.prepare import Prepared, prepare, small_print
-from sierra.extensions.videos.scene import MatrixPainter, Scale, Scene, Words, settings
 from sierra.extensions.videos.sql_tracks import completed
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import Frame

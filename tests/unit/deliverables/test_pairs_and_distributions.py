@@ -12,6 +12,7 @@ import scipy.stats
 from sierra.deliverables.figures import pairs
 from sierra.deliverables.figures.drawing import Drawing, noted
 from sierra.errors import UsageError
+from sierra.extensions.figures import pareto_drawing
 from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
 from tests.drawings import plot
@@ -120,4 +121,4 @@ def test_runs_that_a_logarithm_cannot_show_are_left_out_and_counted() -> None:
 )
 def test_the_front_has_the_experiments_that_no_other_one_dominates(better: tuple[str, str], front: list[int]) -> None:
     x, y = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 3.0, 1.0, 4.0])
-    assert sorted(pairs._front(x, y, better)) == front
+    assert sorted(pareto_drawing._front(x, y, better)) == front

@@ -16,6 +16,7 @@ import sierra
 from sierra.cli import progress
 from sierra.deliverables.record import Content, Recorder
 from sierra.deliverables.report import moving_pictures
+from sierra.extensions.explorer import explorer
 from sierra.packages.reading import received
 from tests import projects, stores
 from tests.support import filmed
@@ -165,7 +166,7 @@ def test_a_package_has_a_report_and_the_videos(project: tuple[Path, str], tmp_pa
     assert projects.quick(tmp_path, "open", "one.zip", "video", "other").returncode == 2
     package = received.open_package(tmp_path / "one.zip")
     film_bytes = next((tmp_path / "here").rglob("heat*.mp4")).read_bytes()
-    with served(sierra.open(package.project.root).explorer(package=package)) as page_:
+    with served(explorer(sierra.open(package.project.root), package=package)) as page_:
         [video] = page_.ask("batch", batch=batch)["videos"]
         status, body, headers = page_.send("GET", video["address"], X_Sierra_Token="", Range="bytes=4-99")
         assert (status, body, headers["Content-Type"]) == (206, film_bytes[4:100], "video/mp4")

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.deliverables.explorer.answers import Answers
 from sierra.deliverables.report.make import Source
 from sierra.errors import Damaged
+from sierra.extensions.explorer.answers import Answers
 from sierra.store import segments, verified_files
 from sierra.store.layout import user_verified
 from sierra.store.segments import MANIFEST, OUTPUTS, REPLACES

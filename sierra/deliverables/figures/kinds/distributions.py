@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, PlainKind, Request
+from sierra.deliverables.figures.base import PLOT, STATISTICAL, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -81,23 +81,3 @@ class Histogram:
         from sierra.deliverables.figures.distributions import histogram
 
         return histogram(drawing, self._options.bins, density=self._options.density)
-
-
-class Ridge(PlainKind):
-    """The density of the runs of each experiment, one above the other."""
-
-    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet", "xlim", "palette", "labels"})
-
-    def needs(self, request: Request) -> Needs:
-        return Needs(("median",), runs=True, shows="density of the runs, line: median, each tick a run")
-
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import distributions, sampled_runs
-
-        return [*distributions.without_density(drawing), *sampled_runs.notes(drawing)]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.distributions import ridge
-
-        return ridge(drawing)

@@ -17,13 +17,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from sierra.config.output_tables import PLACEHOLDER
 from sierra.extensions.ros.bags import db3_bag, mcap_bag, message_rates, ros1_bag
 from sierra.extensions.ros.bags.containers import Bag, Channel, Message
 from sierra.extensions.ros.bags.message_types import MessageType, MessageTypes
-from sierra.extensions.ros.output import Keys
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.parquet import Parquet
@@ -43,6 +42,15 @@ ROWS, BYTES = 5_000, 16 << 20
 RECEIVED = "received_ns"
 NAMED = 8
 """The number of topics that an error names."""
+
+
+class Keys(NamedTuple):
+    """The keys of `[outputs.NAME]` that decide rows and columns."""
+
+    topics: tuple[str, ...]
+    ros: str = ""
+    covariances: bool = False
+    min_rate: float = 0.0
 
 
 class BagTopics(Rewriter):

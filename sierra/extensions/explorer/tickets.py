@@ -1,0 +1,72 @@
+"""Addresses that the server gives out for what a browser can only load by an address: pages and videos.
+
+Each contains random letters, so that nobody can guess it. The last ones stay valid: those of pages as long as all of them
+together do not take too much memory, and very many of those of files.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import accumulate
+from typing import BinaryIO
+
+from sierra.extensions.explorer.checked_files import CheckedFile
+
+MOST = 10_000
+"""The largest number of addresses that are valid at a time: a batch may have a hundred videos."""
+MOST_BYTES = 100 << 20
+"""The largest size of all pages in memory; the last one may be larger."""
+PREFIX = "/made/"
+Content = bytes | CheckedFile | Callable[[], bytes]
+"""What is in memory, in a file, or to be read each time that it is wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A page or a file."""
+
+    kind: str
+    """Its media type."""
+    content: Content
+
+    def open(self) -> BinaryIO:
+        """Return the content as an open file. Raises FileNotFoundError if it was removed or changed, and errors of reading."""
+        match self.content:
+            case CheckedFile():
+                return self.content.open()
+            case bytes():
+                return BytesIO(self.content)
+            case _:
+                return BytesIO(self.content())
+
+
+class Tickets:
+    """What the server has given out addresses for."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Made] = {}
+        self._one = threading.Lock()
+
+    def issue(self, made: Made) -> str:
+        """Return the address of a page or a file."""
+        address = f"{PREFIX}{secrets.token_urlsafe(32)}"
+        with self._one:
+            self._made[address] = made
+            for old in self._too_many():
+                del self._made[old]
+        return address
+
+    def _too_many(self) -> list[str]:
+        """Return the addresses that are not valid any more: all of the kind that are older than the last ones."""
+        pages = [(address, len(made.content)) for address, made in self._made.items() if isinstance(made.content, bytes)]
+        files = [address for address, made in self._made.items() if not isinstance(made.content, bytes)]
+        sizes = accumulate(size for _, size in reversed(pages))
+        kept = max(1, sum(size <= MOST_BYTES for size in sizes))
+        return [*(address for address, _ in pages[:-kept]), *files[:-MOST]]
+
+    def find(self, address: str) -> Made | None:
+        return self._made.get(address)

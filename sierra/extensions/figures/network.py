@@ -1,0 +1,128 @@
+"""The kind for networks: nodes and edges from rows with a source and a target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from pydantic import Field, NonNegativeInt, model_validator
+
+from sierra.config.field_types import Finite, Table
+from sierra.deliverables.figures.base import Request
+from sierra.errors import UsageError
+from sierra.stats.needs import Needs
+from sierra.store.rounded_times import at_time
+from sierra.store.sql_names import identifier, node_name
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+
+class NetworkOptions(Table):
+    """Figures of kind `network`."""
+
+    at: Finite | Literal["last"] | None = Field(
+        None, description="time of the edges, or `last`: the last time of each run; default: the edges of all times"
+    )
+    run: NonNegativeInt | None = Field(
+        None, description="number of the run that is shown; default: the mean of all runs, in which a missing edge counts as 0"
+    )
+    directed: bool = Field(False, description="draw arrows, and do not merge the two directions of an edge")
+    place: tuple[str, ...] = Field(
+        (), description="columns of the x and y position of the source of a row; default: a computed layout"
+    )
+    layout: Literal["spring", "kamada_kawai", "circular"] = Field(
+        "spring", description="layout if `place` is not given: the same places in all panels, and each time"
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> NetworkOptions:
+        if len(self.place) not in (0, 2):
+            raise ValueError('"place" should name the two columns of x and y')
+        return self
+
+
+class Network:
+    """A network for each experiment, from two or three columns: source, target, weight; a row without a target is a node."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NetworkOptions
+    libraries: ClassVar[tuple[str, ...]] = ("networkx",)
+    uses: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, options: NetworkOptions) -> None:
+        self._options = options
+
+    def needs(self, request: Request) -> Needs:
+        if len(request.columns) not in (2, 3):
+            raise UsageError(f"a network needs two or three columns, source, target and weight, not {len(request.columns)}")
+        source, target, *_ = map(node_name, request.columns)
+        weight = f"{identifier(request.columns[2])}::DOUBLE" if len(request.columns) == 3 else "1.0"
+        x, y = (f"{identifier(name)}::DOUBLE" for name in self._options.place) if self._options.place else ("NULL", "NULL")
+        rows = f"""\
+WITH rows AS (
+  SELECT "# experiment" AS experiment, run, {source} AS source, {target} AS target, {weight} AS weight, {x} AS x, {y} AS y
+  FROM {self._chosen()}
+)"""
+        return Needs(
+            rows={"edges": rows + self._edges(), "nodes": rows + NODES, "counts": rows + COUNTS},
+            columns=None,
+            others=self._options.place,
+            numeric=False,
+            shows=self._shows(weighted=len(request.columns) == 3),
+        )
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.extensions.figures import network_drawing
+
+        return network_drawing.notes(drawing, self._options)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.extensions.figures.network_drawing import network
+
+        return network(drawing, self._options)
+
+    def _chosen(self) -> str:
+        """Return the relation of the rows that the options choose."""
+        of_run = "true" if self._options.run is None else f'"# number" = {self._options.run}'
+        match self._options.at:
+            case None:
+                return f"data WHERE {of_run}"
+            case "last":
+                last = 'max("# t") OVER (PARTITION BY "# experiment", run) AS "# last"'
+                return f'(SELECT *, {last} FROM data) WHERE "# t" = "# last" AND {of_run}'
+            case time:
+                return f"data WHERE {at_time(time)} AND {of_run}"
+
+    def _edges(self) -> str:
+        """Return the statement of the edges, with the mean weight over the runs that wrote any row."""
+        ends = "source, target" if self._options.directed else "least(source, target) AS one, greatest(source, target) AS other"
+        runs = 'SELECT "# experiment" AS experiment, count(DISTINCT run) AS runs FROM data'
+        if self._options.run is not None:
+            runs += f' WHERE "# number" = {self._options.run}'
+        return f"""\
+, edges(experiment, run, source, target, weight) AS (
+  SELECT experiment, run, {ends}, list_avg(list_sort(list(weight))) FROM rows
+  WHERE source <> target AND isfinite(weight) GROUP BY ALL
+)
+SELECT experiment, source, target, list_sum(list_sort(list(weight))) / any_value(runs) AS weight
+FROM edges JOIN ({runs} GROUP BY ALL) USING (experiment) GROUP BY ALL ORDER BY ALL"""
+
+    def _shows(self, *, weighted: bool) -> str:
+        of_runs = "mean weight over the runs" if weighted else "part of the runs with the edge"
+        width = of_runs if self._options.run is None else f"weight in run {self._options.run}" if weighted else ""
+        return f"width: {width}" if width else f"edges in run {self._options.run}"
+
+
+NODES = """
+SELECT experiment, node, list_avg(list_sort(list(x) FILTER (isfinite(x)))) AS x,
+  list_avg(list_sort(list(y) FILTER (isfinite(y)))) AS y
+FROM (SELECT experiment, source AS node, x, y FROM rows UNION ALL SELECT experiment, target, NULL, NULL FROM rows)
+WHERE node IS NOT NULL GROUP BY ALL ORDER BY experiment, node"""
+"""The nodes: all sources and targets. The position of a node is the mean over the rows of which it is the source."""
+COUNTS = """
+SELECT count(*) FILTER (source = target) AS loops, count(*) FILTER (source IS NULL) AS lost,
+  count(*) FILTER (source <> target AND NOT coalesce(isfinite(weight), false)) AS weightless
+FROM rows"""
