@@ -263,13 +263,10 @@ class Project:
         """
         from sierra.execution import resolve_plan
         from sierra.execution.observer import Observer
-        from sierra.explain.respelled_numbers import respelled
         from sierra.explain.unbuilt_programs import unbuilt
 
         plan = resolve_plan.plan(self._loaded, request, engine=engine, report=(observer or Observer()).planning)
-        store = self.stored()
-        numbers = respelled(plan, store) if store else ()
-        return replace(plan, notes=(*plan.notes, *numbers, *unbuilt(plan, store)))
+        return replace(plan, notes=(*plan.notes, *unbuilt(plan, self.stored())))
 
     def run(
         self,
@@ -1550,7 +1547,7 @@ class Project:
         return known[-1].batch
 
     def metadata(self, *, write: bool = False) -> Metadata:
-        """Compare CITATION.cff, .zenodo.json and codemeta.json with `[package]`; with `write`, write those that are not there.
+        """Compare CITATION.cff with `[package]`; with `write`, write it if it is not there.
 
         Raises ConfigError if `[package]` has no title, authors or licence.
 

@@ -10,7 +10,7 @@ All dataclasses here are frozen. This module reads no files and imports only the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -365,21 +365,6 @@ class Pose(NamedTuple):
     x: float
     y: float
     heading: float | None = None
-
-
-class Area(NamedTuple):
-    """A rectangle on the floor: the smallest and the largest x and y, in m."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-
-    @classmethod
-    def around(cls, poses: Iterable[Pose]) -> Area | None:
-        """Return the smallest area that contains all poses; None if there are none."""
-        if not (places := [(pose.x, pose.y) for pose in poses]):
-            return None
-        xs, ys = zip(*places, strict=True)
-        return cls((min(xs), max(xs)), (min(ys), max(ys)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,6 @@ from sierra.links.commands import Commands, Stream
 from sierra.links.process_stream import ProcessStream
 from sierra.model import (
     Add,
-    Area,
     Axis,
     Change,
     Client,
@@ -90,7 +89,7 @@ from sierra.model import (
     Times,
     Value,
 )
-from sierra.platforms.base import Following, Placing, PlacingWithin, Platform, Rendering, Renders
+from sierra.platforms.base import Following, Placing, Platform, Rendering, Renders
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
@@ -114,7 +113,6 @@ __all__ = [
     "NAME_LENGTH",
     "VERSION",
     "Add",
-    "Area",
     "Axis",
     "Beat",
     "BootstrapOptions",
@@ -173,7 +171,6 @@ __all__ = [
     "Pair",
     "Parameter",
     "Placing",
-    "PlacingWithin",
     "Platform",
     "PluginError",
     "Point",

@@ -1,4 +1,4 @@
-"""`sierra cite`: the files by which archives and people cite a project."""
+"""`sierra cite`: the file by which archives and people cite a project."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def _lines(found: Metadata) -> Iterator[str]:
 
 def cite(
     write: Annotated[
-        bool, typer.Option("--write", help="Write the files that the project does not have; never replace one.")
+        bool, typer.Option("--write", help="Write the file if the project does not have it; never replace it.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Make or check the files by which others cite the project.
+    """Make or check CITATION.cff, by which others cite the project.
 
-    They are CITATION.cff, .zenodo.json and codemeta.json. They are compared with [package] in sierra.toml.
+    It is compared with [package] in sierra.toml. Zenodo, GitHub and reference managers read it.
 
-    Exits with 1 if a file says something else than [package].
+    Exits with 1 if the file says something else than [package].
 
     \b
     Examples:

@@ -29,7 +29,9 @@ def schema(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; for sierra.toml, its JSON Schema.")] = False,
 ) -> None:
-    """Describe the tables of the store, or the keys of sierra.toml with those of installed plug-ins.
+    """Describe the tables of the store, or the keys of sierra.toml.
+
+    Keys of installed plug-ins are included.
 
     \b
     Examples:

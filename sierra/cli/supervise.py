@@ -16,10 +16,9 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TextIO, cast
 
-from sierra.cli import pose_map
 from sierra.cli.output import Safe, raw, safe
 from sierra.config.trial_tables import Trials
 from sierra.execution.supervised.supervisor import Agreeing, Attendant, Start, Supervisor, Verdict
@@ -66,7 +65,7 @@ class Person:
 
     @contextlib.contextmanager
     def attending(self, trial: Trial) -> Iterator[Attendant]:
-        self._terminal.show("", *_heading(trial, plain=self._terminal.plain))
+        self._terminal.show("", *_heading(trial))
         with self._terminal.restored(), self._terminal.with_notes():
             person = PersonAttending(self._terminal, trial, self._trials.countdown)
             try:
@@ -182,19 +181,25 @@ class PersonAttending:
                 self._terminal.end_line() if self._goes else self._terminal.show("")
 
 
-def _heading(trial: Trial, *, plain: bool) -> Iterator[str]:
+def _heading(trial: Trial) -> Iterator[str]:
     """Yield the lines that present a trial."""
     values = ", ".join(f"{name}={value}" for name, value in trial.values.items())
     again = f", try {trial.attempt + 1}" if trial.attempt else ""
     block = f" (block {trial.block + 1} of {trial.blocks})" if trial.blocks > 1 else ""
     yield f"trial {trial.position} of {trial.total}{block}: {values}{', ' if values else ''}run {trial.number}{again}"
-    if trial.poses:
-        yield from pose_map.draw(trial.poses, trial.area, trial.robots, plain=plain)
+    for place, pose in enumerate(trial.poses, 1):
+        heading = "" if pose.heading is None else f", heading {pose.heading:g} degrees"
+        yield f"  {_numbered(place, trial.robots)}: x {pose.x:g} m, y {pose.y:g} m{heading}"
     if others := [place for place in sorted(trial.robots) if not 0 < place <= len(trial.poses)]:
-        named = ", ".join(pose_map.numbered(place, trial.robots) for place in others)
-        yield f"{'not on the map' if trial.poses else 'robots'}: {named}"
+        named = ", ".join(_numbered(place, trial.robots) for place in others)
+        yield f"{'without a pose' if trial.poses else 'robots'}: {named}"
     for name, text in trial.facts.items():
         yield f"{name}: {text}"
+
+
+def _numbered(place: int, robots: Mapping[int, str]) -> str:
+    """Return the place of a robot in its run with its name, if that is known."""
+    return f"{place} ({robots[place]})" if place in robots else str(place)
 
 
 def _live(state: str, beats: Sequence[Beat]) -> str:
@@ -234,8 +239,6 @@ class _Terminal:
         """Lines that these keys have typed, for the prompts that follow. The last one may lack its end."""
         with _if_lost():
             self._lines = termios.tcgetattr(self._keyboard)
-        self.plain = "utf" not in (self._screen.encoding or "").lower()
-        """True if only ASCII characters can be shown."""
 
     def show(self, *lines: str) -> None:
         for line in lines:

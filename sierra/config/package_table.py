@@ -136,7 +136,7 @@ class ExternalData(Table):
 
 
 class Package(Table):
-    """The description of reproduction packages, from which CITATION.cff, .zenodo.json and codemeta.json are made."""
+    """The description of reproduction packages, from which CITATION.cff is made."""
 
     title: OneLine = Field("", description="title of the package")
     description: str = Field("", description="what the package contains, in a few sentences")

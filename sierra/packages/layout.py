@@ -10,7 +10,7 @@ works in it once it is extracted.
     manifest-sha256.txt       the hashes of all members; see sierra.packages.members
     ro-crate-metadata.json    the same as a Provenance Run Crate
     report.html               what the records say, as one page for a browser
-    CITATION.cff  .zenodo.json  codemeta.json
+    CITATION.cff
     project/                  sierra.toml, sierra.lock, templates, the source of the newest batch, files that runs need
     project/.sierra/          the store with the packed batches
     source/<tree, 12 digits>/ sources of the other batches

@@ -18,7 +18,7 @@ from sierra.config.capture_table import Capture
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project
-from sierra.model import Area, Axis, Change, Criterion, Point, Pose
+from sierra.model import Axis, Change, Criterion, Point, Pose
 
 
 class Reader(Protocol):
@@ -131,14 +131,6 @@ class Placing(Protocol):
 
         In a run on robots, each robot has its own input file, with its own pose.
         """
-
-
-@runtime_checkable
-class PlacingWithin(Placing, Protocol):
-    """A platform that knows where robots may start in any run, so that the maps of all runs show the same area."""
-
-    def start_area(self) -> Area | None:
-        """Return the smallest area that contains all declared start poses; None if none are declared."""
 
 
 def find(name: str, project: Project) -> Platform:

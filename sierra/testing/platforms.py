@@ -22,8 +22,8 @@ from sierra.config.capture_table import Capture
 from sierra.config.project_file import Project
 from sierra.config.validate import options
 from sierra.errors import SierraError
-from sierra.model import Add, Area, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Set
-from sierra.platforms.base import Following, Placing, PlacingWithin, Platform, Reader, Renders
+from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Set
+from sierra.platforms.base import Following, Placing, Platform, Reader, Renders
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arch", "arguments"))
@@ -203,9 +203,6 @@ def files_are_safe(platform: Platform) -> None:
         if isinstance(platform, Placing):
             poses = platform.start_poses(files[0][1])
             holds(all(isinstance(pose, Pose) for pose in poses), f"start_poses() returns {poses!r}, not a tuple of Pose")
-        if isinstance(platform, PlacingWithin):
-            area = platform.start_area()
-            holds(area is None or isinstance(area, Area), f"start_area() returns {area!r}, not an Area")
         names = [name for name, _ in files]
         for name, content in files:
             holds(bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")

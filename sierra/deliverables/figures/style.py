@@ -36,7 +36,7 @@ from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocat
 from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 
 from sierra.config.deliverable_tables import Figure as FigureTable
-from sierra.deliverables.figures import font, text_layouts
+from sierra.deliverables.figures import font
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats.words import of_run
@@ -133,7 +133,7 @@ def applied(figure: FigureTable | None = None) -> Iterator[None]:
     """
     before = _page.set(page(figure) if figure else None)
     try:
-        with settings(), text_layouts.remembered():
+        with settings():
             yield
     finally:
         _page.reset(before)

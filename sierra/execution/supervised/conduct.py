@@ -104,7 +104,6 @@ class Conduct:
         self._done = 0
         try:
             self._position = _next_position(self._store, self._plan.batch.id)
-            self._area = poses.area(self._plan)
             self._operator = self._supervisor.begin(self._left)
             for _, block in groupby(turns, key=lambda turn: turn.block):
                 self._conduct_block(deque(block))
@@ -158,7 +157,6 @@ class Conduct:
             blocks=self._order[-1].block + 1,
             attempt=self._tries.get(run.id, 0),
             poses=placed,
-            area=self._area,
             robots=self._robots(run, runner),
             facts=printed,
             wait_s=max(0.0, self._ended + trials.pause - time.monotonic()),

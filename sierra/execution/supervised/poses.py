@@ -16,8 +16,8 @@ from sierra.config.trial_tables import DrawnPoses, Trials
 from sierra.design import robots
 from sierra.errors import ConfigError
 from sierra.execution.plan import Plan
-from sierra.model import BASE, Area, Pose, Run, Value
-from sierra.platforms.base import Placing, PlacingWithin
+from sierra.model import BASE, Pose, Run, Value
+from sierra.platforms.base import Placing
 
 TRIES = 10_000
 """Number of positions that are drawn for one robot until it is far enough from the others."""
@@ -27,19 +27,6 @@ def of_run(plan: Plan, run: Run) -> tuple[Pose, ...]:
     """Return the start poses of a run, one per robot; none if none are declared. Raises ConfigError."""
     values = plan.batch.experiments[run.experiment].values
     return _of_inputs(plan, run) or declared(plan.project.config.trials, run.seed, values)
-
-
-def area(plan: Plan) -> Area | None:
-    """Return the smallest area that contains the start poses that runs of a plan can have; None if none are declared.
-
-    It is the same for all runs, so that all maps have one scale. Raises ConfigError.
-    """
-    platform = _placing(plan)
-    if isinstance(platform, PlacingWithin):
-        of_inputs = platform.start_area()
-    else:
-        of_inputs = Area.around(pose for run in plan.batch.runs for pose in _of_inputs(plan, run)) if platform else None
-    return of_inputs or declared_area(plan.project.config.trials)
 
 
 def _of_inputs(plan: Plan, run: Run) -> tuple[Pose, ...]:
@@ -73,13 +60,6 @@ def declared(trials: Trials, seed: int, values: Mapping[str, Value]) -> tuple[Po
     for _ in range(count):
         poses.append(_free(drawn, poses, generator, count))
     return tuple(poses)
-
-
-def declared_area(trials: Trials) -> Area | None:
-    """Return the smallest area that contains all start poses that `[trials]` declares; None if it declares none."""
-    if (drawn := trials.draw_poses) is not None:
-        return Area(drawn.x, drawn.y)
-    return Area.around(Pose(*pose) for pose in trials.poses)
 
 
 def as_json(poses: Sequence[Pose]) -> str | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from sierra.model import Area, Pose, Status, Value
+from sierra.model import Pose, Status, Value
 from sierra.runners.base import Beat
 
 
@@ -35,8 +35,6 @@ class Trial:
     """The number of earlier trials of the run in this session."""
     poses: Sequence[Pose] = ()
     """The start poses of the robots 1, 2, …"""
-    area: Area | None = None
-    """The smallest area that contains the start poses of all runs; None if none are declared."""
     robots: Mapping[int, str] = field(default_factory=dict)
     """The names of the robots that take part, by place; empty if the runner does not know them. A base station has 0."""
     facts: Mapping[str, str] = field(default_factory=dict)

@@ -20,7 +20,6 @@ from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, Launch1, Launch2, P
 from sierra.platforms.driver_path import driver_path
 from sierra.plugin import (
     Add,
-    Area,
     Axis,
     Change,
     ConfigError,
@@ -279,10 +278,6 @@ class Ros:
         """Return what the launch file of a run tells its robots; see `sierra.plugin.Placing`."""
         found = self._robots.read_poses(document) if self._robots.poses else ()
         return tuple(StartPose(x, y, round(math.degrees(yaw) % 360, 1)) for x, y, yaw in found)
-
-    def start_area(self) -> Area | None:
-        table = self._options.random_poses
-        return Area(table.x, table.y) if table else Area.around(StartPose(x, y) for x, y, *_ in self._options.poses)
 
     def environment(self) -> Mapping[str, str]:
         return {}

@@ -1,28 +1,23 @@
-"""The metadata files of a package, all made from `[package]` in `sierra.toml`.
+"""The file CITATION.cff (Citation File Format 1.2.0), made from `[package]` in `sierra.toml`.
 
-CITATION.cff      Citation File Format 1.2.0
-.zenodo.json      the metadata of a deposit, as Zenodo's REST API names them
-codemeta.json     CodeMeta 3.0
-
-A project may have such files of its own. They are packed as they are, after `differences` has compared them with `[package]`.
+A project may have such a file of its own. It is packed as it is, after `differences` has compared it with `[package]`.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sierra.config.package_table import DOI, Author, Package
+from sierra.config.package_table import DOI, Package
 from sierra.errors import ConfigError
 from sierra.packages.subject import Made, Member, Subject
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.regular_files import read_regular
 
-CITATION, ZENODO, CODEMETA = "CITATION.cff", ".zenodo.json", "codemeta.json"
+CITATION = "CITATION.cff"
 NEEDED = ("title", "authors", "license")
 """The keys without which nobody may cite or use a package."""
 LARGEST = 1 << 20
@@ -38,7 +33,7 @@ def lacking(package: Package) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """The metadata files in a project's folder, compared with `[package]`."""
+    """The metadata file in a project's folder, compared with `[package]`: its name is in the list that says how it is."""
 
     written: tuple[str, ...]
     equal: tuple[str, ...]
@@ -73,7 +68,7 @@ def files(package: Package, date: str = "") -> dict[str, bytes]:
     """
     if names := lacking(package):
         raise ConfigError(f"[package] in sierra.toml needs {', '.join(names)}")
-    return {name: make(package, package.date or date) for name, make in MAKERS.items()}
+    return {CITATION: citation(package, package.date or date)}
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
@@ -122,83 +117,14 @@ def citation(package: Package, date: str) -> bytes:
     return text.encode()
 
 
-def zenodo(package: Package, date: str) -> bytes:
-    """Return the content of .zenodo.json."""
-    creators = [
-        _present({"name": _inverted(one), "orcid": one.orcid, "affiliation": one.affiliation}) for one in package.authors
-    ]
-    related = [
-        _present(
-            {
-                "relation": one.relation,
-                "identifier": one.identifier,
-                "resource_type": "publication-article" if one.relation == "isSupplementTo" else "",
-            }
-        )
-        for one in package.related
-    ]
-    found = {
-        "title": package.title,
-        "upload_type": "dataset",
-        "description": package.description.strip() or package.title,
-        "creators": creators,
-        "license": (package.license or "").lower(),
-        "keywords": list(package.keywords),
-        "version": package.version,
-        "publication_date": date[:DATED],
-        "related_identifiers": related,
-    }
-    return _json(_present(found))
-
-
-def codemeta(package: Package, date: str) -> bytes:
-    """Return the content of codemeta.json."""
-    authors = [
-        _present(
-            {
-                "@type": "Person",
-                "@id": one.orcid and f"https://orcid.org/{one.orcid}",
-                "givenName": one.given,
-                "familyName": one.family,
-                "affiliation": one.affiliation and _present({"@type": "Organization", "@id": one.ror, "name": one.affiliation}),
-            }
-        )
-        for one in package.authors
-    ]
-    found = {
-        "@context": "https://w3id.org/codemeta/3.0",
-        "@type": "SoftwareSourceCode",
-        "name": package.title,
-        "description": package.description.strip(),
-        "author": authors,
-        "license": f"https://spdx.org/licenses/{package.license}",
-        "keywords": list(package.keywords),
-        "version": package.version,
-        "datePublished": date[:DATED],
-        "identifier": package.doi and f"https://doi.org/{package.doi}",
-        "codeRepository": package.repository,
-        "referencePublication": [
-            {"@type": "schema:ScholarlyArticle", "@id": f"https://doi.org/{one.identifier}"}
-            for one in package.related
-            if one.relation == "isSupplementTo" and DOI.fullmatch(one.identifier)
-        ],
-    }
-    return _json(_present(found))
-
-
-MAKERS: Mapping[str, Callable[[Package, str], bytes]] = {CITATION: citation, ZENODO: zenodo, CODEMETA: codemeta}
-
-
 def own(root: Path) -> dict[str, bytes]:
     """Return the metadata files that a project has itself, by name. Raises ConfigError for a file that is too large."""
-    found = {}
-    for name in MAKERS:
-        path = root / name
-        if path.is_file():
-            if path.stat().st_size > LARGEST:
-                raise ConfigError(f"{path} is too large for a metadata file")
-            found[name] = read_regular(path)
-    return found
+    path = root / CITATION
+    if not path.is_file():
+        return {}
+    if path.stat().st_size > LARGEST:
+        raise ConfigError(f"{path} is too large for a metadata file")
+    return {CITATION: read_regular(path)}
 
 
 def differences(package: Package, files: Mapping[str, bytes]) -> list[str]:
@@ -208,25 +134,24 @@ def differences(package: Package, files: Mapping[str, bytes]) -> list[str]:
 
 def _differences(package: Package, name: str, content: bytes) -> Iterator[str]:
     try:
-        found = _parsed(name, content)
+        found = _parsed(content)
     except ValueError as error:
         yield f"{name} cannot be read: {str(error).splitlines()[0]}"
         return
-    made = _parsed(name, MAKERS[name](package, package.date or ""))
-    for key in ("title", "name", "license", "version", "doi", "keywords"):
+    made = _parsed(citation(package, package.date or ""))
+    for key in ("title", "license", "version", "doi", "keywords"):
         if key in made and key in found and _plain(found[key]) != _plain(made[key]):
             yield f"{name} has {key} {found[key]!r}, but [package] says {made[key]!r}"
-    for key in ("authors", "creators", "author"):
-        if key in made and (others := _names(found.get(key))) != (ours := _names(made[key])):
-            yield f"{name} names the authors {', '.join(others) or 'nobody'}, but [package] {', '.join(ours)}"
+    if (others := _names(found.get("authors"))) != (ours := _names(made["authors"])):
+        yield f"{name} names the authors {', '.join(others) or 'nobody'}, but [package] {', '.join(ours)}"
 
 
-def _parsed(name: str, content: bytes) -> dict[str, Any]:
+def _parsed(content: bytes) -> dict[str, Any]:
     """Return the object in a metadata file. Raises ValueError."""
     import yaml
 
     try:
-        found = yaml.safe_load(content) if name == CITATION else json.loads(content)
+        found = yaml.safe_load(content)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"it is no YAML: {error}") from error
     if not isinstance(found, dict):
@@ -235,14 +160,13 @@ def _parsed(name: str, content: bytes) -> dict[str, Any]:
 
 
 def _names(people: object) -> list[str]:
-    """Return the names of people or organizations in any of the three formats, as `family, given`."""
+    """Return the names of people or organizations, as `family, given`."""
     listed = people if isinstance(people, list) else [people]
     found = []
     for one in listed:
         if not isinstance(one, dict):
             continue
-        family = one.get("family-names") or one.get("familyName")
-        given = one.get("given-names") or one.get("givenName")
+        family, given = one.get("family-names"), one.get("given-names")
         found.append(", ".join(filter(None, (family, given))) if family else str(one.get("name", "")))
     return found
 
@@ -254,14 +178,6 @@ def _plain(value: object) -> object:
     return str(value).lower().removeprefix("https://spdx.org/licenses/").removeprefix("https://doi.org/").strip()
 
 
-def _inverted(author: Author) -> str:
-    return ", ".join(filter(None, (author.family, author.given)))
-
-
 def _present(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields that have a value."""
     return {name: value for name, value in fields.items() if value}
-
-
-def _json(value: Mapping[str, Any]) -> bytes:
-    return (json.dumps(value, indent=2, ensure_ascii=False) + "\n").encode()

@@ -23,7 +23,7 @@ from sierra.design import robots
 from sierra.errors import ConfigError, QueryError, SierraError, TemplateError
 from sierra.execution.supervised import poses
 from sierra.extensions.ros.platform import Ros
-from sierra.model import Area, Pose, Set
+from sierra.model import Set
 from sierra.platforms import base
 from sierra.query import grammar
 from sierra.templates import several
@@ -149,27 +149,6 @@ def test_a_person_places_robots_where_the_launch_file_says(tmp_path: Path) -> No
         expected = tuple((x, y, round(math.degrees(yaw) % 360, 1)) for x, y, yaw in found)
         assert poses.of_run(plan, run) == expected
         assert len(set(expected)) == 3
-    assert poses.area(plan) == Area((-1, 1), (2, 3)), "it is the same for all runs"
-    some = make(tmp_path / "some", OPTIONS + "poses = [[1, 2], [3, 4, 0.5], [0, 9]]\n", more=more)
-    assert poses.area(sierra.open(some).plan("population_size=2", runs=1)) == Area((0, 3), (2, 9))
-    assert poses.area(sierra.open(make(tmp_path / "none", more=more)).plan("population_size=2", runs=1)) is None
-
-
-class Placing:
-    """A platform that tells robots where they start, and does not know the area of all runs."""
-
-    def start_poses(self, document: bytes) -> tuple[Pose, ...]:
-        return (Pose(sum(document), 1),)
-
-
-def test_the_area_contains_the_poses_of_all_runs_if_the_platform_does_not_know_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = sierra.open(make(tmp_path / "p", more="[trials]\nsupervised = true\n")).plan("population_size=1", runs=8)
-    monkeypatch.setattr("sierra.platforms.find", lambda *_: Placing())
-    x = [poses.of_run(plan, run)[0].x for run in plan.batch.runs]
-    assert poses.area(plan) == Area((min(x), max(x)), (1, 1))
-    assert min(x) < max(x)
 
 
 @pytest.mark.parametrize("declared", ["poses = [[1, 2]]", "draw_poses = { count = 1, x = [0, 1], y = [0, 1] }"])

@@ -20,7 +20,7 @@ def test_an_option_of_an_extension_holds_for_one_call(tmp_path: Path) -> None:
 
 
 @pytest.mark.each_case
-@pytest.mark.parametrize("module", ["scene", "text_strip"])
+@pytest.mark.parametrize("module", ["painting.scene", "painting.text_strip"])
 def test_what_draws_videos_loads_matplotlib_without_settings_of_the_environment(tmp_path: Path, module: str) -> None:
     (tmp_path / "matplotlibrc").write_bytes(b"font.size: x\n\xff\n")
     variables = os.environ | {"MPLBACKEND": "none", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from sierra.cli import pose_map
-from sierra.model import Area, Pose
 from tests import projects
 from tests.terminals import Terminal
 from tests.waiting import until
@@ -80,7 +78,7 @@ def test_a_person_starts_judges_and_repeats_trials(root: Path) -> None:
         terminal.answer("operator (Enter: ", "Ann")
         shown = terminal.answer(GO)
         assert "trial 1 of 1: population_size=1, run 0\r\n" in shown
-        assert "|1↑ " in shown
+        assert ", heading 90 degrees\r\n" in shown
         assert "2: x 2 m, y 1 m\r\n" in shown
         terminal.answer(VALID, "i")
         terminal.answer(REASON, "7")
@@ -141,7 +139,7 @@ def collecting(folder: Path) -> Iterator[Terminal]:
     """Yield the terminal of a trial whose files are being collected, after keys were typed in vain while robots stopped."""
     with Terminal(folder, sys.executable, "-c", ENDING) as terminal:
         before = terminal.mode()
-        assert "\nnot on the map: 0 (tracker), 2 (tb2)\r\n" in terminal.answer(GO)
+        assert "\nwithout a pose: 0 (tracker), 2 (tb2)\r\n" in terminal.answer(GO)
         terminal.expect("1 s; any key: stop  tb2 4.0 s 79 %")
         (folder / "lost").touch()
         terminal.expect("\nnote: tb2 does not answer\r\n")
@@ -208,32 +206,3 @@ def test_without_a_terminal_prompts_are_an_error_at_once_and_yes_answers_them(ro
     (root / "sierra.toml").write_text(projects.CONFIG)
     alone = projects.quick(root, "run", "population_size=1", "--operator", "Ann", "--no-figures")
     assert (alone.returncode, alone.stderr.partition(";")[0]) == (2, "sierra: --operator Ann: nobody supervises these runs")
-
-
-def test_a_map_shows_robots_where_they_start() -> None:
-    lines = pose_map.draw([Pose(0, 0, 90), Pose(4, 0, 180), Pose(4, 2), Pose(4, 2, 0)], plain=True)
-    assert lines[0] == f"+{'-' * 48}+"
-    assert lines[1].rstrip(" |").endswith("*"), "two robots have the same place"
-    assert lines[-7].startswith("|1^ ")
-    assert lines[-7].index("2<") == lines[1].index("*")
-    assert lines[-5:] == [
-        "x: 0 to 4 m (to the right), y: 0 to 2 m (up)",
-        "  1: x 0 m, y 0 m, heading 90 degrees",
-        "  2: x 4 m, y 0 m, heading 180 degrees",
-        "  3: x 4 m, y 2 m",
-        "  4: x 4 m, y 2 m, heading 0 degrees",
-    ]
-    assert len(pose_map.draw([Pose(1, 1)])) == 20, "one robot alone has room around it"
-
-
-def test_maps_of_an_area_have_one_scale_and_the_list_names_the_robots() -> None:
-    arena = Area((0, 4), (0, 3))
-    first, second = (pose_map.draw(poses, arena, {1: "tb1"}) for poses in ([Pose(1, 1), Pose(2, 2)], [Pose(4, 3), Pose(0, 0)]))
-    assert [line for line in first if line[0] not in " |"] == [line for line in second if line[0] not in " |"]
-    assert first[-3] == "x: 0 to 4 m (to the right), y: 0 to 3 m (up)"
-    assert first[-2:] == ["  1 (tb1): x 1 m, y 1 m", "  2: x 2 m, y 2 m"]
-    rows = [row for row in range(1, 17) if first[row].strip("| ")]
-    assert [(row, first[row].find(character)) for row, character in zip(rows, "21", strict=True)] == [(6, 21), (11, 11)]
-    assert (second[1].index("1"), second[16].index("2")) == (41, 1)
-    assert pose_map.draw([Pose(5, 1)], arena)[-2] == "x: 0 to 5 m (to the right), y: 0 to 3 m (up)", "nobody is left out"
-    assert pose_map.draw([Pose(0.1, 0.1)], Area((0, 0.2), (0, 0.2)))[-2].startswith("x: 0 to 0.2 m"), "a small arena"

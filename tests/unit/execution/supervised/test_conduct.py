@@ -16,7 +16,6 @@ import sierra
 from sierra.errors import Missing, UsageError
 from sierra.execution import execute_missing
 from sierra.execution.supervised.supervisor import Agreeing, Attendant, Ended, Start, Trial, Verdict
-from sierra.model import Area
 from sierra.runners.base import Beat
 from tests import projects, robots
 
@@ -198,7 +197,6 @@ def test_each_trial_names_the_robots_that_take_part_now_and_shows_the_same_area(
     first, *others = script.trials
     assert first.robots == {place: f"tb3-0{place}" for place in range(1, len(first.poses) + 1)}
     assert [one.robots[1] for one in others] == ["spare", "spare"]
-    assert {one.area for one in script.trials} == {Area((0, 4), (-1, 1))}
     for row in projects.sql(root, "SELECT position, robot FROM robots JOIN trials USING (execution) WHERE place = 1"):
         assert row["robot"] == script.trials[row["position"]].robots[1]
 

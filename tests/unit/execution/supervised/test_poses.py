@@ -11,7 +11,7 @@ import pytest
 from sierra.config.trial_tables import DrawnPoses, Trials
 from sierra.errors import ConfigError
 from sierra.execution.supervised import poses
-from sierra.model import Area, Pose
+from sierra.model import Pose
 
 DRAWN = Trials(draw_poses=DrawnPoses(count="population_size", x=(0.0, 4.0), y=(-1.0, 2.0), apart=0.5))
 
@@ -30,12 +30,6 @@ def test_drawn_poses_follow_from_the_seed_and_keep_their_distance() -> None:
     assert all(0 <= one.x <= 4 and -1 <= one.y <= 2 for one in drawn)
     assert all(math.dist(one[:2], other[:2]) >= 0.5 for one, other in combinations(drawn, 2))
     assert drawn[:3] == poses.declared(DRAWN, 7, {"population_size": 3}), "more robots leave the others where they are"
-
-
-def test_the_area_of_all_runs_is_that_of_the_declaration() -> None:
-    assert poses.declared_area(DRAWN) == Area((0.0, 4.0), (-1.0, 2.0))
-    assert poses.declared_area(Trials(poses=((0.0, 1.0), (2.0, 3.0, 90.0)))) == Area((0.0, 2.0), (1.0, 3.0))
-    assert poses.declared_area(Trials()) is None
 
 
 @pytest.mark.parametrize(
