@@ -72,6 +72,7 @@ check: install ## style, types, the layers of the design, and its size
 	$(BIN)/mypy sierra
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tests/bench/ratchet.py
+	$(BIN)/python tests/bench/extension_names.py
 
 format: install ## rewrite the code in the project's style
 	$(BIN)/ruff check --fix

@@ -34,3 +34,18 @@ def test_only_numbers_that_fell_are_written(modules: tuple[ModuleType, ModuleTyp
     now = {"size": {"core code": 19}, "imported": {"run -n": 9, "run": 6}}
     limits = {"size": {"core code": 20}, "imported": {"run -n": 7, "run": 8}}
     assert ratchet.lowered(text, limits, now) == '# limits\n[size]\n"core code" = 19\n\n[imported]\n"run -n" = 7\n"run" = 6\n'
+
+
+def test_a_condition_of_the_core_must_not_name_an_extension(
+    modules: tuple[ModuleType, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import extension_names
+
+    monkeypatch.delitem(sys.modules, "extension_names")
+    assert extension_names.main() == 0
+    (tmp_path / "sierra" / "cli").mkdir(parents=True)
+    (tmp_path / "sierra" / "cli" / "run.py").write_text('def f(kind):\n    return 1 if kind == "gazebo" else "argos"\n')
+    monkeypatch.setattr(extension_names, "ROOT", tmp_path)
+    monkeypatch.setattr(extension_names, "EXCEPTIONS", set())
+    assert extension_names.main() == 1
+    assert capsys.readouterr().err == "sierra/cli/run.py:2: a condition names 'gazebo', which belongs to an extension\n"
