@@ -65,7 +65,6 @@ if TYPE_CHECKING:
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest
-    from sierra.replay.capture import Captures
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.resource_estimate import Estimate
     from sierra.store.derived_tables import Rules
@@ -344,7 +343,7 @@ class Project:
             self.runner_of(plan, runner, detach=detach, jobs=jobs),
             fail_fast,
             selected,
-            observer=observer or _observer(progress),
+            observer=observer or observer_for(progress),
             detach=detach,
             supervisor=supervisor,
         )
@@ -387,7 +386,7 @@ class Project:
         from sierra.studies import study
 
         planned = study.design(self._loaded, plan, until, max_runs)
-        told = observer or _observer(progress)
+        told = observer or observer_for(progress)
 
         def larger(runs: int) -> Plan:
             request = plan.request.model_copy(update={"runs": runs})
@@ -684,36 +683,7 @@ class Project:
 
         options = ReplayOptions(slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
         execute = replay.replay if record else replay.unrecorded
-        return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
-
-    def capture(
-        self,
-        prefix: str | None = None,
-        *,
-        runs: int = 1,
-        jobs: int | None = None,
-        runner: str = "local",
-        engine: str | None = None,
-        again: bool = False,
-        observer: Observer | None = None,
-        progress: bool | None = None,
-    ) -> Captures:
-        """Execute recorded runs once more with rendering, for their frames alone; compare the rest with the record.
-
-        `prefix` is a batch, experiment, run or execution, or the name of a query, by default the last batch. `runs`: the number
-        of runs of each experiment, the first ones. Runs whose frames are recorded are not executed `again`. `[capture]` and the
-        platform say how runs render. Raises ConfigError if they do not, and the errors of `replay`.
-
-        >>> project.capture(summary.batch)
-        Traceback (most recent call last):
-        sierra.errors.ConfigError: nothing says how runs of platform 'command' render; ...
-        """
-        from sierra.replay import capture
-
-        if prefix is None or prefix in self.config.queries:
-            prefix = self.batch(prefix)
-        options = capture.CaptureOptions(slots(jobs), runs, runner, engine, again)
-        return capture.capture(self._loaded, self.store, prefix, options, observer or _observer(progress))
+        return execute(self._loaded, self.store, prefix, options, observer or observer_for(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False, runs: Container[str] | None = None) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.resource_estimate`.
@@ -775,7 +745,7 @@ class Project:
         """
         from sierra.execution import takeover
 
-        summary = self._described(takeover.follow(self.store, prefix, observer or _observer(progress)))
+        summary = self._described(takeover.follow(self.store, prefix, observer or observer_for(progress)))
         return self._drawn(summary) if figures else summary
 
     def cancel(self, prefix: str, *, observer: Observer | None = None) -> list[Cancelled]:
@@ -1738,7 +1708,7 @@ def reproduce(
 
     options = steps.Options(slots(jobs), tuple(claims), budget, engine, runner)
     folder = None if into is None else Path(into)
-    return steps.reproduce(Path(package), folder, options, agree or steps.isolated_only, observer or _observer(progress))
+    return steps.reproduce(Path(package), folder, options, agree or steps.isolated_only, observer or observer_for(progress))
 
 
 def report_package(
@@ -1762,7 +1732,8 @@ def report_package(
     return report.write(received.open_package(Path(package)), None if to is None else Path(to), tell)
 
 
-def _observer(wanted: bool | None) -> Observer:
+def observer_for(wanted: bool | None) -> Observer:
+    """Return the observer that shows the progress of executions, if that is `wanted`; None: in terminals and notebooks."""
     from sierra.execution import progress_display as progress
 
     return progress.observer(wanted)

@@ -26,7 +26,6 @@ COMMANDS = {
     "attach": "sierra.cli.attach:attach",
     "cancel": "sierra.cli.cancel:cancel",
     "replay": "sierra.cli.replay:replay",
-    "capture": "sierra.cli.capture:capture",
     "diff": "sierra.cli.diff:diff",
     "compare": "sierra.cli.compare:compare",
     "plan-n": "sierra.cli.plan_n:plan_n",

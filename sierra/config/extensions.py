@@ -82,9 +82,13 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "examples": {name: f"examples/{name}" for name in ("jsbsim", "mujoco", "sumo")},
     },
     "videos": {
-        "commands": {"video": "command:video", "open video": "of_package:video"},
+        "commands": {
+            "video": "command:video",
+            "open video": "of_package:video",
+            "capture": "capture_command:capture",
+        },
         "options": {"package --no-videos": "command:left_out"},
-        "tables": {"videos": "table:TABLE"},
+        "tables": {"videos": "table:TABLE", "capture": "rendered_runs:TABLE"},
         "deliverables": {"video": "deliverable:Videos"},
     },
 }

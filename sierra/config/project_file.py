@@ -18,7 +18,6 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, Serial
 
 from sierra.config import extensions, group_names, targets
 from sierra.config import forbidden_directives as directives
-from sierra.config.capture_table import Capture
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.claim_table import Claim
 from sierra.config.cluster_table import ClusterTable, check_directives
@@ -237,7 +236,6 @@ class Project(Table):
     paper_tables: Mapping[Name, TableForPaper] = Field(
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
-    capture: Capture = Capture.model_construct()
     models: Mapping[Name, Model] = Field(
         default_factory=dict, description="predictions that are drawn with the data, by name, for figures and `sierra models`"
     )

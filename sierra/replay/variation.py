@@ -1,6 +1,6 @@
 """Variation: the ways in which a replay executes recorded runs otherwise than they were recorded, and what it records.
 
-`Variation` itself changes nothing. `sierra.replay.capture` has the one that makes runs render.
+`Variation` itself changes nothing. `sierra.extensions.videos.capture_runs` has the one that makes runs render.
 """
 
 from __future__ import annotations

@@ -49,8 +49,6 @@ class Use(NamedTuple):
     """The lines of sierra.toml that need it."""
     refused: str = ""
     """The beginning of the message without it."""
-    makes: tuple[str, ...] = ()
-    """The command that makes deliverables with it."""
 
 
 USES = {
@@ -77,10 +75,9 @@ USES = {
     "sierra1": Use(("--from-sierra1",)),
     "simulators": Use(("[platforms.sumo]",), "[platforms.sumo]\nend = 1.0\n", "[platforms.sumo]: the platform 'sumo'"),
     "videos": Use(
-        ("sierra video", "[videos"),
-        '[videos.map]\nkind = "poses"\ntable = "swarm"\ncolumn = ["tick", "coverage"]\n',
+        ("video  ", "capture  ", "[videos", "[capture]"),
+        '[capture]\nwall = 60\n[videos.map]\nkind = "poses"\ntable = "swarm"\ncolumn = ["tick", "coverage"]\n',
         "'videos'",
-        ("video",),
     ),
 }
 PACKAGE = '[package]\ntitle = "A study"\nauthors = [{ name = "Ada Lovelace" }]\nlicense = "MIT"\n'

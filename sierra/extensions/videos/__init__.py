@@ -1,4 +1,7 @@
-"""Videos of batches: their states at each time, drawn and encoded. `videos` is the function for Python."""
+"""Videos of batches: their states at each time, drawn and encoded; and frames that recorded runs render.
+
+`videos` and `capture` are the functions for Python.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
+    from sierra.execution.observer import Observer
+    from sierra.extensions.videos.capture_runs import Captures
     from sierra.extensions.videos.render import Made
 
 
@@ -34,3 +39,30 @@ def videos(
         raise UsageError(f"a video shows two batches at most, not {len(batches)}")
     found = project.groups_of(batches) if len(batches) == 2 else {"": project.batch(*batches)}
     return render.videos(project.loaded, project.store, found, names, jobs=slots(jobs), progress=progress)
+
+
+def capture(
+    project: Project,
+    prefix: str | None = None,
+    *,
+    runs: int = 1,
+    jobs: int | None = None,
+    runner: str = "local",
+    engine: str | None = None,
+    again: bool = False,
+    observer: Observer | None = None,
+    progress: bool | None = None,
+) -> Captures:
+    """Execute recorded runs once more with rendering, for their frames alone; compare the rest with the record.
+
+    `prefix` is a batch, experiment, run or execution, or the name of a query, by default the last batch. `runs`: the number
+    of runs of each experiment, the first ones. Runs whose frames are recorded are not executed `again`. `[capture]` and the
+    platform say how runs render. Raises ConfigError if they do not, and the errors of `replay`.
+    """
+    from sierra.api import observer_for, slots
+    from sierra.extensions.videos import capture_runs
+
+    if prefix is None or prefix in project.config.queries:
+        prefix = project.batch(prefix)
+    options = capture_runs.CaptureOptions(slots(jobs), runs, runner, engine, again)
+    return capture_runs.capture(project.loaded, project.store, prefix, options, observer or observer_for(progress))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.extensions.videos import capture
 from tests import containers, projects
 from tests.clusters import Slurm
 
@@ -48,7 +49,7 @@ def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -
     assert str(store.replay(batch.batch).verdict) == "identical"
     with (project / "sierra.toml").open("a") as file:
         file.write('[capture]\narguments = "{output}/frames"\nfiles = "frames/{tick}.pbm"\n')
-    assert sierra.open(project).capture(runner="slurm").verdict == "identical"
+    assert capture(sierra.open(project), runner="slurm").verdict == "identical"
     frames = {"frames": 3, "verdict": "identical", "engine": "apptainer", "on_node": True, "n": 2}
     assert store.sql(CAPTURED).to_pylist() == [frames]
 

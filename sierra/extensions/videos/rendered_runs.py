@@ -33,6 +33,9 @@ DISPLAY = "capture_display"
 OF_PLATFORM = ("camera", "interval")
 """The keys of `[capture]` that only platforms that render have."""
 
+TABLE: tuple[object, object] = (Capture, Capture.model_construct())
+"""The key `capture` of `sierra.toml`."""
+
 
 class RenderedRuns(Variation):
     """The variation with which the runs of one specification render."""
@@ -42,7 +45,7 @@ class RenderedRuns(Variation):
     def __init__(self, project: LoadedProject, recorded: RunSpec) -> None:
         """Raises ConfigError if neither the platform nor `[capture]` says how runs render."""
         self._project = project
-        self._table = project.config.capture
+        self._table = _declared(project)
         self.rendering = _rendering(project, recorded)
         self._spec = _with_rendering(recorded, self.rendering)
         self._frames = options(Output, {"file": self.rendering.files, "format": FILE_FORMAT}, "[capture] files")
@@ -130,8 +133,13 @@ def _names(config: Project, recorded: Files) -> list[str]:
     return names
 
 
+def _declared(project: LoadedProject) -> Capture:
+    found: Capture = project.config.added("capture", TABLE[1])
+    return found
+
+
 def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
-    table, config = project.config.capture, project.config
+    table, config = _declared(project), project.config
     contained = recorded.image is not None
     made = config.build.produces if config.build else ()
     known = (*OWN_PLACEHOLDERS, *PORT_NAMES)

@@ -11,7 +11,7 @@ from sierra.cli.arguments import AsJson, Jobs, Runner
 from sierra.cli.output import note, print_json, table
 
 if TYPE_CHECKING:
-    from sierra.replay.capture import Captures
+    from sierra.extensions.videos.capture_runs import Captures
 
 
 def capture(
@@ -48,11 +48,19 @@ def capture(
     """
     from sierra.cli import open_project
     from sierra.cli.progress import watching
+    from sierra.extensions.videos import capture as capture_frames
 
     project = open_project.project()
     with watching(quiet=as_json) as display:
-        answer = project.capture(
-            prefix, runs=runs, jobs=jobs, runner=runner, engine=engine, again=again, observer=None if as_json else display
+        answer = capture_frames(
+            project,
+            prefix,
+            runs=runs,
+            jobs=jobs,
+            runner=runner,
+            engine=engine,
+            again=again,
+            observer=None if as_json else display,
         )
     if as_json:
         print_json(answer)

@@ -14,6 +14,7 @@ import pytest
 import sierra
 from sierra.api import Project
 from sierra.errors import Missing, NotFound
+from sierra.extensions.videos import capture
 from sierra.extensions.videos import videos as make_videos
 from tests import projects, videos
 from tests.waiting import until
@@ -204,7 +205,7 @@ def test_a_display_needs_xvfb(root: Path, monkeypatch: pytest.MonkeyPatch, tmp_p
     configured(root, CAPTURE + "display = true\n")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(Missing, match="rendering needs Xvfb, which is not installed here"):
-        sierra.open(root).capture()
+        capture(sierra.open(root))
 
 
 @pytest.mark.nightly
@@ -232,10 +233,10 @@ def test_runs_of_one_experiment_or_one_id_are_captured_with_the_recorded_code(ro
     (root / "sierra.toml").write_text(config + 'wall = 30\noutput = "1 MB"\n')
     project = sierra.open(root)
     [run] = table(project, "SELECT run FROM batch_runs WHERE ordinal = 1 AND number = 1")
-    answer = project.capture(run["run"])
+    answer = capture(project, run["run"])
     assert [(row.run, row.verdict) for row in answer.made] == [(run["run"], "identical")]
     [experiment] = table(project, "SELECT experiment FROM experiments WHERE ordinal = 0")
-    assert len(project.capture(experiment["experiment"], runs=2).made) == 2
+    assert len(capture(project, experiment["experiment"], runs=2).made) == 2
 
 
 @pytest.mark.integration

@@ -18,11 +18,11 @@ from sierra.config.project_file import LoadedProject
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import plan_from_record, recover, sessions, targets
 from sierra.execution.observer import Observer
+from sierra.extensions.videos.rendered_runs import RenderedRuns, check_display
 from sierra.model import RunSpec, Status
 from sierra.replay import replay
 from sierra.replay.compare_values import Verdict, worst
 from sierra.replay.options import ReplayOptions
-from sierra.replay.rendered_runs import RenderedRuns, check_display
 from sierra.replay.verdicts import Compared, Replay
 from sierra.store import captures
 from sierra.store.recorded_files import ChosenExecution, take
