@@ -1,11 +1,11 @@
-"""A small PBS in one folder: `qsub`, `qstat` and `qdel` with the observed behaviour of OpenPBS 23.06, or of Torque 6.
+"""A small PBS in one folder: `qsub`, `qstat` and `qdel` with the observed behaviour of OpenPBS 23.06.
 
 No server runs: each command reads and writes one file, under a lock. Scripts really execute, in processes that outlive the
 command, in the user's home folder, with the few variables that PBS sets. It uses only the standard library, because the
 commands run this file. It has these properties of a real PBS:
 
-- an array of one index is refused (OpenPBS), and so is an empty script on standard input (here: any script there);
-- ended jobs are unknown (153), or, with a history, reported as ended (35); Torque shows them for a while, as C;
+- an array of one index is refused, and so is an empty script on standard input (here: any script there);
+- ended jobs are unknown (153), or, with a history, reported as ended (35);
 - ended array tasks of a running array are X; the array's exit status is 0 (or 1) for any status of its tasks, and
   without a history the tasks show it, too;
 - only the array is held, or waits for others, and not its array tasks;
@@ -13,7 +13,7 @@ commands run this file. It has these properties of a real PBS:
 - the output of a job is copied to the host of `qsub`, even to `/dev/null`, which may take long; until then its state is E;
 - long lines of text are wrapped by a line feed and a tab; a quotation mark may make the JSON invalid;
 - jobs that wait for others are held by the system; if those fail, they are deleted; and so are jobs that wait for one
-  that OpenPBS does not know (any more): it accepts them nevertheless.
+  that is not known (any more): they are accepted nevertheless.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 HOST = "pbs1"
-OPTIONS = {"openpbs": "a:A:C:e:hj:J:k:l:m:M:N:o:p:P:q:r:S:v:VW:z", "torque": "a:A:C:e:hj:k:l:m:M:N:o:p:q:r:S:t:v:VW:z"}
-VERSIONS = {"openpbs": ("pbs_version = 23.06.06", sys.stdout), "torque": ("Version: 6.1.2\nCommit: 66cfc0", sys.stderr)}
+OPTIONS = "a:A:C:e:hj:J:k:l:m:M:N:o:p:P:q:r:S:v:VW:z"
+VERSION = "23.06.06"
 CALLER = ("HOME", "LANG", "LOGNAME", "PATH", "MAIL", "SHELL", "TZ")
 DEFAULTS: dict[str, Any] = {
     "slots": 8,
@@ -59,11 +59,11 @@ DEFAULTS: dict[str, Any] = {
 class Server:
     """The server as tests use it: its folder of commands must be first on the PATH."""
 
-    def __init__(self, folder: Path, dialect: str) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.bin = folder / "bin"
         self.bin.mkdir(parents=True)
-        (folder / "state.json").write_text(json.dumps({"dialect": dialect, **DEFAULTS, "next": 1, "jobs": {}}))
+        (folder / "state.json").write_text(json.dumps({**DEFAULTS, "next": 1, "jobs": {}}))
         for command in ("qsub", "qstat", "qdel"):
             program = self.bin / command
             program.write_text(
@@ -126,9 +126,7 @@ def main(folder: str, command: str, words: list[str]) -> None:
     with (Path(folder) / "calls").open("a") as log:
         log.write(json.dumps([command, *words]) + "\n")
     if words == ["--version"]:
-        with opened(Path(folder)) as state:
-            said, stream = VERSIONS[state["dialect"]]
-        print(said, file=stream)
+        print(f"pbs_version = {VERSION}")
         return
     with opened(Path(folder)) as state:
         if state["down"]:
@@ -148,13 +146,12 @@ def refuse(command: str, words: str, status: int, *, before: str = "") -> NoRetu
 
 
 def qsub(folder: Path, state: dict[str, Any], words: list[str]) -> None:
-    dialect = state["dialect"]
     try:
-        given, files = getopt.getopt(words, OPTIONS[dialect])
+        given, files = getopt.getopt(words, OPTIONS)
         if not files:
             refuse("qsub", "script not a file", 2)
         text = Path(files[0]).read_text()
-        said, rest = getopt.getopt(directives(text), OPTIONS[dialect])
+        said, rest = getopt.getopt(directives(text), OPTIONS)
         if rest:
             refuse("qsub", f"directive error: {' '.join(rest)}", 2)
     except getopt.GetoptError as error:
@@ -162,8 +159,8 @@ def qsub(folder: Path, state: dict[str, Any], words: list[str]) -> None:
     options: dict[str, list[str]] = {}
     for name, value in (*said, *given):
         options.setdefault(name[1], []).append(value)
-    places = wanted(dialect, options)
-    check(state, dialect, options, places or [None])
+    places = wanted(options)
+    check(state, options, places or [None])
     number = str(state["next"])
     state["next"] += 1
     script = folder / f"{number}.SC"
@@ -206,10 +203,7 @@ def directives(text: str) -> list[str]:
     return words
 
 
-def wanted(dialect: str, options: dict[str, list[str]]) -> list[int] | None:
-    if dialect == "torque" and "t" in options:
-        ends = [part.split("-") for part in options["t"][-1].partition("%")[0].split(",")]
-        return [index for part in ends for index in range(int(part[0]), int(part[-1]) + 1)]
+def wanted(options: dict[str, list[str]]) -> list[int] | None:
     if "J" not in options:
         return None
     match = re.fullmatch(r"(\d+)-(\d+)(?::(\d+))?(?:%\d+)?", options["J"][-1])
@@ -220,27 +214,21 @@ def wanted(dialect: str, options: dict[str, list[str]]) -> list[int] | None:
     return list(range(int(match[1]), int(match[2]) + 1, int(match[3] or 1)))
 
 
-def check(state: dict[str, Any], dialect: str, options: dict[str, list[str]], places: Sequence[int | None]) -> None:
+def check(state: dict[str, Any], options: dict[str, list[str]], places: Sequence[int | None]) -> None:
     if len(options.get("N", [""])[-1]) > 15:
         refuse("qsub", "illegal -N value", 2)
     if options.get("q", ["workq"])[-1] not in state["queues"]:
-        refuse("qsub", "Unknown queue" + (" MSG=cannot locate queue" if dialect == "torque" else ""), 170)
+        refuse("qsub", "Unknown queue", 170)
     if len(places) > state["max_array_size"]:
         refuse("qsub", "Array job exceeds server or queue size limit", 2)
     there = sum(task["status"] is None for job in state["jobs"].values() for task in job["tasks"].values())
     if there + len(places) > state["max_queued"]:
-        words = {"openpbs": "would exceed complex's per-user limit", "torque": "Maximum number of jobs already in queue"}
-        refuse("qsub", words[dialect], 1)
-    if dialect == "torque" and never(state, options):
-        refuse("qsub", "Job exceeds queue resource limits MSG=cannot locate feasible nodes", 188)
-    for word in options.get("W", []):
-        if dialect == "torque" and word.startswith("depend=") and not found(state, word.rpartition(":")[2]):
-            refuse("qsub", "Invalid Job Dependency", 1)
+        refuse("qsub", "would exceed complex's per-user limit", 1)
 
 
 def never(state: dict[str, Any], options: dict[str, list[str]]) -> str:
     """Return the scheduler's comment on a request that no node satisfies."""
-    asked = [int(cores) for words in options.get("l", []) for cores in re.findall(r"(?:ncpus|ppn)=(\d+)", words)]
+    asked = [int(cores) for words in options.get("l", []) for cores in re.findall(r"ncpus=(\d+)", words)]
     if max(asked, default=1) <= state["cpus"]:
         return ""
     most = state["cpus"]
@@ -265,7 +253,7 @@ def found(state: dict[str, Any], text: str) -> tuple[str, str] | None:
 
 
 def known(state: dict[str, Any], job: dict[str, Any]) -> bool:
-    return bool(state["history"] or state["dialect"] == "torque" or alive(job))
+    return bool(state["history"] or alive(job))
 
 
 def alive(job: dict[str, Any]) -> bool:
@@ -279,7 +267,7 @@ def schedule(folder: Path, state: dict[str, Any]) -> None:
         waits = job["depend"] and after(state, job)
         for place, task in job["tasks"].items():
             if task["state"] == "Q" and free > 0 and not waits and not job["comment"] and job["hold"] == "n":
-                begin(folder, number, place, job, task, torque=state["dialect"] == "torque")
+                begin(folder, number, place, job, task)
                 free -= 1
 
 
@@ -292,7 +280,7 @@ def after(state: dict[str, Any], job: dict[str, Any]) -> bool:
     return alive(first)
 
 
-def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any], *, torque: bool) -> None:
+def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any]) -> None:
     home = os.environ.get("HOME", "/")
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # until its executor can handle it
     environment = {
@@ -303,9 +291,7 @@ def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict
         **job["variables"],
     }
     environment |= {"PBS_JOBID": identity(number, job, place), "PBS_ENVIRONMENT": "PBS_BATCH"}
-    if place and torque:
-        environment |= {"PBS_ARRAYID": place}
-    elif place:
+    if place:
         environment |= {"PBS_ARRAY_INDEX": place, "PBS_ARRAY_ID": identity(number, job)}
     words = [str(folder), number, place, job["shell"], job["script"]]
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import pbs; pbs.execute(*sys.argv[1:])"
@@ -353,17 +339,16 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
     with opened(Path(folder)) as state:
         job = state["jobs"][number]
         job["tasks"][place]["state"] = "E"
-    if state["dialect"] == "openpbs" and not job["output"].startswith("localhost:"):
+    if not job["output"].startswith("localhost:"):
         time.sleep(state["copying"])
     with opened(Path(folder)) as state:
-        deliver(spool, state["jobs"][number], place, torque=state["dialect"] == "torque")
+        deliver(spool, job["output"].removeprefix("localhost:"))
         state["jobs"][number]["tasks"][place].update(state="F", status=-29 if over else 256 - status if status < 0 else status)
         schedule(Path(folder), state)
 
 
-def deliver(spool: Path, job: dict[str, Any], place: str, *, torque: bool) -> None:
-    """Copy a task's output to the path of the job; Torque adds the index of an array task, even to /dev/null."""
-    target = job["output"].removeprefix("localhost:") + (f"-{place}" if torque and place else "")
+def deliver(spool: Path, target: str) -> None:
+    """Copy a task's output to the path of the job."""
     if target != "/dev/null":
         spool.replace(target if not target.startswith("/dev/") else spool.with_name("undelivered"))
 
@@ -388,7 +373,7 @@ def qdel(folder: Path, state: dict[str, Any], words: list[str]) -> None:
             status = 35
         else:
             tasks = state["jobs"][meant[0]]["tasks"]
-            if meant[1] and tasks[meant[1]]["status"] is not None and state["dialect"] == "openpbs":
+            if meant[1] and tasks[meant[1]]["status"] is not None:
                 sys.stderr.write(f"qdel: Request invalid for finished array subjob {word}\n")
                 status = 55
             for task in [tasks[meant[1]]] if meant[1] else tasks.values():
@@ -399,22 +384,16 @@ def qdel(folder: Path, state: dict[str, Any], words: list[str]) -> None:
 
 
 def qstat(folder: Path, state: dict[str, Any], words: list[str]) -> None:
-    torque = state["dialect"] == "torque"
     try:
-        given, ids = getopt.getopt(words, "BQftx" if torque else "BQftxF:")
+        given, ids = getopt.getopt(words, "BQftxF:")
     except getopt.GetoptError as error:
         refuse("qstat", f"invalid option -- '{error.opt}'", 2)
     options = dict(given)
-    if "-x" in options:
-        if torque:
-            print("<Data></Data>")
-            return
-        if not state["history"]:
-            refuse("qstat", "PBS is not configured to maintain job history", 2)
+    if "-x" in options and not state["history"]:
+        refuse("qstat", "PBS is not configured to maintain job history", 2)
     if "-B" in options:
-        limit = {name: f"[u:PBS_GENERIC={state[name]}]" for name in ("max_queued", "max_run")} if not torque else {}
-        size = "max_job_array_size" if torque else "max_array_size"
-        print(folded("Server", HOST, {"default_queue": "workq", **limit, size: state["max_array_size"]}))
+        limit = {name: f"[u:PBS_GENERIC={state[name]}]" for name in ("max_queued", "max_run")}
+        print(folded("Server", HOST, {"default_queue": "workq", **limit, "max_array_size": state["max_array_size"]}))
         return
     if "-Q" in options:
         for queue in ids or state["queues"]:
@@ -422,19 +401,19 @@ def qstat(folder: Path, state: dict[str, Any], words: list[str]) -> None:
                 refuse("qstat", f"Unknown queue {queue}", 170)
             print(folded("Queue", queue, {"queue_type": "Execution", "resources_max.walltime": "24:00:00"}))
         return
-    status, records = listed(state, ids, torque=torque)
+    status, records = listed(state, ids)
     if "-F" not in options:
         print("\n".join(folded("Job Id", name, record) for name, record in records.items()))
     else:
-        answer = {"timestamp": int(time.time()), "pbs_version": "23.06.06", **({"Jobs": records} if records else {})}
+        answer = {"timestamp": int(time.time()), "pbs_version": VERSION, **({"Jobs": records} if records else {})}
         text = json.dumps(answer, indent="\t")
         print(text.replace('"Checkpoint": "u"', '"Checkpoint": "u"u"') if state["broken_json"] else text)
     if status:
         raise SystemExit(status)
 
 
-def listed(state: dict[str, Any], ids: list[str], *, torque: bool) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Return the exit status and records of these jobs, or of all that have not ended (in Torque: of all)."""
+def listed(state: dict[str, Any], ids: list[str]) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Return the exit status and records of these jobs, or of all that have not ended."""
     numbers, status = list(state["jobs"]), 0
     if ids:
         numbers = []
@@ -443,7 +422,7 @@ def listed(state: dict[str, Any], ids: list[str], *, torque: bool) -> tuple[int,
             if meant is None:
                 sys.stderr.write(f"qstat: Unknown Job Id {text}\n")
                 status = 153
-            elif not torque and not alive(state["jobs"][meant[0]]):
+            elif not alive(state["jobs"][meant[0]]):
                 sys.stderr.write(f"qstat: {text} Job has finished, use -x or -H to obtain historical job information\n")
                 status = 35
             else:
@@ -451,12 +430,12 @@ def listed(state: dict[str, Any], ids: list[str], *, torque: bool) -> tuple[int,
     records: dict[str, dict[str, Any]] = {}
     for number in numbers:
         job = state["jobs"][number]
-        if torque or alive(job):
-            records |= described(number, job, state, torque=torque)
+        if alive(job):
+            records |= described(number, job, state)
     return status, records
 
 
-def described(number: str, job: dict[str, Any], state: dict[str, Any], *, torque: bool) -> dict[str, dict[str, Any]]:
+def described(number: str, job: dict[str, Any], state: dict[str, Any]) -> dict[str, dict[str, Any]]:
     records = {}
     common = {
         "Job_Name": job["name"],
@@ -469,23 +448,23 @@ def described(number: str, job: dict[str, Any], state: dict[str, Any], *, torque
     }
     waits = bool(job["depend"]) and any(task["state"] == "Q" for task in job["tasks"].values())
     hold = "s" if waits else job["hold"]
-    if job["array"] and not torque:
+    if job["array"]:
         states = {task["state"] for task in job["tasks"].values()}
         letter = "H" if hold != "n" else "B" if states != {"Q"} else "Q"
         whole = {"job_state": letter, "Hold_Types": hold, "array": "True", "Exit_status": state["array_status"]}
         records[identity(number, job)] = common | whole
     for place, task in job["tasks"].items():
-        holds = task["state"] == "Q" and hold != "n" and (torque or not job["array"])
+        holds = task["state"] == "Q" and hold != "n" and not job["array"]
         letter = "H" if holds else task["state"]
         if letter == "F":
-            letter = "C" if torque else "X" if job["array"] else "F"
+            letter = "X" if job["array"] else "F"
         record = {**common, "job_state": letter, "Hold_Types": hold}
         if place:
-            record |= {"job_array_id": place, "Job_Name": f"{job['name']}-{place}"} if torque else {"array_index": int(place)}
+            record |= {"array_index": int(place)}
         if task["pid"]:
             record |= {"exec_host": f"{HOST}/0"}
         if task["status"] is not None:
-            record |= {"exit_status" if torque else "Exit_status": task["status"]}
+            record |= {"Exit_status": task["status"]}
         if letter == "X" and not state["history"]:
             record |= {"comment": "Subjob finished", "Exit_status": state["array_status"]}
             record.pop("exec_host", None)

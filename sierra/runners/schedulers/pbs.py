@@ -1,13 +1,13 @@
-"""PBS: OpenPBS (and PBS Pro), Torque, and the `qsub` that Debian's slurm-wlm-torque provides for SLURM.
+"""PBS: OpenPBS (and PBS Pro), and the `qsub` that Debian's slurm-wlm-torque provides for SLURM.
 
 `qsub --version` tells them apart. They have little in common but the names of their commands. The module `qsub` describes the
-input of each, and the module `qstat` the answers of each. These facts hold for all:
+input of each, and the module `qstat` the answers of each. These facts hold for both:
 
 - The script is always a file, because the SLURM wrapper does not read standard input. It is named without its folder, because
   the wrapper passes its arguments through a shell.
-- No history is requested: it is off by default in OpenPBS, and `-x` means XML in Torque. A job that is not listed has ended.
-  `qstat` with ids ends with status 153 (unknown) or 35 (finished) then. Exit statuses are not trusted: an array's is 0 or 1,
-  whatever its elements did.
+- No history is requested, because it is off by default in OpenPBS. A job that is not listed has ended. `qstat` with ids ends
+  with status 153 (unknown) or 35 (finished) then. Exit statuses are not trusted: an array's is 0 or 1, whatever its elements
+  did.
 - OpenPBS accepts a job that depends on a job that it does not know (any more), and deletes it at once. It is submitted again
   then.
 - The ids of one `qdel` are either all of whole jobs, or all of elements and plain jobs. If an array and an element of it are
@@ -64,11 +64,10 @@ SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin", "SBATCH_EXPORT": "ALL"}
 wrapper sees almost nothing. If sbatch were told to pass on nothing, it would start a login shell on the node for each task and
 wait for it, which may take minutes."""
 OPENPBS = re.compile(r"pbs_version\s*=\s*(\S+)")
-TORQUE = re.compile(r"^Version:\s*(\S+)", re.MULTILINE)
 JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
 UNREACHABLE = re.compile(
-    r"cannot connect|can not establish|connection (refused|reset|timed)|connection table full|no free connections"
-    r"|communication failure|protocol (error|failure)|premature end of message|shutting down|trqauthd|end of file|timed out"
+    r"cannot connect|connection (refused|reset|timed)|connection table full|no free connections"
+    r"|communication failure|protocol (error|failure)|premature end of message|shutting down|end of file|timed out"
     r"|unable to contact slurm|zero bytes|transport|could not establish a configuration",
     re.IGNORECASE,
 )
@@ -81,7 +80,7 @@ DEPENDENCY = re.compile(r"unknown job|dependency", re.IGNORECASE)
 
 
 class Pbs:
-    """The scheduler `pbs`, in any of its dialects."""
+    """The scheduler `pbs`, in either of its dialects."""
 
     name = "pbs"
     Options: ClassVar[type[ClusterTable]] = ClusterTable
@@ -115,7 +114,7 @@ class Pbs:
             return self._slurm.bounds()
         server = _first(_output_of("qstat", "-B", "-f"))
         queue = self._table.partition or server.get("default_queue", "")
-        return _bounds(server, _queue(queue), self._dialect)
+        return _bounds(server, _queue(queue))
 
     def script(self, request: Request) -> str:
         return qsub.script(request, self._table, self._dialect)
@@ -194,14 +193,12 @@ class Pbs:
         said = done.stdout + done.stderr
         if match := OPENPBS.search(said):
             return Dialect.OPENPBS, match[1]
-        if match := TORQUE.search(said):
-            return Dialect.TORQUE, match[1]
         if "Unknown option: version" in said:
             return Dialect.SLURM, ""
         words = _message(done)
         if UNREACHABLE.search(words):
             raise Missing(f"qsub cannot reach its cluster: {words}")
-        raise Missing(f"qsub --version names neither OpenPBS nor Torque: {words}")
+        raise Missing(f"qsub --version names no OpenPBS: {words}")
 
     @property
     def _dialect(self) -> Dialect:
@@ -223,14 +220,12 @@ class Pbs:
 
     def _listed(self, ids: Sequence[str]) -> list[qstat.Record] | None:
         """Return all jobs, or those with these ids; None if there is no answer, or if one of the jobs is gone."""
-        if self._dialect is Dialect.OPENPBS:
-            done = _call("qstat", "-t", "-f", "-F", "json", *ids)
-            try:
-                return None if done.returncode else list(qstat.json_records(done.stdout))
-            except ValueError:
-                pass
-        done = _call("qstat", "-t", "-f", *ids)
-        return None if done.returncode else list(qstat.text_records(done.stdout))
+        done = _call("qstat", "-t", "-f", "-F", "json", *ids)
+        try:
+            return None if done.returncode else list(qstat.json_records(done.stdout))
+        except ValueError:
+            done = _call("qstat", "-t", "-f", *ids)
+            return None if done.returncode else list(qstat.text_records(done.stdout))
 
 
 def _call(
@@ -311,10 +306,9 @@ def _queue(name: str) -> qstat.Record:
     return _first(done.stdout) if done and not done.returncode else {}
 
 
-def _bounds(server: qstat.Record, queue: qstat.Record, dialect: Dialect) -> Bounds:
-    arrays = [*_numbers(server, queue, names=("max_array_size", "max_job_array_size"))]
-    arrays += [Limit(ARRAY, "the default of max_array_size")] if dialect is Dialect.OPENPBS and not arrays else []
-    jobs = [*_numbers(server, queue, names=("max_queuable", "max_user_queuable")), *_of_user(server, queue, name="max_queued")]
+def _bounds(server: qstat.Record, queue: qstat.Record) -> Bounds:
+    arrays = [*_numbers(server, queue, names=("max_array_size",))] or [Limit(ARRAY, "the default of max_array_size")]
+    jobs = [*_numbers(server, queue, names=("max_queuable",)), *_of_user(server, queue, name="max_queued")]
     running = [*_numbers(server, queue, names=("max_running", "max_user_run")), *_of_user(server, queue, name="max_run")]
     name = "resources_max.walltime"
     walls = [Limit(_seconds(one[name]), _source(one, name)) for one in (server, queue) if name in one]

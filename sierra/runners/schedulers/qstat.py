@@ -1,6 +1,6 @@
 """Parser of the answers of `qstat`, into records and tasks.
 
-Two forms are read. The text of `qstat -f` is the same in OpenPBS, Torque and SLURM's wrapper:
+Two forms are read. The text of `qstat -f` is the same in OpenPBS and SLURM's wrapper:
 
     Job Id: 5[3].pbs1
         Job_Name = sierra-12ab
@@ -29,8 +29,8 @@ ELEMENTS = "SIERRA_ELEMENTS"
 """The variable of a job that lists the elements of its tasks, by their places, if the scheduler does not know them."""
 HEAD = re.compile(r"(?:Job Id|Queue|Server):\s*(\S+)\s*")
 ATTRIBUTE = re.compile(r"(?: {4}|\t)([A-Za-z_][\w.]*) = (.*)")
-ID = re.compile(r"(\d+)(?:\[(\d*)\]|-(\d+))?(\..+)?")
-"""`12.pbs1`, the array `12[].pbs1`, its element `12[3].pbs1` or, in old versions of Torque, `12-3.pbs1`."""
+ID = re.compile(r"(\d+)(?:\[(\d*)\])?(\..+)?")
+"""`12.pbs1`, the array `12[].pbs1`, or its element `12[3].pbs1`."""
 ELEMENT_LIST = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
 ENDED = frozenset("FXC")
 WAITING = frozenset("QWT")
@@ -39,17 +39,9 @@ FORGOTTEN = "Subjob finished"
 """The comment of an element about which OpenPBS knows nothing else."""
 HOLDS = frozenset("sop")
 """Holds by the system (a launch that failed), by an operator, or because of a bad password. A user's own hold (u) is theirs to
-release. Torque's holds a and l only keep elements until the array is complete or has a free place."""
-ENDS = {
-    ("Exit_status", "-20"): "its node was lost",
-    ("Exit_status", "-27"): "memory exceeded",
-    ("Exit_status", "-29"): "walltime exceeded",
-    ("Exit_status", "271"): "asked to end",
-    ("exit_status", "-10"): "memory exceeded",
-    ("exit_status", "-11"): "walltime exceeded",
-    ("exit_status", "271"): "asked to end",
-}
-"""Meanings of special exit statuses, which no program returns: OpenPBS's and, in small letters, Torque's (job.h, pbs_job.h)."""
+release."""
+ENDS = {"-20": "its node was lost", "-27": "memory exceeded", "-29": "walltime exceeded", "271": "asked to end"}
+"""Meanings of special exit statuses, which no program returns (OpenPBS's job.h)."""
 DELETED = "91"
 """The `substate` of a job that was deleted while it ran or waited (OpenPBS)."""
 
@@ -70,10 +62,9 @@ def name(text: str) -> Name:
     match = ID.fullmatch(text)
     if not match:
         return Name(text, None, array=False)
-    number, inside, after, server = match.groups("")
-    place = inside or after
-    array = inside != "" or "[" in text
-    return Name(f"{number}{'[]' if array else ''}{server}", int(place) if place else None, array or bool(after))
+    number, inside, server = match.groups()
+    array = inside is not None
+    return Name(f"{number}{'[]' if array else ''}{server or ''}", int(inside) if inside else None, array)
 
 
 def text_records(text: str) -> Iterator[Record]:
@@ -114,13 +105,8 @@ def _text(value: Json) -> str:
 
 
 def own(records: Iterable[Record], called: str, owner: str) -> list[Record]:
-    """Return the jobs of this name and owner. Torque appends the index to the name of an element."""
-    return [one for one in records if one.get("Job_Owner", "").partition("@")[0] == owner and _is_called(one, called)]
-
-
-def _is_called(record: Record, called: str) -> bool:
-    said, place = record.get("Job_Name", ""), name(record["id"]).place
-    return said == called or (place is not None and said == f"{called}-{place}")
+    """Return the jobs of this name and owner."""
+    return [one for one in records if one.get("Job_Owner", "").partition("@")[0] == owner and one.get("Job_Name") == called]
 
 
 def tasks(records: Sequence[Record]) -> Iterator[Task]:
@@ -178,17 +164,15 @@ def _end(record: Record) -> str:
 
     Without a history, OpenPBS has forgotten an ended element of a living array. It reports the array's attributes instead.
     """
-    if record.get("comment") == FORGOTTEN:
+    status = record.get("Exit_status", "0")
+    if status == "0" or record.get("comment") == FORGOTTEN:
         return ""
-    for key in ("Exit_status", "exit_status"):
-        if (status := record.get(key, "0")) != "0":
-            return ": ".join(filter(None, (f"{key} {status}", ENDS.get((key, status)))))
-    return ""
+    return ": ".join(filter(None, (f"Exit_status {status}", ENDS.get(status))))
 
 
 def _is_deleted(record: Record) -> bool:
     """Return True if `qdel` has ended a task, whose own exit status may be any."""
-    return record.get("substate") == DELETED or "271" in (record.get("Exit_status"), record.get("exit_status"))
+    return record.get("substate") == DELETED or record.get("Exit_status") == "271"
 
 
 def _held(record: Record) -> State:

@@ -1,22 +1,19 @@
 """Scripts for `qsub`. Their `#PBS` lines contain all options, so that the command line needs none.
 
-OpenPBS, Torque and the `qsub` that Debian provides for SLURM differ in these lines:
+OpenPBS and the `qsub` that Debian provides for SLURM differ in these lines:
 
               resources                        array          index
     OpenPBS   -l select=1:ncpus=4:mem=8mb      -J 0-5         $PBS_ARRAY_INDEX
-    Torque    -l nodes=1:ppn=4, -l mem=8mb     -t 0-3,5       $PBS_ARRAYID
     SLURM's   -l nodes=1:ppn=4, -l mem=8mb     -J 0-3,5       $SLURM_ARRAY_TASK_ID
 
-OpenPBS has only ranges, and refuses a range of a single index. The meaning of a single index in Torque depends on its version.
-So one element is a plain job. In OpenPBS, elements with gaps are an array of places: the script turns the place into the
-element, and the job's variable SIERRA_ELEMENTS tells the same to programs that list the job.
+OpenPBS has only ranges, and refuses a range of a single index. So there, one element is a plain job, and elements with gaps are
+an array of places: the script turns the place into the element, and the job's variable SIERRA_ELEMENTS tells the same to
+programs that list the job.
 
 PBS keeps the output of a job on the node until the end, and copies it by rules of each site. So scripts write to their log
-themselves, from their first line on. PBS's own output goes to `/dev/null`, with two exceptions:
-
-- Torque adds the index even to `/dev/null`, so an array gets a file of its own for PBS's output.
-- OpenPBS takes `/dev/null` for a file on the host of `qsub`, and copies an empty file there by scp. If scp does not work, it
-  tries so often that the job takes a minute and a half to end. Nothing is copied to the node's own file, `localhost:/dev/null`.
+themselves, from their first line on. PBS's own output goes to `/dev/null`. OpenPBS takes that for a file on the host of `qsub`,
+and copies an empty file there by scp. If scp does not work, it tries so often that the job takes a minute and a half to end.
+Nothing is copied to the node's own file, `localhost:/dev/null`.
 
 Jobs may be executed again when their node is lost (`-r y`), for three reasons: OpenPBS accepts arrays only with this option,
 such jobs come back even if no process follows them, and a second copy does no harm.
@@ -42,17 +39,13 @@ class Dialect(StrEnum):
     """Variants of `qsub`."""
 
     OPENPBS = "openpbs"
-    TORQUE = "torque"
     SLURM = "slurm"
     """The wrapper over SLURM. Here sbatch reads the script: its `#SBATCH` lines and most of its `#PBS` lines."""
 
 
-INDEX = {Dialect.OPENPBS: "$PBS_ARRAY_INDEX", Dialect.TORQUE: "$PBS_ARRAYID", Dialect.SLURM: "$SLURM_ARRAY_TASK_ID"}
-NUMBER = {
-    Dialect.OPENPBS: "${PBS_JOBID%%[!0-9]*}",
-    Dialect.TORQUE: "${PBS_JOBID%%[!0-9]*}",
-    Dialect.SLURM: "${SLURM_ARRAY_JOB_ID:-$SLURM_JOB_ID}",
-}
+OUTPUT = {Dialect.OPENPBS: "localhost:/dev/null", Dialect.SLURM: "/dev/null"}
+INDEX = {Dialect.OPENPBS: "$PBS_ARRAY_INDEX", Dialect.SLURM: "$SLURM_ARRAY_TASK_ID"}
+NUMBER = {Dialect.OPENPBS: "${PBS_JOBID%%[!0-9]*}", Dialect.SLURM: "${SLURM_ARRAY_JOB_ID:-$SLURM_JOB_ID}"}
 
 
 def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
@@ -66,7 +59,7 @@ def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
         f"#PBS -N {request.name}",
         f"#PBS -S {shell}",
         "#PBS -j oe",
-        f"#PBS -o {_output(request, dialect)}",
+        f"#PBS -o {OUTPUT[dialect]}",
         "#PBS -m n",
         "#PBS -r y",
         *(f"#PBS -l {words}" for words in _resources(table, dialect)),
@@ -83,21 +76,13 @@ def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _output(request: Request, dialect: Dialect) -> str:
-    if dialect is Dialect.TORQUE and len(request.elements) > 1:
-        return shlex.quote(str(request.folder / "pbs"))
-    return "localhost:/dev/null" if dialect is Dialect.OPENPBS else "/dev/null"
-
-
 def _resources(table: ClusterTable, dialect: Dialect) -> Iterator[str]:
     memory = f"mem={math.ceil(table.memory / MIB)}mb" if table.memory else ""
     if dialect is Dialect.OPENPBS:
         gpus = f"ngpus={table.gpus}" if table.gpus else ""
         yield "select=" + ":".join(filter(None, ("1", f"ncpus={table.cpus}", memory, gpus, table.constraint)))
     else:
-        # for SLURM, its own lines say what its sbatch does not understand in PBS lines
-        more = () if dialect is Dialect.SLURM else (table.gpus and f"gpus={table.gpus}", table.constraint)
-        yield "nodes=" + ":".join(filter(None, ("1", f"ppn={table.cpus}", *more)))
+        yield f"nodes=1:ppn={table.cpus}"  # SLURM's own lines say what its sbatch does not understand in PBS lines
         if memory:
             yield memory
     if table.wall:
@@ -126,8 +111,7 @@ def _after(request: Request, dialect: Dialect) -> Iterator[str]:
         yield f"#SBATCH --dependency=afterok:{request.after}"
         yield "#SBATCH --kill-on-invalid-dep=yes"
     else:
-        kind = "afterokarray" if dialect is Dialect.TORQUE and "[]" in request.after else "afterok"
-        yield f"#PBS -W depend={kind}:{request.after}"
+        yield f"#PBS -W depend=afterok:{request.after}"
 
 
 def _array(request: Request, dialect: Dialect) -> Iterator[str]:
@@ -136,8 +120,6 @@ def _array(request: Request, dialect: Dialect) -> Iterator[str]:
         yield f"#PBS -J {ranges(elements)}"
     elif len(elements) == 1:
         yield f"#PBS -v {ELEMENTS}={elements[0]}"
-    elif dialect is Dialect.TORQUE:
-        yield f"#PBS -t {ranges(elements)}"
     elif _gaps(request):
         yield f"#PBS -J 0-{len(elements) - 1}"
         yield f"#PBS -v {ELEMENTS}={ranges(elements, '+')}"

@@ -50,10 +50,10 @@ def test_cluster_runners_over_slurm_conform(
 
 
 @pytest.fixture
-def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
     """Yield a PBS server that commands on the PATH use; the home folder is separate."""
     (tmp_path / "home").mkdir()
-    made = pbs.Server(tmp_path / "server", request.param)
+    made = pbs.Server(tmp_path / "server")
     monkeypatch.setenv("PATH", f"{made.bin}:{os.environ['PATH']}")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     yield made
@@ -61,7 +61,6 @@ def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("server", ["openpbs", "torque"], indirect=True)
 def test_the_runner_pbs_conforms(server: pbs.Server, tmp_path: Path) -> None:
     (tmp_path / "trials").mkdir()
     conformance.check_runner(cluster("pbs"), tmp_path / "trials")
@@ -196,7 +195,6 @@ class Forgetful(Cluster):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("server", ["openpbs"], indirect=True)
 @pytest.mark.parametrize(
     ("runner", "claim", "complaint"),
     [

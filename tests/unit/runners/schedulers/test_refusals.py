@@ -132,11 +132,10 @@ def test_status_reports_the_same_for_a_detached_batch(tmp_path: Path, slurm: Slu
     assert re.search(r"cannot start: PartitionConfig: .*; requested: cpus = 99, wall = 3600; the site has", told), told
 
 
-@pytest.mark.parametrize("dialect", ["openpbs", "torque"])
 def test_refusals_of_pbs_name_the_requested_settings_and_the_sites_resources(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dialect: str, request_of: Callable[[Path], Request]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request_of: Callable[[Path], Request]
 ) -> None:
-    server = pbs.Server(tmp_path / "pbs", dialect)
+    server = pbs.Server(tmp_path / "pbs")
     monkeypatch.setenv("PATH", str(server.bin), prepend=os.pathsep)
     with pytest.raises(ConfigError, match=r"Unknown queue.*; requested: partition = 'nowhere'; the site has queues workq"):
         Pbs(ClusterTable(partition="nowhere")).submit(request_of(tmp_path))
