@@ -22,7 +22,7 @@ from tests.support.photographs import flaws, unfold, unnamed
 from tests.support.reported import ATTACK, ATTACK_IN_TOML
 from tests.waiting import PATIENCE_S
 
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.real, pytest.mark.integration]
 FILM = "heat_experiment0: <script>alert(1)</script>, population size = 1, run 0"
 DRAWN = "document.querySelector('#drawn canvas') !== null || document.getElementById('chart-error').textContent"
 READY = "document.getElementById('stop').disabled && document.querySelectorAll('#figures button').length > 0"

@@ -10,6 +10,8 @@ from tests import projects
 from tests.simulators import STAND_IN, values
 from tests.waiting import until
 
+pytestmark = pytest.mark.integration
+
 CROWD = (
     '<population name="crowd"><model_count>8</model_count><box><size>4 4 1</size></box>'
     '<model name="ant"><link name="body"/></model></population>'

@@ -15,6 +15,8 @@ from rosbags.highlevel import AnyReader
 from tests import projects
 from tests.waiting import PATIENCE_S, until
 
+pytestmark = pytest.mark.integration
+
 STUBBORN = "for number in (2, 15):\n    signal.signal(number, signal.SIG_IGN)\ntime.sleep(1000)\n"
 NODES = {
     "dies": "print('its last words', flush=True)\nrospy.sleep(0.2)\nraise SystemExit(3)\n",

@@ -19,6 +19,8 @@ from sierra.extensions.ros.launch import Launch2
 from tests import bags, projects
 from tests.waiting import PATIENCE_S, until
 
+pytestmark = pytest.mark.integration
+
 DRIVER = Path(sierra.extensions.ros.__file__).parent / "drivers" / "ros_driver.py"
 IMITATION = """\
 import os, re, shlex, shutil, signal, subprocess, sys, time
