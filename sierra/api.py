@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
-    from sierra.deliverables.models.errors_of_models import ModelErrors
+    from sierra.deliverables.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.report.files import Written
@@ -1081,7 +1081,7 @@ class Project:
         Traceback (most recent call last):
         sierra.errors.NotFound: sierra.toml declares no [models.NAME]
         """
-        from sierra.deliverables.models import errors_of_models
+        from sierra.deliverables import errors_of_models
 
         return errors_of_models.errors(self._loaded, self.store, self.batch(prefix), name)
 

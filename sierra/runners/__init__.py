@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from sierra.runners.base import check, find, on_cluster, scheduler_of
+from sierra.runners.find import check, find, on_cluster, scheduler_of
 
 __all__ = ["check", "find", "on_cluster", "scheduler_of"]

@@ -11,21 +11,17 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
-from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import Table
-from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
 from sierra.containers.on_hosts import HostContainers
-from sierra.errors import ConfigError, Missing, SierraError, UsageError
+from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Job, LateFiles, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
-from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
 from sierra.util.json_types import JsonView, RecordValue
 
@@ -259,47 +255,3 @@ def _content(program: Program, digests: HashCache) -> str:
 def _is_called(program: Program, search: str) -> bool:
     """Return True if the program is found by its name alone."""
     return os.sep not in program.name and shutil.which(program.name, path=search) == program.path
-
-
-def find(name: str, tables: Tables | None = None) -> Callable[[int], Runner]:
-    """Return a factory that makes the named runner from a number of slots; `tables` are `[runners.…]` of the project.
-
-    Raises ConfigError if there is no such runner, or if its table is invalid.
-    """
-    cluster = scheduler_of(name, tables)
-    if cluster is None:
-        check({name: (tables or {}).get(name, {})})
-        return partial(RUNNERS.make, name, tables or {})
-    return on_cluster(name, *cluster)
-
-
-def check(tables: Tables) -> None:
-    """Check all `[runners.…]` of a project. Raises ConfigError for an unknown runner or scheduler, or for invalid settings."""
-    for name, table in tables.items():
-        if scheduler_of(name, tables) is None:
-            RUNNERS.options(name, table)
-
-
-def on_cluster(name: str, scheduler: str, table: ClusterTable) -> Callable[[int], Runner]:
-    """Return a factory that makes the runner of a cluster from a number of slots, which has no effect there."""
-    from sierra.runners.cluster.runner import Cluster
-
-    return partial(Cluster, table=table, name=name, scheduler=scheduler)
-
-
-def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterTable] | None:
-    """Return the scheduler of the named cluster, and the cluster's table; None if the name is another runner's.
-
-    Raises ConfigError if there is no runner of that name, or if the cluster's table is invalid.
-    """
-    table = (tables or {}).get(name)
-    requested = table.get("scheduler") if table is not None else None
-    if requested is None and name in RUNNERS.names():
-        return None
-    scheduler = str(requested or name)
-    if scheduler in SCHEDULERS.names():
-        return scheduler, schedulers.table(scheduler, table or {}, name)
-    if table is not None:
-        raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(SCHEDULERS.names())}")
-    known = dict.fromkeys((*RUNNERS.names(), *SCHEDULERS.names(), *(tables or {})))
-    raise ConfigError(f"unknown runner {name!r}; known are {', '.join(known)}")

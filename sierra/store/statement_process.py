@@ -24,7 +24,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
-from sierra.store import connections, statement_worker
+from sierra.store import statement_worker
+from sierra.store.local_connection import local
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -469,7 +470,7 @@ def rows_of(batches: Sequence[pa.RecordBatch]) -> list[RawRow]:
         return []
     with _converting:
         if not _converter:
-            _converter.append(connections.local({"enable_external_access": "false", "threads": "1"}))
+            _converter.append(local({"enable_external_access": "false", "threads": "1"}))
         _converter[0].register("rows", pa.Table.from_batches(full))
         try:
             return _converter[0].sql("FROM rows").fetchall()

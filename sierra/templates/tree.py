@@ -26,6 +26,7 @@ from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
 from sierra.templates.data_view import Scan
+from sierra.templates.json_notation import JsonNotation
 from sierra.templates.nearest_path import nearest
 from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, unfit_number
 from sierra.templates.same_number import is_lost, same
@@ -317,8 +318,6 @@ def _keys(plain: Plain) -> dict[object, object]:
 
 def piece(json: str, filled: Callable[[str], str]) -> Node:
     """Return a new part of a document from JSON. A text that is one `{expression}` with a number becomes a number."""
-    from sierra.templates.json import JsonNotation
-
     try:
         new = JsonNotation().scan(json, "json")
     except TemplateError as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra.cli.main import program
-from sierra.store import connections, segments, store, verified_files
+from sierra.store import local_connection, segments, store, verified_files
 
 STORE = f"{os.sep}.sierra{os.sep}"
 COUNTED = {"open": "files opened", "os.listdir": "folders listed", "os.scandir": "folders listed"}
@@ -28,7 +28,7 @@ def note(event: str, values: tuple[Any, ...]) -> None:
 
 def count() -> None:
     """Begin to count, and write all counts at the end of the process."""
-    call, snapshot = connections.Interruptible._call, store.Store.snapshot
+    call, snapshot = local_connection.Interruptible._call, store.Store.snapshot
 
     def counting(self: Any, method: Any, *arguments: Any, **named: Any) -> object:
         if arguments and isinstance(arguments[0], str):
@@ -40,7 +40,7 @@ def count() -> None:
         done["snapshots"] += 1
         return snapshot(self, *arguments, **named)
 
-    connections.Interruptible._call = counting  # type: ignore[method-assign]
+    local_connection.Interruptible._call = counting  # type: ignore[method-assign]
     store.Store.snapshot = counted  # type: ignore[method-assign]
     for module, name, value in ((segments, "SETTLED_NS", sys.maxsize), (verified_files, "RACY_NS", -sys.maxsize)):
         setattr(module, name, value)  # or the counts depend on the time since the last write

@@ -26,6 +26,7 @@ from sierra.util.arrow_columns import numpy_of
 from sierra.util.fs import fitting, write_whole
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
+from sierra.util.text import visible
 from sierra.version import __version__
 
 if TYPE_CHECKING:
@@ -74,6 +75,11 @@ class Drawing:
     """The models that the figure should show, and the reason why it cannot."""
     charts: tuple[Chart, ...] = ()
     """The same data as charts that readers can explore; empty for kinds that have none."""
+
+    @property
+    def title(self) -> str:
+        """Return the title of the figure; the name of its files, if it has none."""
+        return visible(self.figure.title or self.name)
 
     @cached_property
     def data(self) -> str:

@@ -39,18 +39,18 @@ PNG_LEVEL = 3
 
 
 def png(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    texts = {"Title": title(drawing), "Description": visible(drawing.note)}
+    texts = {"Title": drawing.title, "Description": visible(drawing.note)}
     texts |= {"sierra": origin, "sierra:sql": visible(drawing.sql)}
     return _saved(figure, "png", texts, pil_kwargs={"compress_level": PNG_LEVEL})
 
 
 def pdf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    texts = {"Title": title(drawing), "Subject": visible(drawing.sql), "Keywords": origin}
+    texts = {"Title": drawing.title, "Subject": visible(drawing.sql), "Keywords": origin}
     return _saved(figure, "pdf", texts | {"CreationDate": None})
 
 
 def svg(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    texts = {"Title": title(drawing), "Description": visible(drawing.note)}
+    texts = {"Title": drawing.title, "Description": visible(drawing.note)}
     return _saved(figure, "svg", texts | {"Identifier": origin, "Source": visible(drawing.sql), "Date": None})
 
 
@@ -63,7 +63,7 @@ def html(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> byt
 def pgf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
     from sierra.deliverables.figures.tex import picture
 
-    return picture(figure, [title(drawing), origin, *visible(drawing.sql).splitlines()])
+    return picture(figure, [drawing.title, origin, *visible(drawing.sql).splitlines()])
 
 
 def txt(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
@@ -94,11 +94,6 @@ def named(names: Iterable[str]) -> tuple[Format, ...]:
             raise UsageError(f"format {name!r} is named twice; name each format once")
         found.append(known[name])
     return tuple(found)
-
-
-def title(drawing: Drawing) -> str:
-    """Return the title of a figure; the name of its files, if it has none."""
-    return visible(drawing.figure.title or drawing.name)
 
 
 def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None], **more: Any) -> bytes:

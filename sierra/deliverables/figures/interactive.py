@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.typing import ColorType, LineStyleType
 
 from sierra.deliverables import html
-from sierra.deliverables.figures import axis_limits, bands, facets, formats, style, thinning, timeseries
+from sierra.deliverables.figures import axis_limits, bands, facets, style, thinning, timeseries
 from sierra.deliverables.figures.style import Look
 from sierra.deliverables.html import Chart, ChartAxis, Content, Series, tables
 from sierra.deliverables.html.tables import Table
@@ -63,7 +63,7 @@ def content(drawing: Drawing, svg: bytes, origin: str) -> Content:
     """Return the content of the section of a figure on a page."""
     charts = drawing.charts
     return Content(
-        formats.title(drawing),
+        drawing.title,
         charts,
         svg,
         tuple(filter(None, (drawing.note, *_thinned(charts), drawing.figure.footnote))),

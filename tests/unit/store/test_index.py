@@ -19,7 +19,7 @@ import pytest
 
 import sierra
 from sierra.errors import Damaged, Missing, SqlError
-from sierra.store import connections, index_builder, index_files, index_reader, segments, stored_results
+from sierra.store import index_builder, index_files, index_reader, local_connection, segments, stored_results
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
@@ -526,15 +526,15 @@ def test_files_of_outputs_are_not_read_to_learn_what_their_columns_hold(
     for count in (1, 2, 3):
         opened.run(f"population_size={count}", figures=False)
     read: list[str] = []
-    execute = connections.Interruptible._call
+    execute = local_connection.Interruptible._call
 
-    def noted(self: connections.Interruptible, *arguments: Any, **named: Any) -> object:
+    def noted(self: local_connection.Interruptible, *arguments: Any, **named: Any) -> object:
         for statement in arguments[1:2]:
             if isinstance(statement, str) and "output.1.parquet" in statement:
                 read.append(statement.split()[0])
         return execute(self, *arguments, **named)
 
-    monkeypatch.setattr(connections.Interruptible, "_call", noted)
+    monkeypatch.setattr(local_connection.Interruptible, "_call", noted)
 
     def asked() -> list[object]:
         read.clear()
