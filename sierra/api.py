@@ -519,8 +519,8 @@ class Project:
         """
         if plan.build is None or plan.build.reason is None:
             return plan
-        from sierra.execution.build.ready import ready
         from sierra.execution.observer import Observer
+        from sierra.execution.ready_build import ready
 
         return ready(plan, Store.create(self.paths.store), observer or Observer())
 

@@ -12,12 +12,6 @@ from sierra.config.field_types import Size as SizeInBytes
 from sierra.model import Measure
 from sierra.util.text import like
 
-CHOSEN = frozenset(
-    {"times", "measure", "center", "band", "quantiles", "x", "series", "facet"}
-    | {"log_x", "log_y", "xlim", "ylim", "palette", "labels"}
-)
-"""The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
-
 Size = Literal[
     "ieee-column", "ieee-page", "acm-column", "acm-page", "lncs", "elsevier-column", "elsevier-page", "neurips", "slide"
 ]

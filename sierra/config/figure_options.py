@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sierra.config import extensions
-from sierra.config.deliverable_tables import CHOSEN, Figure
 from sierra.config.validate import options
 from sierra.errors import ConfigError
+
+if TYPE_CHECKING:
+    from sierra.config.deliverable_tables import Figure
+
+CHOSEN = frozenset(
+    {"times", "measure", "center", "band", "quantiles", "x", "series", "facet"}
+    | {"log_x", "log_y", "xlim", "ylim", "palette", "labels"}
+)
+"""The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
 
 
 def check(figures: Mapping[str, Figure]) -> None:
@@ -26,7 +34,7 @@ def complaint(figure: Figure) -> str:
     if figure.kind not in FIGURES.names():
         return FIGURES.unknown(figure.kind)
     kind = FIGURES.load(figure.kind)
-    shared = {field.alias or name for name, field in Figure.model_fields.items()}
+    shared = {field.alias or name for name, field in type(figure).model_fields.items()}
     for key in figure.own:
         if key not in kind.Options.model_fields:
             return f"unknown key {key!r}{_nearest(key, sorted(shared | kind.Options.model_fields.keys()), figure.kind)}"

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sierra.config.deliverable_tables import CHOSEN, Figure
+from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import RawTable
+from sierra.config.figure_options import CHOSEN
 from sierra.util.text import like
 
 TOGETHER = (("table", "sql"), ("measure", "threshold"), ("band", "quantiles"))

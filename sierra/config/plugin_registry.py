@@ -18,10 +18,9 @@ from functools import cache, cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sierra.config import extensions, figure_options
+from sierra.config import extensions
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
-from sierra.config.project_file import Project
 from sierra.config.validate import options
 from sierra.errors import ConfigError, PluginError, SierraError
 
@@ -287,19 +286,6 @@ LINKS = Kind(
     "link", "sierra.links.base:Link", {"fabric": "sierra.links.fabric:Fabric", "openssh": "sierra.links.openssh:OpenSsh"}
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
-
-
-def check(project: Project) -> None:
-    """Check the tables of all plug-ins in `sierra.toml` that could change results. Raises ConfigError."""
-    PLATFORMS.check(project.platforms)
-    TEMPLATES.check(project.template_formats)
-    ENGINES.check(project.engines)
-    LINKS.check(project.links)
-    READERS.check(project.readers)
-    figure_options.check(project.figures)
-    STATISTICS.check(project.statistics)
-    COMPARISONS.check(project.comparison_methods)
-    CRITERIA.check(project.criteria)
 
 
 def culprit(error: BaseException) -> str | None:

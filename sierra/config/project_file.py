@@ -550,6 +550,22 @@ def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject
     return LoadedProject(root, file, chosen, declared=whole, notes=notes)
 
 
+def check_plugins(project: Project) -> None:
+    """Check the tables of all plug-ins in `sierra.toml` that could change results. Raises ConfigError."""
+    from sierra.config import figure_options
+    from sierra.config.plugin_registry import COMPARISONS, CRITERIA, ENGINES, LINKS, PLATFORMS, READERS, STATISTICS, TEMPLATES
+
+    PLATFORMS.check(project.platforms)
+    TEMPLATES.check(project.template_formats)
+    ENGINES.check(project.engines)
+    LINKS.check(project.links)
+    READERS.check(project.readers)
+    figure_options.check(project.figures)
+    STATISTICS.check(project.statistics)
+    COMPARISONS.check(project.comparison_methods)
+    CRITERIA.check(project.criteria)
+
+
 def parse(table: object, origin: str) -> Project:
     """Validate a table from TOML; messages call it `origin`.
 

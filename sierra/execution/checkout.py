@@ -18,14 +18,13 @@ from pathlib import Path, PurePosixPath
 
 from sierra.errors import Missing
 from sierra.execution import commands
-from sierra.execution.observation.current_files import unescaped
 from sierra.model import IN_PROJECT, RunSpec
 from sierra.provenance import fingerprint_programs as programs
 from sierra.provenance import referenced_files, source
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import VENV
 from sierra.store.layout import FIGURES, STORE
-from sierra.util.fs import inside
+from sierra.util.fs import inside, unescaped
 from sierra.util.hashing import sha256_file
 
 

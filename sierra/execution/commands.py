@@ -42,7 +42,7 @@ from sierra.containers.images.image import Image
 from sierra.design import robots, run_values
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
-from sierra.execution.build.products import matches
+from sierra.execution.build_products import matches
 from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
 from sierra.platforms.base import Platform
 from sierra.provenance import pythons

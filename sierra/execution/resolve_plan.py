@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sierra import platforms, templates
-from sierra.config import plugin_registry
+from sierra.config import project_file
 from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
@@ -31,7 +31,6 @@ from sierra.execution import (
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import Checkout, programs_in
-from sierra.execution.observation.current_files import unescaped
 from sierra.execution.plan import Plan
 from sierra.ingest.base import used as used_readers
 from sierra.model import IN_PROJECT, Query, RunSpec
@@ -45,6 +44,7 @@ from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
 from sierra.util import processors
+from sierra.util.fs import unescaped
 from sierra.version import __version__
 
 
@@ -63,7 +63,7 @@ def plan(
     project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
     config, root = project.config, project.root
     plan_checks.check_names(project)
-    plugin_registry.check(config)
+    project_file.check_plugins(config)
     readers = used_readers(config.outputs, config.readers)
     template = templates.of_project(config, root)
     platform = platforms.find(config.platform, config)

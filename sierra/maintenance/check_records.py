@@ -22,9 +22,9 @@ from sierra.containers.images.image import variants_id
 from sierra.design.expand import exact, run_id
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import around
-from sierra.execution.build.products import Product
-from sierra.execution.build.products import result as products_hash
 from sierra.execution.build.recipe import PLATFORM, build_id
+from sierra.execution.build_products import Product
+from sierra.execution.build_products import result as products_hash
 from sierra.execution.shared_files import shared_id
 from sierra.ingest.observations import file_set
 from sierra.ingest.recording_context import UNREAD

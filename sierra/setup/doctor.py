@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from sierra.config import find_project, plugin_registry, user
+from sierra.config import find_project, plugin_registry, project_file, user
 from sierra.config.execution_tables import BuildTable
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Capabilities
@@ -147,7 +147,6 @@ def _properties(able: Capabilities) -> Iterator[str]:
 def _project() -> Iterator[Check]:
     import sierra
     from sierra.config import project_file
-
     try:
         project = sierra.open()
         loaded = project_file.read(find_project.find_store(Path()))
@@ -206,7 +205,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         return fingerprint_programs.find(commands.fill((word,), project.root), variables, project.root).all[0].path
 
     def check_options() -> str:
-        plugin_registry.check(config)
+        project_file.check_plugins(config)
         runners.check(config.runner_tables)
         used(config.outputs, config.readers)
         return "the options of all plug-ins are valid"

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
@@ -95,6 +96,7 @@ def fitting(name: str) -> str:
     return f"{data[: MOST_BYTES - 11].decode('utf-8', 'ignore')}_{sha256(data)[:10]}"
 
 
+ESCAPED = re.compile(rb"\\x([0-9a-f]{2})")
 UNFINISHED_END = r"(\.[0-9a-f]{8})?\.\d+"
 """The end of names by `unfinished_beside`, as a regular expression. Earlier versions wrote only the id of the process."""
 
@@ -148,3 +150,8 @@ def unfinished_beside(path: Path) -> Path:
     It ends with the id of this process. If that is gone, `sierra gc` removes the file.
     """
     return path.with_name(f".{fitting(path.name)}.{secrets.token_hex(4)}.{os.getpid()}")
+
+
+def unescaped(path: str) -> str:
+    """Return a path with the bytes that are not UTF-8, for which a record has escapes."""
+    return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))

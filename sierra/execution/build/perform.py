@@ -19,10 +19,9 @@ from sierra.containers.container_setup import Isolation, contain
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, Engine, Mount, Process
 from sierra.containers.images.image import Image
 from sierra.errors import Missing, SierraError
-from sierra.execution import commands
-from sierra.execution.build import products
-from sierra.execution.build.products import Product
+from sierra.execution import build_products, commands
 from sierra.execution.build.recipe import Recipe
+from sierra.execution.build_products import Product
 from sierra.execution.end_processes import ending
 from sierra.execution.sessions import Session
 from sierra.model import Client, Limits, Purpose
@@ -98,9 +97,9 @@ def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> End
     if reason is not None:
         _check_disk(place.root, folder, folder / LOG)
         return Ended(started, ended, exit_code, reason)
-    if lacking := products.unmatched(place.root, recipe.patterns):
+    if lacking := build_products.unmatched(place.root, recipe.patterns):
         return Ended(started, ended, exit_code, f"it made no file that matches {lacking[0]!r} of produces")
-    return Ended(started, ended, exit_code, None, products.hashed(place.root, recipe.patterns))
+    return Ended(started, ended, exit_code, None, build_products.hashed(place.root, recipe.patterns))
 
 
 def record(
@@ -133,7 +132,7 @@ def record(
         reason=ended.reason,
         compiler=compiler,
         flags=json.dumps(recipe.flags) if recipe.flags else None,
-        result=products.result(ended.products) if ended.reason is None else None,
+        result=build_products.result(ended.products) if ended.reason is None else None,
         log=objects.add(content),
         lamport=stamp(session.number, session.id),
         processors=list(recipe.processors) or None,

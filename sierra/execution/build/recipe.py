@@ -15,8 +15,7 @@ from pathlib import Path, PurePosixPath
 from sierra.config.execution_tables import BuildTable, Container
 from sierra.containers import container_setup
 from sierra.errors import ConfigError, Missing
-from sierra.execution import checkout, commands
-from sierra.execution.build import products
+from sierra.execution import build_products, checkout, commands
 from sierra.model import IN_PROJECT, Around, RunSpec
 from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.compiled_languages import LANGUAGES, compilers
@@ -89,13 +88,13 @@ class Recipe:
 
     def placed(self, root: Path) -> RunSpec:
         """Return the specification in which words that name files in `root` begin with `{project}/`; products stay."""
-        made = set(products.names(root, self.patterns))
+        made = set(build_products.names(root, self.patterns))
         words = (_in_project(word, root, self.folder, made) for word in self.spec.command)
         return replace(self.spec, command=tuple(words))
 
 
 def _matches(name: str, patterns: tuple[str, ...]) -> bool:
-    return any(products.matches(name, pattern) for pattern in patterns)
+    return any(build_products.matches(name, pattern) for pattern in patterns)
 
 
 def build_id(spec: RunSpec, folder: str, produces: tuple[str, ...], programs: str, processors: tuple[str, ...] = ()) -> str:
@@ -133,7 +132,7 @@ def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -
 
 def _complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
     placed = recipe.placed(root)
-    made = {f"{IN_PROJECT}{name}" for name in products.names(root, recipe.patterns)}
+    made = {f"{IN_PROJECT}{name}" for name in build_products.names(root, recipe.patterns)}
     if recipe.spec.image is not None:
         mounted = container_setup.data(NOTHING, box, project) if box else NOTHING
         used = checkout.programs_in(placed, recipe.manifest, root, mounted, project)

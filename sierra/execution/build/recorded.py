@@ -11,9 +11,9 @@ from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage
 from sierra.containers.images.image import here as image_here
 from sierra.execution import commands, row_queries
-from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import PLATFORM, Recipe, complete
 from sierra.execution.build.state import BuildState
+from sierra.execution.build_products import Product
 from sierra.model import IN_PROJECT, Purpose, RunSpec
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import NotFound
-from sierra.execution import row_queries
-from sierra.execution.build import products
-from sierra.execution.build.products import Product
+from sierra.execution import build_products, row_queries
 from sierra.execution.build.recipe import Recipe
+from sierra.execution.build_products import Product
 from sierra.provenance import source
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
@@ -39,7 +38,7 @@ FILES = "SELECT files FROM sources WHERE tree = $t LIMIT 1"
 
 def look(recipe: Recipe, root: Path, store: Store | None) -> BuildState:
     """Compare the products on disk with the last build from the same inputs. Nothing is executed."""
-    found = products.hashed(root, recipe.patterns)
+    found = build_products.hashed(root, recipe.patterns)
     if store is None:
         return BuildState(recipe, found, "nothing has been built yet")
     with store.snapshot() as snapshot:

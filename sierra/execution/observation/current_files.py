@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.provenance.hash_cache import HashCache
+from sierra.util.fs import unescaped
 
 GPU = "{gpu}"
 """The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
-ESCAPED = re.compile(rb"\\x([0-9a-f]{2})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +85,3 @@ def located(path: str, named: Mapping[str, Path]) -> str | None:
             return None
         path = f"{named[name]}{rest}"
     return unescaped(path) if "\\x" in path and not os.path.lexists(path) else path
-
-
-def unescaped(path: str) -> str:
-    """Return a path with the bytes that are not UTF-8, for which a record has escapes."""
-    return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))

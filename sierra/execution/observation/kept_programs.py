@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.execution.observation.current_files import unescaped
 from sierra.execution.plan import Plan
 from sierra.model import IN_PROJECT
 from sierra.provenance import source
 from sierra.provenance.hash_cache import VENV
 from sierra.store.store import Store
+from sierra.util.fs import unescaped
 from sierra.util.hashing import sha256
 
 MAGIC = (b"\x7fELF", b"#!")

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.execution.build import products
+from sierra.execution import build_products
 from sierra.execution.build.recipe import build_id
 from sierra.model import RunSpec
 from sierra.util.processors import here
@@ -113,7 +113,7 @@ def test_a_product_is_built_before_runs_use_it_and_recorded(root: Path) -> None:
     assert build["used"] == build["build"]
     assert (build["command"], build["exit_code"], build["produces"]) == (["sh", "compile.sh"], 0, ["build/sim"])
     [product] = rows(root, "FROM build_products")
-    assert (product["name"], product["sha256"]) == ("build/sim", products.hashed(root, ["build/sim"])[0].sha256)
+    assert (product["name"], product["sha256"]) == ("build/sim", build_products.hashed(root, ["build/sim"])[0].sha256)
     assert rows(root, "SELECT name FROM programs WHERE name LIKE '{project}%'") == [{"name": "{project}/build/sim"}]
 
 
@@ -552,7 +552,7 @@ def test_show_names_the_build_of_a_batch(root: Path) -> None:
     [build] = rows(root, "FROM builds")
     shown = run(root, "show", batch["batch"]).stdout
     assert f"build {build['build'][:10]}: sh compile.sh, on {build['host']}" in shown
-    assert f"  build/sim ({products.hashed(root, ['build/sim'])[0].sha256[:10]})" in shown
+    assert f"  build/sim ({build_products.hashed(root, ['build/sim'])[0].sha256[:10]})" in shown
     record = json.loads(run(root, "show", batch["batch"], "--json").stdout)
     assert record["build"]["products"][0]["name"] == "build/sim"
 
@@ -650,4 +650,4 @@ def test_the_id_of_a_build_is_the_hash_of_its_inputs() -> None:
     ],
 )
 def test_a_pattern_matches_whole_names(name: str, pattern: str, fits: bool) -> None:
-    assert products.matches(name, pattern) is fits
+    assert build_products.matches(name, pattern) is fits

@@ -20,8 +20,7 @@ from pathlib import Path
 
 from sierra.containers import engines, images
 from sierra.errors import ConfigError, SierraError
-from sierra.execution import project_source, recover, resolve_plan
-from sierra.execution.build import products
+from sierra.execution import build_products, project_source, recover, resolve_plan
 from sierra.execution.build.perform import Ended, Place, failure, perform, record
 from sierra.execution.build.state import BuildState
 from sierra.execution.observer import Observer
@@ -134,7 +133,7 @@ def _build(plan: Plan, state: BuildState, store: Store, observer: Observer) -> N
 
 def _check_outside(plan: Plan, state: BuildState, names: list[str]) -> None:
     """Raise ConfigError if products belong to the source."""
-    if held := products.in_source(names, source.paths(state.recipe.manifest)):
+    if held := build_products.in_source(names, source.paths(state.recipe.manifest)):
         raise ConfigError(
             f"[build] produces: {few(held, SHOWN)} would be part of the source, which products must not change; {IGNORE}"
         )
