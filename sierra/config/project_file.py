@@ -14,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, SerializeAsAny, create_model, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, create_model, model_validator
 
 from sierra.config import extensions, group_names, targets
 from sierra.config import forbidden_directives as directives
@@ -190,7 +190,7 @@ class Project(Table):
         description='scenarios for `scenario` and --scenario, by name; `"LowBlockCount.{x}x{y}"` stands for all names with '
         "numbers in these places, and `{x}` in its changes is such a number",
     )
-    outputs: Annotated[Mapping[OutputName, SerializeAsAny[Output]], AfterValidator(file_once)] = Field(
+    outputs: Annotated[Mapping[OutputName, Output], AfterValidator(file_once)] = Field(
         default_factory=dict,
         description="files that runs write, by the table's name; default: each .csv, .tsv, .parquet, .jsonl and "
         ".ndjson of the output folder, but not of its subfolders",
@@ -397,7 +397,7 @@ class Project(Table):
         return self.variables[name].is_given or self._uses(name)
 
     def _written(self) -> RawTable:
-        return self.model_dump(exclude_unset=True, by_alias=True)
+        return self.model_dump(exclude_unset=True, by_alias=True, serialize_as_any=True)
 
     def _unknown(self, name: str) -> str:
         known = f"known are {', '.join(self.targets)}" if self.targets else "sierra.toml declares no [targets.NAME]"

@@ -31,7 +31,7 @@ ESCAPES = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)
 OF_CONDUCTOR = re.compile(r"== (?:before|after): |\[(?!info\]|warn|debug|error|fatal|crit|trace)[a-z][\w.-]*\] ")
 """Lines of services, and those before the output of other commands (see `sierra.worker.conductor`)."""
 OF_ROBOT = re.compile(r"==> .* <==")
-"""The line before the log of a robot (see `sierra.runners.robots.joint_logs`)."""
+"""The line before the log of a robot (see `sierra.runners.robots.results`)."""
 PREFIX = re.compile(r"(?:\[[\d:.,TZ+/ -]*(?:ms)?\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
 """A time, or the bracket of a level, before a message."""
 LEVEL = re.compile(r"\[?(?:info|debug|warn(?:ing)?|trace|notice)\b", re.I)

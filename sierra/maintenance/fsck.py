@@ -10,19 +10,21 @@ from pathlib import Path
 
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import sessions
-from sierra.maintenance import check_files, check_index, check_records
+from sierra.maintenance import check_files, check_records
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
-from sierra.store import ownership_marks
+from sierra.store import index_check, index_files, ownership_marks
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.store import Snapshot, check_free
 from sierra.util.shortage import shortage
+from sierra.util.text import few
 
 Tell = Callable[[str], None]
 REPLACED = "replaced by another segment; sierra gc removes it"
+REMEDY = "sierra fsck --repair removes it, and SIERRA builds another one"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,7 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
         try:
             tell("checking records")
             records = [] if found.unchecked else check_records.check(read, root)  # they need all files
-            findings = [*_contents(read), *records, *check_index.check(paths, found), *_sessions(paths), *_strange(paths)]
+            findings = [*_contents(read), *records, *check_index(paths, found), *_sessions(paths), *_strange(paths)]
             findings += [Finding(Kind.LEFT, f"segments/{name}", REPLACED) for name in found.left]
             executions = _count(read)
         finally:
@@ -163,3 +165,27 @@ def _strange(paths: StorePaths) -> Iterator[Finding]:
         yield Finding(
             Kind.FOREIGN, str(name), "has no mark of SIERRA, so SIERRA does not touch it; move it away if it is yours"
         )
+
+
+def check_index(paths: StorePaths, contents: Contents) -> Iterator[Finding]:
+    """Yield a finding for each index that is damaged, or that nobody reads, and for what is no index."""
+    sound = {segment.name: segment for segment in contents.sound if not contents.broken.get(segment.name)}
+    for path in _entries(paths.index):
+        name = f"{paths.index.name}/{path.name}"
+        if index_files.UNFINISHED.fullmatch(path.name):
+            yield Finding(Kind.LEFT, name, "an unfinished file")
+        elif not index_files.NAME.fullmatch(path.name) or path.is_symlink() or not path.is_file():
+            yield Finding(Kind.STRAY, name, "is not an index")
+        elif not index_files.is_current(path):
+            yield Finding(Kind.LEFT, name, "an index of another version of SIERRA")
+        elif (index := index_files.verified(path, anew=True)) is None:
+            yield Finding(Kind.DAMAGED, name, f"has other bytes than SIERRA wrote; {REMEDY}")
+        elif tables := index_check.different(index, sound):
+            yield Finding(Kind.DAMAGED, name, f"its rows of {few(tables, 3)} are not those of the segments; {REMEDY}")
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra import runners
+from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers.images.image import here
 from sierra.errors import Missing, UsageError
@@ -32,18 +33,19 @@ from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
 from sierra.replay import compare_host_with_image, find_record, on_robots
 from sierra.replay.compare_host_with_record import other_machine, other_programs, used_files
-from sierra.replay.comparison_rules import declared_rules
+from sierra.replay.find_record import Record
 from sierra.replay.finished_runs import Finished, finished
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
 from sierra.replay.options import ReplayOptions
 from sierra.replay.same_files import UsedFiles, used_gpu
-from sierra.replay.verdicts import OfExperiment, Replay, metric_rows, plain, verdict_rows
+from sierra.replay.verdicts import OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow, ReplayRow
+from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.util.lazy_logger import Log
-from sierra.util.text import counted
+from sierra.util.text import counted, like
 from sierra.version import __version__
 
 log = Log(__name__)
@@ -356,3 +358,42 @@ class _Replaying:
         for rows in records:
             writer.records(rows)
         self._store.publish(writer)
+
+
+def declared_rules(record: Record, project: LoadedProject, tolerances: Tolerances) -> dict[str, Output]:
+    """Return the rules for the comparison, by output.
+
+    These are the recorded declarations, overridden by the project's current ones and by the requested tolerances.
+    Raises UsageError for an unknown output or column.
+    """
+    declared = {**record.of.outputs, **project.config.outputs}
+    known = sorted({*declared, *record.tables})
+    if unknown := tolerances.keys() - {"*", *known}:
+        raise UsageError(f"--set-tolerance: unknown output {min(unknown)!r}; known outputs: {', '.join(known) or 'none'}")
+    for name, columns in tolerances.items():
+        _check_columns(name, columns, record.tables)
+    for name, output in declared.items():
+        record.notes += _unused(name, output, record.tables.get(name))
+    for name in known if tolerances else ():
+        output = declared.get(name) or Output(file=name)
+        asked = {**output.tolerance, **tolerances.get("*", {}), **tolerances.get(name, {})}
+        declared[name] = output.model_copy(update={"tolerance": asked})
+    return declared
+
+
+def _check_columns(output: str, columns: Iterable[str], tables: Mapping[str, list[str]]) -> None:
+    """Raise UsageError for a column that no table of that output has; `*` stands for all outputs, or for all columns."""
+    known = sorted({name for table, names in tables.items() if output in ("*", table) for name in names})
+    for column in columns:
+        if known and column not in ("*", *known):
+            where = "no output" if output == "*" else f"output {output!r}"
+            has = "has the" if output == "*" else "has no"
+            raise UsageError(f"--set-tolerance: {where} {has} column {column!r}; {like(column, known)}")
+
+
+def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[str]:
+    """Yield a line for each column that an output's declaration names and its table does not have."""
+    for key, names in (("tolerance", output.tolerance), ("volatile", output.volatile)) if columns else ():
+        for column in names:
+            if column not in ("*", *(columns or ())) and stored_name(column, columns or ()) not in (columns or ()):
+                yield f"[outputs.{name}] {key}: the table has no column {column!r}; {like(column, columns or ())}"

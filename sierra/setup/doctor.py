@@ -146,7 +146,7 @@ def _properties(able: Capabilities) -> Iterator[str]:
 
 def _project() -> Iterator[Check]:
     import sierra
-    from sierra.config import project_file
+
     try:
         project = sierra.open()
         loaded = project_file.read(find_project.find_store(Path()))

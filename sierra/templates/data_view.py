@@ -1,4 +1,9 @@
-"""The view of a document of keys, lists and values, in which XPath selects: keys and items as elements, values as texts."""
+"""The view of a document of keys, lists and values, in which XPath selects: keys and items as elements, values as texts.
+
+A document of XML has one root element, but a mapping has many keys. Therefore the view of a mapping has a root element without
+a name of its own, and absolute paths begin below it: `/swarm/count` becomes `/*/swarm/count`, `//count` becomes `/*//count`.
+A lone `/` selects the root. Relative paths begin at the root already.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,6 @@ from lxml import etree
 
 from sierra.errors import TemplateError
 from sierra.templates import xpath_time_limit
-from sierra.templates.data_path import below_root
 from sierra.templates.notation import Address, Edit, Kind, Node, Notation, decoded
 from sierra.templates.xml_characters import replaced
 from sierra.util.text import one_line
@@ -19,6 +23,15 @@ from sierra.util.text import one_line
 Element: TypeAlias = etree._Element
 _NAME = re.compile("[A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff][A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff0-9.-]*")
 """A key that is a name in XPath; libxml2 has an old definition of letters outside of Latin-1."""
+_TOKEN = re.compile(
+    r"""\s*(?: (?P<literal> '[^']*' | "[^"]*") | (?P<number> \d+(?:\.\d*)? | \.\d+) | (?P<name> [^\W\d][\w.-]*)
+    | (?P<sign> // | :: | \.\. | != | <= | >= | [^\s]) )""",
+    re.VERBOSE,
+)
+_STEP = re.compile(r"\s*[\w*@.]")
+_OPERATORS = frozenset({"and", "or", "div", "mod"})
+_ENDS = frozenset({")", "]", ".", ".."})
+"""Signs that end an operand; the others are operators, or expect one more step."""
 
 
 class Scan:
@@ -144,3 +157,29 @@ def step(node: Node) -> str:
 def legal(text: str) -> str:
     """Return a text as the view shows it: characters that XML does not have are replaced."""
     return replaced(text)
+
+
+def below_root(path: str) -> str:
+    """Return a path in which every absolute path begins below the root element."""
+    pieces: list[str] = []
+    operand = slash = False  # after an operand; after a sign that a step must follow
+    end = 0
+    for token in _TOKEN.finditer(path):
+        pieces.append(path[end : token.start()])
+        end, sign, text = token.end(), token["sign"], token.group()
+        if sign in ("/", "//") and not operand:
+            text = text.replace(sign, _rooted(path, end, sign))
+            operand, slash = text.endswith("*"), True
+        elif sign == "*" or token["name"]:
+            is_operator = operand and not slash and (sign == "*" or token["name"] in _OPERATORS)
+            operand, slash = not is_operator, False
+        elif sign in ("/", "//", "@", "::"):
+            operand, slash = sign in ("/", "//"), True
+        else:
+            operand, slash = sign is None or sign in _ENDS, False
+        pieces.append(text)
+    return "".join([*pieces, path[end:]])
+
+
+def _rooted(path: str, end: int, sign: str) -> str:
+    return f"/*{sign}" if sign == "//" or _STEP.match(path, end) else "/*"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables.comparison import Compared
+from sierra.deliverables.html.elements import Markup, Node, element, joined
 from sierra.deliverables.report import (
     batch_state,
     claims,
@@ -14,7 +15,6 @@ from sierra.deliverables.report import (
     design,
     environment,
     failures,
-    index,
     moving_pictures,
     page,
     question,
@@ -27,14 +27,18 @@ from sierra.deliverables.report.claims import Claims
 from sierra.deliverables.report.comparisons import Comparisons
 from sierra.deliverables.report.moving_pictures import Films
 from sierra.deliverables.report.page import Chapter
-from sierra.deliverables.report.parts import Place, Section
+from sierra.deliverables.report.parts import Place, Section, filled_table, note
 from sierra.deliverables.report.reproduce import Received
 from sierra.deliverables.report.results import Figures
 from sierra.execution import list_batches
+from sierra.execution.list_batches import ListedBatch
 from sierra.store.store import Store
+from sierra.util.hashing import short
 
 AT_MOST = 50
 """The largest number of batches that a report of all batches shows in full; of more, it only has the list."""
+MOST = 1000
+"""The largest number of batches that are listed: a page with more becomes slow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +127,7 @@ def _list(source: Source, title: str) -> Report:
     """Return the report of too many batches: the list of them, the last one first."""
     listed = list_batches.batches(source.store)[::-1]
     remedy = "name some, as in: sierra report HASH HASH" if source.received is None else "see: sierra open FILE.zip explore"
-    data = page.of_batches(title, [index.section(listed, (), remedy)], [], Claims(()), source.received)
+    data = page.of_batches(title, [index_section(listed, (), remedy)], [], Claims(()), source.received)
     note = f"{len(listed):,} batches are too many for one page, so it only has their list; {remedy}"
     return Report(data, [one.batch for one in listed], (note,), complete=False)
 
@@ -157,7 +161,7 @@ def _several(
         within = comparisons.section(compared.within(state.id), (), place)
         every.append(_parts(source, state, place, (within,), films, _within(tell, f"batch {number} of {len(states)}")))
     chapters = [Chapter(state, parts.sections) for state, parts in zip(states, every, strict=True)]
-    first = [index.section(listed, ids), *filter(None, (of_claims, of_groups))]
+    first = [index_section(listed, ids), *filter(None, (of_claims, of_groups))]
     data = page.of_batches(title, first, chapters, found, source.received)
     return _made(data, states, every, (*compared.notes, *dict.fromkeys(note for parts in every for note in parts.notes)))
 
@@ -197,3 +201,33 @@ def _parts(
         reproduce.section(state, source.received, place),
     ]
     return _Parts(sections, (*figures.notes, *failed), figures)
+
+
+def index_section(listed: Sequence[ListedBatch], shown: Collection[str], remedy: str = "") -> Section:
+    """Return the list of batches in this order. Those in `shown` have a part of their own in the page.
+
+    `remedy` says how to see the others if none has.
+    """
+    headers = ("batch", "query", "controller", "scenario", "experiments", "runs", "failed", "not executed", "first submitted")
+    rows = [_row(one, one.batch in shown) for one in listed[:MOST]]
+    inner: list[Node] = [filled_table(headers, rows, numbers=(4, 5, 6, 7, 8))]
+    if len(listed) > MOST:
+        inner.append(note(f"The first {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
+    if not shown:
+        inner.append(note(f"These are too many batches for one page; {remedy}"))
+    return Section("batches", "Batches", joined(inner))
+
+
+def _row(one: ListedBatch, shown: bool) -> tuple[Node, ...]:
+    identity: Markup = element("code", short(one.batch))
+    return (
+        element("a", identity, href=f"#b{short(one.batch)}") if shown else identity,
+        one.query,
+        one.controller,
+        one.scenario,
+        f"{one.experiments:,}",
+        f"{one.runs:,}",
+        "?" if one.failed is None else f"{one.failed:,}",
+        "?" if one.missing is None else f"{one.missing:,}",
+        f"{one.created:%Y-%m-%d %H:%M}",
+    )

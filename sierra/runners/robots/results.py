@@ -1,4 +1,7 @@
-"""The result of a run on robots, from what the robots have reported and left: one folder, and rows of `robots`."""
+"""The result of a run on robots, from what the robots have reported and left: one folder, and rows of `robots`.
+
+The part of a robot whose program has failed comes last, because the end of a log is shown with the reason of a failure.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sierra.links.clock import Clock
-from sierra.runners.robots import clock_changes, joint_logs, observed_files
+from sierra.runners.robots import clock_changes, observed_files
 from sierra.runners.robots.trial import OVER, STOPPED, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
+from sierra.util.kept_log import KEPT, kept_of, shares
 from sierra.worker import worker
 
 INTERRUPTED = "interrupted"
 LATE_S = 1.0
 """The seconds that a program may begin after the common start before it is noted."""
+SPARE = 64
+"""Bytes for the line that says how much of a log is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +148,7 @@ def _moved(parts: Iterable[Part], folder: Path) -> tuple[list[worker.OutputFile]
     output = folder / RUN_OUTPUT
     output.mkdir(parents=True)
     several = [part for part in parts if part.files is not None]
-    joint_logs.join(several, folder)
+    join_logs(several, folder)
     for part in several:
         source = Path(str(part.files), RUN_OUTPUT)
         if source.is_dir():
@@ -268,3 +274,20 @@ def _slower(*clocks: Clock | None) -> int | None:
 def _sum(values: Iterable[float | None]) -> float | None:
     known = list(values)
     return None if None in known else sum(value or 0.0 for value in known)
+
+
+def join_logs(parts: Iterable[Part], folder: Path) -> None:
+    """Write `stdout` and `stderr` of all parts whose files were pulled into a folder, each part below the robot's name."""
+    pulled = sorted((part for part in parts if part.files is not None), key=lambda part: part.failure is not None)
+    for name in worker.LOGS:
+        logs = [(f"==> {part.name} <==\n".encode(), str(part.files / name)) for part in pulled if part.files]
+        (folder / name).write_bytes(b"".join(_joined(logs)))
+
+
+def _joined(logs: Iterable[tuple[bytes, str]]) -> Iterator[bytes]:
+    """Yield the parts of a joint log, from titles and paths."""
+    filled = [(title, path, size) for title, path in logs if (size := kept_of(path, 0)[1])]
+    room = KEPT - sum(len(title) + SPARE for title, _, _ in filled)
+    for (title, path, _), share in zip(filled, shares([size for _, _, size in filled], room), strict=True):
+        kept = kept_of(path, share)[0]
+        yield title + kept + (b"" if kept.endswith(b"\n") else b"\n")

@@ -19,7 +19,7 @@ import pytest
 
 import sierra
 from sierra.deliverables.html.elements import Markup, element, joined
-from sierra.deliverables.report import files, index
+from sierra.deliverables.report import files, make
 from sierra.execution import list_batches
 from tests import projects, stores
 from tests.support import many_batches, reported
@@ -286,8 +286,8 @@ def test_a_list_of_too_many_batches_says_how_many_it_lacks() -> None:
         list_batches.ListedBatch(f"{k:064x}", NOW, "noise=1", None, None, (), 1, 2, NOW, 0, 0, (), (), (), 0)
         for k in range(10_000)
     ]
-    section = index.section(listed, (), "name some, as in: sierra report HASH HASH")
-    assert section.body.count("<tr>") == index.MOST + 1
+    section = make.index_section(listed, (), "name some, as in: sierra report HASH HASH")
+    assert section.body.count("<tr>") == make.MOST + 1
     assert "The first 1,000 of 10,000 batches are listed; sierra ls lists all." in section.body
     assert "sierra report HASH HASH" in section.body
 
