@@ -14,7 +14,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 if TYPE_CHECKING:
     import os

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.report.files import Written
     from sierra.deliverables.sample_size import RunsNeeded
+    from sierra.deliverables.studies.study import Outcome as StudyOutcome
+    from sierra.design.query.query_request import QueryRequest
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
@@ -64,14 +66,12 @@ if TYPE_CHECKING:
     from sierra.packages.subject import ImageForm
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
-    from sierra.query.query_request import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.resource_estimate import Estimate
     from sierra.store.derived_tables import Rules
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
     from sierra.store.row_types import SourceRow, TrialRow
-    from sierra.studies.study import Outcome as StudyOutcome
 
 PACKAGED = ".zip"
 """The ending of packages."""
@@ -199,7 +199,7 @@ class Project:
         >>> len(plan.batch.experiments), len(plan.batch.runs)
         (3, 9)
         """
-        from sierra.query import query_request
+        from sierra.design.query import query_request
         from sierra.store.store import PREFIX
 
         [word] = query if len(query) == 1 else ("",)
@@ -256,7 +256,7 @@ class Project:
     def resolve(self, request: QueryRequest, *, engine: str | None = None, observer: Observer | None = None) -> Plan:
         """Return the plan of a query request: see `plan`.
 
-        >>> from sierra.query.query_request import request
+        >>> from sierra.design.query.query_request import request
         >>> len(project.resolve(request(["population_size=1,2"], runs=2)).batch.runs)
         4
         """
@@ -292,7 +292,7 @@ class Project:
         `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
         name of a cluster (default: the `runner` in `sierra.toml`); with `detach`, this function returns once the jobs are
         submitted. `only` is a condition that selects the experiments to execute, as in `population_size<=4`: see
-        `sierra.query.condition`. `supervisor` starts, watches and judges trials if `[trials] supervised` is set: see
+        `sierra.design.query.condition`. `supervisor` starts, watches and judges trials if `[trials] supervised` is set: see
         `sierra.execution.supervised.supervisor`. The summary counts failed runs; they raise no error. Raises the errors of
         `plan`, and Missing if the disk is full, or if trials need a supervisor.
 
@@ -333,9 +333,9 @@ class Project:
         >>> project.execute(project.plan("population_size=1,2", runs=2), figures=False).executed
         0
         """
+        from sierra.design.query import condition
         from sierra.execution import execute
         from sierra.execution.run_options import RunOptions
-        from sierra.query import condition
 
         selected = None if only is None else condition.select(only, plan.batch).runs
         options = RunOptions(
@@ -371,11 +371,11 @@ class Project:
         planning: Observer | None = None,
         supervisor: Supervisor | None = None,
     ) -> StudyOutcome:
-        """Execute a query with more and more runs until its intervals are narrow enough: see `sierra.studies.study`.
+        """Execute a query with more and more runs until its intervals are narrow enough: see `deliverables.studies.study`.
 
         `plan` is the plan of the first look; its number of runs per experiment grows by a factor of 1.5 from look to look, up
-        to `max_runs`. `until` is the rule: see `sierra.query.until`. The rule and the schedule are recorded before the first
-        look, and each look with its decision. The same arguments continue a study, and execute nothing twice. `planning`
+        to `max_runs`. `until` is the rule: see `sierra.design.query.until`. The rule and the schedule are recorded before the
+        first look, and each look with its decision. The same arguments continue a study, and execute nothing twice. `planning`
         receives the progress of planning. The other arguments are those of `execute`. Raises the errors of `plan`, and NotFound
         for a rule that does not fit the runs.
 
@@ -383,7 +383,7 @@ class Project:
         >>> print(outcome.decision, [look.row.runs for look in outcome.looks])
         reached [3]
         """
-        from sierra.studies import study
+        from sierra.deliverables.studies import study
 
         planned = study.design(self._loaded, plan, until, max_runs)
         told = observer or observer_for(progress)
@@ -411,7 +411,7 @@ class Project:
         >>> project.planned_study(plan, until="ci(coverage) < 5%", max_runs=5).design.schedule
         (2, 3, 5)
         """
-        from sierra.studies import study
+        from sierra.deliverables.studies import study
 
         planned = study.design(self._loaded, plan, until, max_runs)
         store = self.stored()
@@ -426,9 +426,9 @@ class Project:
         """
         if not plan.project.config.trials.supervised:
             return
+        from sierra.design.query import condition
         from sierra.execution.reuse import states
         from sierra.execution.supervised.conduct import UNATTENDED
-        from sierra.query import condition
 
         runs = {run.id for run in plan.batch.runs} if only is None else condition.select(only, plan.batch).runs
         if any(run in runs and not one.succeeded for run, one in states(plan, self.stored()).items()):
@@ -484,9 +484,9 @@ class Project:
         >>> str(trial.status), [(file.path, file.table, file.rows) for file in trial.files]
         ('ok', [('swarm.csv', 'swarm', 5)])
         """
+        from sierra.design.query import query_request
         from sierra.execution import trial
         from sierra.execution.observer import Observer
-        from sierra.query import query_request
 
         observer = observer or Observer()
         words = query or (trial.UNCHANGED,)
@@ -503,8 +503,8 @@ class Project:
         >>> project.write_inputs(project.plan("population_size=1,2", runs=2), "../inputs").runs
         4
         """
+        from sierra.design.query import condition
         from sierra.execution import write_inputs
-        from sierra.query import condition
 
         selection = None if only is None else condition.select(only, plan.batch)
         return write_inputs.write(plan, Path(folder), selection)
@@ -568,8 +568,8 @@ class Project:
     def show(self, prefix: str) -> Shown | StudyOutcome:
         """Return the record of a batch, an experiment, a run, an execution, a session or a study, by a prefix of its id.
 
-        Each kind has a class in `sierra.execution.shown_records`, a study in `sierra.studies.study`; its `as_dict` returns what
-        `sierra show --json` prints. Raises NotFound.
+        Each kind has a class in `sierra.execution.shown_records`, a study in `sierra.deliverables.studies.study`; its `as_dict`
+        returns what `sierra show --json` prints. Raises NotFound.
 
         >>> project.show(summary.batch).kind
         'batch'
@@ -614,7 +614,7 @@ class Project:
             return None
         if found.kind != "study":
             return None
-        from sierra.studies import study
+        from sierra.deliverables.studies import study
 
         outcome = study.find(self.store, found.id)
         return outcome and study.checked(self._loaded, self.store, outcome)

@@ -120,7 +120,7 @@ Scale = Log | Linear | Steps | Span | Listed | MonteCarlo | ConstantDensity | Va
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """One independent variable and its range; `sierra.query.grammar` reads and writes it."""
+    """One independent variable and its range; `sierra.design.query.grammar` reads and writes it."""
 
     name: str
     scale: Scale

@@ -62,11 +62,12 @@ from sierra.containers.images.image import Image
 from sierra.deliverables.figures.base import FigureKind
 from sierra.deliverables.figures.base import Request as FigureRequest
 from sierra.deliverables.figures.drawing import Drawing
+from sierra.design.platforms.base import Following, Placing, Platform, Rendering, Renders
+from sierra.design.platforms.base import Reader as TemplateView
+from sierra.design.query.base import Range
+from sierra.design.query.ranges import values
 from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
-from sierra.links.base import LIMIT, Channel, Ended, Folder, Link, LinkOptions, NoSession, Overdue, Unreachable, UntrustedHost
-from sierra.links.commands import Commands, Stream
-from sierra.links.process_stream import ProcessStream
 from sierra.model import (
     Add,
     Axis,
@@ -89,11 +90,21 @@ from sierra.model import (
     Times,
     Value,
 )
-from sierra.platforms.base import Following, Placing, Platform, Rendering, Renders
-from sierra.platforms.base import Reader as TemplateView
-from sierra.query.base import Range
-from sierra.query.ranges import values
 from sierra.runners.base import Beat, ContainsMembers, Look, NamesRobots, Runner, RunsMembers, Work
+from sierra.runners.links.base import (
+    LIMIT,
+    Channel,
+    Ended,
+    Folder,
+    Link,
+    LinkOptions,
+    NoSession,
+    Overdue,
+    Unreachable,
+    UntrustedHost,
+)
+from sierra.runners.links.commands import Commands, Stream
+from sierra.runners.links.process_stream import ProcessStream
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic

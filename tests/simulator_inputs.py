@@ -6,9 +6,9 @@ from pathlib import Path
 
 from sierra.config import project_file
 from sierra.design.factorial_design import design
+from sierra.design.platforms import base as platforms
+from sierra.design.query import grammar
 from sierra.model import Query
-from sierra.platforms import base as platforms
-from sierra.query import grammar
 from sierra.templates import several
 
 SEED = 7

@@ -79,7 +79,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from sierra.version import __version__
+        from sierra.util.version import __version__
 
         typer.echo(f"sierra {__version__}")
         raise typer.Exit

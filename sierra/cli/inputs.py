@@ -40,8 +40,8 @@ def inputs(
     """
     from sierra.cli import open_project, render_summary
     from sierra.cli.progress import Planning
+    from sierra.design.query.grammar import setting
     from sierra.execution.write_inputs import MANIFEST, check_target
-    from sierra.query.grammar import setting
 
     check_target(to)
     project = open_project.project()

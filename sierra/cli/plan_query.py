@@ -27,7 +27,7 @@ def plans(
     project: Project, query: list[str], settings: Settings, targets: str | None, *, engine: str | None, observer: Observer
 ) -> list[Plan]:
     """Return a plan for each target; `targets` are names that are separated by commas. Without any, return one plan."""
-    from sierra.query import query_request
+    from sierra.design.query import query_request
 
     if targets is None:
         return [plan(project, query, settings, engine=engine, observer=observer)]
@@ -41,7 +41,7 @@ def plan(project: Project, query: list[str], settings: Settings, *, engine: str 
 
     Prints a note if the file names a batch that the request no longer gives.
     """
-    from sierra.query import query_request
+    from sierra.design.query import query_request
     from sierra.util.hashing import short
 
     if not query[0].endswith(query_request.SUFFIX):

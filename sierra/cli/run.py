@@ -31,12 +31,12 @@ from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.api import Project
+    from sierra.design.query.condition import Selection
     from sierra.execution.observer import Observer
     from sierra.execution.plan import Plan
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.summary import Summary
     from sierra.execution.supervised.supervisor import Supervisor
-    from sierra.query.condition import Selection
 
 STDERR = 2
 
@@ -112,7 +112,7 @@ def run(
     from sierra.cli import open_project, render_summary
     from sierra.cli.progress import Planning
     from sierra.config import user
-    from sierra.query.grammar import setting
+    from sierra.design.query.grammar import setting
 
     project = open_project.project()
     observer = Planning(agreed=yes, quiet=as_json)
@@ -235,7 +235,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     from sierra.cli import render_summary
     from sierra.cli.progress import Display, watching
     from sierra.cli.render_reasons import build
-    from sierra.query import condition
+    from sierra.design.query import condition
 
     selection = condition.select(options.only, plan.batch) if options.only is not None else None
     more: dict[str, object] = {}

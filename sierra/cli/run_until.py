@@ -14,18 +14,18 @@ from sierra.util.hashing import short
 
 if TYPE_CHECKING:
     from sierra.api import Project
+    from sierra.deliverables.studies.study import Outcome
+    from sierra.design.query.query_request import QueryRequest
     from sierra.execution.plan import Plan
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.summary import Summary
-    from sierra.query.query_request import QueryRequest
-    from sierra.studies.study import Outcome
 
 COLUMNS = ("n", "value", "low", "high", "half_width", "wanted", "holds")
 
 
 def request(project: Project, query: list[str], settings: Settings, target: str | None) -> QueryRequest:
     """Return the request of the first look. Raises UsageError for a query that cannot get more runs."""
-    from sierra.query import query_request
+    from sierra.design.query import query_request
     from sierra.stats.looks import FIRST
     from sierra.store.store import PREFIX
 
@@ -135,7 +135,7 @@ def _conclusion(outcome: Outcome) -> str:
 
 
 def _print_design(outcome: Outcome) -> None:
-    from sierra.studies import wording
+    from sierra.deliverables.studies import wording
 
     made = outcome.design
     print(readable(f"study {short(made.row.study)}: {made.row.query}"))

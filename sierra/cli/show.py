@@ -16,9 +16,9 @@ from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.deliverables.record import ShownDeliverable
+    from sierra.deliverables.studies.study import Outcome
     from sierra.execution.shown_records import Failed, FirmwareOfBatch, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known
-    from sierra.studies.study import Outcome
 
 SHOWN_REASONS = 10
 MORE = 4

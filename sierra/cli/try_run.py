@@ -62,8 +62,8 @@ def try_(
     """
     from sierra.cli import open_project
     from sierra.cli.progress import Planning
+    from sierra.design.query.grammar import setting
     from sierra.model import Status
-    from sierra.query.grammar import setting
 
     project = open_project.project()
     printer = Printer(to_stderr=as_json)

@@ -177,8 +177,8 @@ class Kind:
 
 PLATFORMS = Kind(
     "platform",
-    "sierra.platforms.base:Platform",
-    {"command": "sierra.platforms.command:Command"},
+    "sierra.design.platforms.base:Platform",
+    {"command": "sierra.design.platforms.command:Command"},
 )
 TEMPLATES = Kind(
     "template",
@@ -279,11 +279,13 @@ COMPARISONS = Kind(
 """Methods of comparisons; `[comparisons.NAME]` are comparisons, so the options have tables of another name."""
 CRITERIA = Kind(
     "criterion",
-    "sierra.query.base:Range",
-    {"Log": "sierra.query.named_ranges:LogRange", "Linear": "sierra.query.named_ranges:LinearRange"},
+    "sierra.design.query.base:Range",
+    {"Log": "sierra.design.query.named_ranges:LogRange", "Linear": "sierra.design.query.named_ranges:LinearRange"},
 )
 LINKS = Kind(
-    "link", "sierra.links.base:Link", {"fabric": "sierra.links.fabric:Fabric", "openssh": "sierra.links.openssh:OpenSsh"}
+    "link",
+    "sierra.runners.links.base:Link",
+    {"fabric": "sierra.runners.links.fabric:Fabric", "openssh": "sierra.runners.links.openssh:OpenSsh"},
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 

@@ -27,7 +27,7 @@ from sierra.store.store import Store
 from sierra.util.fs import fitting, write_whole
 from sierra.util.json_types import JsonView
 from sierra.util.text import like
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 if TYPE_CHECKING:
     import pyarrow as pa

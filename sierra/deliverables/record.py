@@ -33,7 +33,7 @@ from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, sha256_file, short
 from sierra.util.json_types import JsonView
 from sierra.util.regular_files import read_regular
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from sierra.config.deliverable_tables import Figure
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.gallery import Gallery
+from sierra.design.query import condition
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
-from sierra.query import condition
 from sierra.stats import aggregate as stats
 from sierra.stats import survival
 from sierra.stats.comparison.model import RunValue

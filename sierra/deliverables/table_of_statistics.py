@@ -12,10 +12,10 @@ from sierra.deliverables import overlay, paper_tables
 from sierra.deliverables.paper_tables import Cell, Estimates
 from sierra.deliverables.run_statistics import of_tables, statistics
 from sierra.deliverables.table_columns import Columns
+from sierra.design.query import condition
 from sierra.errors import UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
-from sierra.query import condition
 from sierra.stats.rounding import rounded
 from sierra.store.samples import Frame
 from sierra.store.store import Store

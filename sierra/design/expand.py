@@ -13,9 +13,9 @@ from dataclasses import replace
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.design import robots, run_values, seeds
 from sierra.design.factorial_design import PlanningProgress, changes, ignore_progress, mentions
+from sierra.design.platforms.base import Platform
 from sierra.errors import ConfigError, QueryError
 from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
-from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_NAMES
 from sierra.templates.base import Files, Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256

@@ -26,6 +26,8 @@ from sierra.config.change_tables import ChangeTable, Group, Variable
 from sierra.config.project_file import Project
 from sierra.design import overwritten
 from sierra.design.overwritten import Layer
+from sierra.design.platforms.base import Following, Platform, Reader
+from sierra.design.query import ranges
 from sierra.errors import ConfigError, QueryError
 from sierra.model import (
     Add,
@@ -44,8 +46,6 @@ from sierra.model import (
     Set,
     Value,
 )
-from sierra.platforms.base import Following, Platform, Reader
-from sierra.query import ranges
 from sierra.templates.base import FOLDERS, PORTS, Template
 
 GROUPED = ("controller", "scenario")

@@ -40,11 +40,11 @@ from sierra.containers.engines.base import (
 )
 from sierra.containers.images.image import Image
 from sierra.design import robots, run_values
+from sierra.design.platforms.base import Platform
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build_products import matches
 from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
-from sierra.platforms.base import Platform
 from sierra.provenance import pythons
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files

@@ -11,6 +11,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers import container_setup
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage
+from sierra.design.query.query_request import QueryRequest
 from sierra.execution import commands
 from sierra.execution.build.state import BuildState
 from sierra.execution.checkout import Checkout
@@ -20,7 +21,6 @@ from sierra.model import IN_PROJECT, Batch, Limits, Purpose, Query, Run
 from sierra.provenance import reported_versions, source
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
-from sierra.query.query_request import QueryRequest
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.templates.base import Files
 from sierra.util import html

@@ -21,6 +21,7 @@ from sierra.containers.engines.base import Engine
 from sierra.containers.images import record
 from sierra.containers.images.image import AnyImage, Image, ImageVariants
 from sierra.containers.images.image_contents import Contents
+from sierra.design.query.query_request import repeated
 from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.execution import around, commands, row_queries, targets
 from sierra.execution.build import recorded as recorded_build
@@ -34,7 +35,6 @@ from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Criterion, Experiment, Listed, Query, Run, RunSpec
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
-from sierra.query.query_request import repeated
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.row_types import BatchRow, ImageRow, IngestRulesRow, SourceRow, SpecRow
 from sierra.store.store import Store

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from sierra.design.query.query_request import QueryRequest
 from sierra.execution.cluster_status import ClusterSession
-from sierra.query.query_request import QueryRequest
 from sierra.runners.cluster.resource_estimate import Estimate
 
 

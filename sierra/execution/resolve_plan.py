@@ -7,15 +7,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from sierra import platforms, templates
+from sierra import templates
 from sierra.config import project_file
 from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage, Image
-from sierra.design import platform_options, robots, run_values
+from sierra.design import platform_options, platforms, robots, run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress
+from sierra.design.query import grammar
+from sierra.design.query.query_request import QueryRequest
 from sierra.errors import ConfigError, Missing
 from sierra.execution import (
     around,
@@ -37,15 +39,13 @@ from sierra.model import IN_PROJECT, Query, RunSpec
 from sierra.provenance import environment, referenced_files, source
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Kind, Program, Programs
-from sierra.query import grammar
-from sierra.query.query_request import QueryRequest
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
 from sierra.util import processors
 from sierra.util.fs import unescaped
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 
 def plan(

@@ -6,11 +6,11 @@ import difflib
 import re
 
 from sierra.config.project_file import LoadedProject
+from sierra.design.query import grammar
+from sierra.design.query.query_request import QueryRequest
 from sierra.errors import QueryError
 from sierra.execution import targets
 from sierra.model import Query, Set
-from sierra.query import grammar
-from sierra.query.query_request import QueryRequest
 
 BARE = re.compile(r"[^\W\d]\w*")
 """Pattern of a word that is not a criterion, because it has no range."""

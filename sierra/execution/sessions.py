@@ -37,7 +37,7 @@ from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
 from sierra.util.lazy_logger import Log
 from sierra.util.regular_files import read_regular
-from sierra.version import __version__
+from sierra.util.version import __version__
 from sierra.worker import worker
 
 log = Log(__name__)

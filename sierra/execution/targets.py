@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from sierra import platforms
 from sierra.config import group_names
 from sierra.config.field_types import NAME
 from sierra.config.project_file import LoadedProject
+from sierra.design import platforms
 from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, UsageError
 from sierra.model import Batch, Computed, Listed, Query

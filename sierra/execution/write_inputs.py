@@ -25,12 +25,12 @@ from pathlib import Path
 
 from sierra.containers.engines.base import HERE, PROJECT
 from sierra.containers.images.image import Image, here
+from sierra.design.query.condition import Selection
+from sierra.design.query.query_request import KEY
 from sierra.errors import Missing, UsageError
 from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan import Plan
 from sierra.model import Job, Member
-from sierra.query.condition import Selection
-from sierra.query.query_request import KEY
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors

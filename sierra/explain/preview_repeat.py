@@ -6,6 +6,7 @@ from collections.abc import Container
 from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
+from sierra.design.query.query_request import repeated
 from sierra.errors import SierraError
 from sierra.execution import resolve_plan, targets
 from sierra.execution.build.state import BuildState
@@ -14,7 +15,6 @@ from sierra.execution.plan import Plan
 from sierra.execution.reasons import Reason
 from sierra.explain.plan_changes import PlanChange
 from sierra.explain.why_new_runs import other_programs, why_other
-from sierra.query.query_request import repeated
 from sierra.store.row_types import BatchRow
 from sierra.store.store import Store
 

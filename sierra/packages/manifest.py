@@ -18,7 +18,7 @@ from sierra.packages.layout import PACKAGE
 from sierra.packages.needs import Machine, Measured, machines, of_batches
 from sierra.packages.parts.sources import folders
 from sierra.packages.subject import Subject
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 FORMAT: Literal["sierra package 1"] = "sierra package 1"
 

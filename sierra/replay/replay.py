@@ -46,7 +46,7 @@ from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.util.lazy_logger import Log
 from sierra.util.text import counted, like
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 log = Log(__name__)
 

@@ -165,9 +165,9 @@ def _project() -> Iterator[Check]:
 
 def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
     """Check what a project needs for its default target, or for another target, which `of` names."""
-    from sierra import platforms, runners, templates
+    from sierra import runners, templates
     from sierra.containers import container_setup, images
-    from sierra.design import run_values
+    from sierra.design import platforms, run_values
     from sierra.execution import commands
     from sierra.ingest.base import used
     from sierra.provenance import fingerprint_programs, required_packages

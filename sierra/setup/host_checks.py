@@ -22,8 +22,8 @@ from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import LINKS, RUNNERS
 from sierra.config.project_file import Project
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.links.base import Ended, Link, Unreachable, UntrustedHost
-from sierra.links.clock import measured
+from sierra.runners.links.base import Ended, Link, Unreachable, UntrustedHost
+from sierra.runners.links.clock import measured
 from sierra.runners.robots import agent_start
 from sierra.runners.robots.agent_link import AgentLink, Refused
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable

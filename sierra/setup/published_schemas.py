@@ -33,9 +33,9 @@ from sierra.config.plugin_registry import (
 )
 from sierra.config.project_file import model_of
 from sierra.config.targets import SHARED
+from sierra.design.query.query_request import QueryRequest, RequestFile
 from sierra.errors import PluginError
 from sierra.execution.plan_json import PlanPreview
-from sierra.query.query_request import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
 from sierra.util.json_types import Json
 

@@ -69,7 +69,7 @@ class Template(Protocol):
         """Return the text of each attribute, text or element that a path of this format (XPath 1.0 for XML) selects.
 
         The order is that of the document; the result is empty if the path selects nothing. Raises TemplateError for an invalid
-        path. This method makes every template a `sierra.platforms.base.Reader`.
+        path. This method makes every template a `sierra.design.platforms.base.Reader`.
         """
 
     def attributes(self) -> tuple[tuple[str, str], ...]:

@@ -20,16 +20,16 @@ from dataclasses import dataclass, field
 
 from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import CRITERIA
+from sierra.design.query import grammar, ranges
 from sierra.errors import QueryError
 from sierra.model import Criterion, Value
-from sierra.query import grammar, ranges
 from sierra.testing.assertions import holds, says_what_its_options_are
 
 NAME = re.compile(r"[A-Za-z_]+")
 OTHER_PROCESS = """
 import sys
 sys.path[:] = {path!r}
-from sierra.query import grammar
+from sierra.design.query import grammar
 for text in {texts!r}:
     print(repr(grammar.parse(text, {tables!r})))
 """

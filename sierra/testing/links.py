@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Protocol
 
 from sierra.errors import Missing
-from sierra.links.base import LIMIT, Link, Overdue, Unreachable, UntrustedHost
+from sierra.runners.links.base import LIMIT, Link, Overdue, Unreachable, UntrustedHost
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are, wait
 
 WORDS = ("", "a b", " c ", "d\ne", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "!l", "ü", "--")

@@ -21,9 +21,9 @@ from types import UnionType
 from sierra.config.capture_table import Capture
 from sierra.config.project_file import Project
 from sierra.config.validate import options
+from sierra.design.platforms.base import Following, Placing, Platform, Reader, Renders
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Set
-from sierra.platforms.base import Following, Placing, Platform, Reader, Renders
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arch", "arguments"))

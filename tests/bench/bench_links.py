@@ -21,9 +21,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from sierra.links.base import Link, LinkOptions  # noqa: E402 - tests are found by the line above
-from sierra.links.fabric import Fabric  # noqa: E402
-from sierra.links.openssh import OpenSsh, OpenSshOptions  # noqa: E402
+from sierra.runners.links.base import Link, LinkOptions  # noqa: E402 - tests are found by the line above
+from sierra.runners.links.fabric import Fabric  # noqa: E402
+from sierra.runners.links.openssh import OpenSsh, OpenSshOptions  # noqa: E402
 from sierra.runners.robots import agent_start  # noqa: E402
 from sierra.runners.robots.agent_link import AgentLink  # noqa: E402
 from sierra.runners.robots.fleet_table import FleetTable  # noqa: E402

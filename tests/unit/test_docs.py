@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra import platforms
 from sierra.config import project_file
+from sierra.design import platforms
 from tests import plugins, projects
 from tests.support.pages import DOCS, FENCE, ROOT, as_user, blocks, follow, name_of
 

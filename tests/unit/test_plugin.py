@@ -17,8 +17,8 @@ import sierra
 from sierra import plugin
 from sierra.config.plugin_registry import READERS
 from sierra.containers import engines
+from sierra.design.query import grammar
 from sierra.ingest.model import PLAIN, Form
-from sierra.query import grammar
 from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import comparisons, criteria, links, platforms, readers, runners, statistics, templates

@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 from sierra.containers.engines import on_host
 from sierra.errors import Missing
-from sierra.links.base import Link
 from sierra.store.layout import user_apptainer
 from sierra.util.lazy_logger import Log
 
@@ -95,6 +94,27 @@ class ThisHost:
 
 
 HERE = ThisHost()
+
+
+class Ended(Protocol):
+    """A command that ended on a host."""
+
+    @property
+    def status(self) -> int: ...
+
+    @property
+    def stdout(self) -> bytes: ...
+
+    @property
+    def stderr(self) -> bytes: ...
+
+
+class Link(Protocol):
+    """The part of a link to a host that engines need: see `sierra.runners.links.base`."""
+
+    def run(self, argv: Sequence[str], *, stdin: bytes, timeout: float) -> Ended: ...
+
+    def push(self, folder: Path, target: str, *, timeout: float, progress: Callable[[int], None]) -> object: ...
 
 
 class OtherHost:

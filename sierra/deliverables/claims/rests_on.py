@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from sierra.config.claim_table import Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import comparison
+from sierra.design.query import grammar, query_request
+from sierra.design.query.query_request import QueryRequest
 from sierra.errors import NotFound, UsageError
 from sierra.execution import resolve_plan, resolve_query, targets
-from sierra.query import grammar, query_request
-from sierra.query.query_request import QueryRequest
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.text import counted, few

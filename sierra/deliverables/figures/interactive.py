@@ -19,7 +19,7 @@ from sierra.deliverables.html import Chart, ChartAxis, Content, Series, tables
 from sierra.deliverables.html.tables import Table
 from sierra.model import Axis
 from sierra.util.arrow_columns import numpy_of
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 if TYPE_CHECKING:
     import pyarrow as pa

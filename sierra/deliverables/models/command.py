@@ -22,10 +22,10 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sierra import platforms
 from sierra.config.model_table import Model
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.models.predictions import Cells
+from sierra.design import platforms
 from sierra.design.run_values import Declared
 from sierra.errors import SierraError, UsageError
 from sierra.execution import commands

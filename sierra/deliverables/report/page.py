@@ -15,7 +15,7 @@ from sierra.deliverables.report.parts import Place, Section, auto, section
 from sierra.deliverables.report.reproduce import Received
 from sierra.util.hashing import short
 from sierra.util.text import counted
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 GENERATOR = "SIERRA report"
 """The beginning of the name of the program in the page, by which a report is recognized."""

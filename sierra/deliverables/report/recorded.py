@@ -19,7 +19,7 @@ from sierra.errors import Missing, SierraError
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import digest, sha256
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 PICTURE = re.compile(rb'src="data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"')
 UNNAMED = f'<meta name="{ORIGIN}" content="">'.encode()

@@ -11,7 +11,7 @@ from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, Section, code, note, table
 from sierra.util.hashing import short
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 
 @dataclass(frozen=True, slots=True)

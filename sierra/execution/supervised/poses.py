@@ -1,7 +1,7 @@
 """Start poses of robots, for the person who places them: those in the inputs of a run, or those in `[trials]`.
 
-If a platform tells robots where they start (`sierra.platforms.base.Placing`), the person sees what is in the input of the run.
-For other platforms, `[trials]` lists poses, or draws them from the run's seed.
+If a platform tells robots where they start (`sierra.design.platforms.base.Placing`), the person sees what is in the input of
+the run. For other platforms, `[trials]` lists poses, or draws them from the run's seed.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 
-from sierra import platforms
 from sierra.config.trial_tables import DrawnPoses, Trials
-from sierra.design import robots
+from sierra.design import platforms, robots
+from sierra.design.platforms.base import Placing
 from sierra.errors import ConfigError
 from sierra.execution.plan import Plan
 from sierra.model import BASE, Pose, Run, Value
-from sierra.platforms.base import Placing
 
 TRIES = 10_000
 """Number of positions that are drawn for one robot until it is far enough from the others."""

@@ -15,9 +15,9 @@ from pydantic import Field, NonNegativeInt, model_validator
 
 from sierra.config.capture_table import Capture
 from sierra.config.field_types import Finite, Positive, Table
+from sierra.design.platforms.base import Reader
 from sierra.errors import ConfigError
 from sierra.model import Add, Change, Remove
-from sierra.platforms.base import Reader
 from sierra.util.text import like
 
 FILES = "frame_{tick}.png"

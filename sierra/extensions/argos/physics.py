@@ -12,7 +12,7 @@ from fractions import Fraction
 from itertools import pairwise
 from xml.sax.saxutils import quoteattr
 
-from sierra.query import ranges
+from sierra.design.query import ranges
 
 _MICROMETRE = Fraction(1, 10**6)
 

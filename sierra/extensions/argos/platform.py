@@ -18,6 +18,8 @@ from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 from sierra.config.capture_table import Capture
 from sierra.config.field_types import Table
 from sierra.config.project_file import Project
+from sierra.design.platforms.base import Reader, Rendering
+from sierra.design.query import ranges
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.extensions.argos import frames, physics, scripts
 from sierra.model import (
@@ -36,8 +38,6 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
-from sierra.platforms.base import Reader, Rendering
-from sierra.query import ranges
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"

@@ -11,9 +11,9 @@ import posixpath
 from collections.abc import Iterable, Iterator
 from fnmatch import fnmatchcase
 
+from sierra.design.platforms.base import Reader
 from sierra.errors import TemplateError
 from sierra.model import FOLDER, Change, Set
-from sierra.platforms.base import Reader
 
 SCRIPTS = "/argos-configuration/controllers/lua_controller/params/@script"
 WHY = "platform argos: the script of a Lua controller"

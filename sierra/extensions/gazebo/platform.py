@@ -17,9 +17,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PositiveInt, StringConstraints
 
+from sierra.design.platforms.driver_path import driver_path
 from sierra.extensions.gazebo import robots
 from sierra.extensions.gazebo.robots import COPIES, SEED, Area, Start
-from sierra.platforms.driver_path import driver_path
 from sierra.plugin import (
     Add,
     Axis,

@@ -16,8 +16,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints
 
+from sierra.design.platforms.driver_path import driver_path
 from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, Launch1, Launch2, Pose, RandomPoses, Robots
-from sierra.platforms.driver_path import driver_path
 from sierra.plugin import (
     Add,
     Axis,

@@ -15,17 +15,18 @@ from dataclasses import dataclass, field
 from json import dumps
 from pathlib import Path
 
-from sierra import platforms, templates
+from sierra import templates
 from sierra.config import field_types, project_file
 from sierra.config.group_names import GROUP_NAME
+from sierra.design import platforms
+from sierra.design.platforms.base import Following, Platform
+from sierra.design.query import grammar
 from sierra.errors import ConfigError, Missing, QueryError, SierraError, UsageError
 from sierra.extensions.argos.platform import ARENA, EXPERIMENT, PLACEHOLDER
 from sierra.extensions.sierra1 import graphs as figures
 from sierra.extensions.sierra1.changes import ADDS, REMOVES, RENAMES, SETS, Old, Trial, first, listed, translated, xpath
 from sierra.extensions.sierra1.old_project import Call, OldProject, read
 from sierra.model import Add, Change, Remove, Rename, Set
-from sierra.platforms.base import Following, Platform
-from sierra.query import grammar
 from sierra.setup.init import folder
 from sierra.store.layout import CONFIG
 from sierra.templates.base import Template

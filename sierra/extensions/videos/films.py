@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from sierra.design.query import condition
 from sierra.errors import DamagedFile, NotFound, SierraError
 from sierra.extensions.videos.table import Video
 from sierra.model import Axis, Value
-from sierra.query import condition
 from sierra.store.samples import ChosenRun
 from sierra.util.text import counted, few
 

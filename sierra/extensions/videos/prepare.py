@@ -21,7 +21,7 @@ from sierra.extensions.videos.two_batches import films_of_two
 from sierra.store.samples import AllFailed
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 if TYPE_CHECKING:
     from sierra.extensions.videos.tracks import Floats

@@ -15,12 +15,12 @@ from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.project_file import LoadedProject, Project
 from sierra.config.validate import options
 from sierra.design.factorial_design import changes
+from sierra.design.platforms import base as platforms
+from sierra.design.platforms.base import Platform, Rendering, Renders
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, Missing, TemplateError
 from sierra.execution import commands
 from sierra.model import Limits, Purpose, RunSpec, Service
-from sierra.platforms import base as platforms
-from sierra.platforms.base import Platform, Rendering, Renders
 from sierra.replay.compare_values import Agreement
 from sierra.replay.variation import Variation
 from sierra.templates import several
@@ -115,7 +115,7 @@ class _Document:
         self._read, self._recorded = read, recorded
 
     def find(self, path: str) -> tuple[str, ...]:
-        """Return the texts that a path selects: see `sierra.platforms.base.Reader`."""
+        """Return the texts that a path selects: see `sierra.design.platforms.base.Reader`."""
         return self._template.find(path)
 
     @cached_property

@@ -24,7 +24,7 @@ from sierra.packages.crates.actions import Around, Batch, add, batches, paramete
 from sierra.packages.crates.graph import Entity, Graph, local, moment, purl, ref
 from sierra.packages.layout import CRATE, INSTRUCTIONS, PROJECT, README, STORED
 from sierra.packages.subject import Made, Member, Subject
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 RUN = "https://w3id.org/ro/wfrun/"
 WORKFLOW_CRATE = "https://w3id.org/workflowhub/workflow-ro-crate/1.0"

@@ -20,7 +20,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra import version
 from sierra.errors import Missing
 from sierra.packages.archive import info
 from sierra.packages.layout import OWN_REQUIREMENTS, SIERRA
@@ -100,7 +99,7 @@ def wheel(own: metadata.Distribution, folder: Path) -> Path:
 
 def _code() -> dict[str, bytes]:
     """Return the files of SIERRA by their names in a wheel, in order."""
-    folder = Path(version.__file__).parent
+    folder = Path(__file__).parents[2]
     return {f"sierra/{path.relative_to(folder).as_posix()}": path.read_bytes() for path in sorted(_files(folder))}
 
 

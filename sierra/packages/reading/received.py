@@ -22,7 +22,7 @@ from sierra.store.layout import STORE, user_packages
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.scratch import scratch
-from sierra.version import __version__
+from sierra.util.version import __version__
 
 OTHER = (
     f"{PROGRAM} in the package is not that of SIERRA {__version__}: read it before you execute it, or use the one of a package "

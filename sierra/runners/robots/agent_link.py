@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing, SierraError
-from sierra.links import copy_folder
-from sierra.links.base import Channel, Link, Overdue, Unreachable
-from sierra.links.clock import Clock, measured
+from sierra.runners.links import copy_folder
+from sierra.runners.links.base import Channel, Link, Overdue, Unreachable
+from sierra.runners.links.clock import Clock, measured
 from sierra.runners.robots import agent_messages
 from sierra.runners.robots.agent_messages import Record
 from sierra.util.lazy_logger import Log

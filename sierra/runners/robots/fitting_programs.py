@@ -8,8 +8,8 @@ from pathlib import Path
 
 from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing
-from sierra.links.base import Link
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
+from sierra.runners.links.base import Link
 from sierra.util.processors import NAMES, can_execute
 from sierra.worker import worker
 

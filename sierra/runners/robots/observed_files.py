@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, Field
 
-from sierra.links import remote_folder
 from sierra.model import IN_PROJECT
+from sierra.runners.links import remote_folder
 from sierra.runners.robots.agent_messages import Text
 from sierra.runners.robots.trial import Part
 from sierra.util.regular_files import read_regular

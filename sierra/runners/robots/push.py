@@ -10,9 +10,9 @@ from pathlib import Path
 
 from sierra.containers.engines import on_host
 from sierra.errors import Missing
-from sierra.links import remote_folder
-from sierra.links.base import Link, Unreachable
 from sierra.provenance import machine
+from sierra.runners.links import remote_folder
+from sierra.runners.links.base import Link, Unreachable
 from sierra.worker import clock_watch, robot_agent, robot_condition, robot_software, topic_rates, worker
 
 PROGRAMS = (

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sierra.links.clock import Clock
+from sierra.runners.links.clock import Clock
 from sierra.runners.robots import clock_changes, observed_files
 from sierra.runners.robots.trial import OVER, STOPPED, Part, Trial
 from sierra.store.layout import RUN_OUTPUT

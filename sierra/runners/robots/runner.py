@@ -25,11 +25,11 @@ from sierra.config.plugin_registry import LINKS
 from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
-from sierra.links.base import Link, NoSession, Unreachable
 from sierra.model import Job, LateFiles, Limits, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
+from sierra.runners.links.base import Link, NoSession, Unreachable
 from sierra.runners.local import record
 from sierra.runners.robots import agent_start, fitting_programs, fitting_robots, results
 from sierra.runners.robots.agent_link import AgentLink

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
-from sierra.links.base import Unreachable
-from sierra.links.clock import Clock
+from sierra.runners.links.base import Unreachable
+from sierra.runners.links.clock import Clock
 from sierra.runners.robots.agent_link import AgentLink, Refused
 from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.fleet_table import FleetTable

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES, VALUE
+from sierra.design.query import grammar
 from sierra.errors import QueryError, UsageError
 from sierra.execution.commands import NAMED, SPLICED
-from sierra.query import grammar
 from sierra.setup.init import folder, variables
 from sierra.setup.init.answers import NONE
 

@@ -15,12 +15,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from sierra import platforms
 from sierra.config import extensions, project_file
+from sierra.design import platforms
+from sierra.design.platforms.base import Platform
 from sierra.design.run_values import Declared
 from sierra.errors import UsageError
 from sierra.execution import commands
-from sierra.platforms.base import Platform
 from sierra.setup.init import arguments, folder, named_files
 from sierra.setup.init.answers import Ask, Question, settled
 

@@ -16,10 +16,10 @@ from typing import TypeVar
 from sierra.config.change_tables import PORT_NAMES
 from sierra.design.factorial_design import GROUPED
 from sierra.design.overwritten import SOME_SEED
+from sierra.design.platforms.base import Platform
+from sierra.design.query import grammar
 from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
-from sierra.platforms.base import Platform
-from sierra.query import grammar
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
 from sierra.templates.base import Template
 from sierra.util.text import few

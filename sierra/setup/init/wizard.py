@@ -69,9 +69,9 @@ def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) ->
 
     Returns the trial; or why no run can be tried; or None if the command is doubtful. Raises KeyboardInterrupt.
     """
+    from sierra.design.query import query_request
     from sierra.execution import resolve_plan, trial
     from sierra.execution.observer import Observer
-    from sierra.query import query_request
 
     if guess.doubtful:
         return None

@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from sierra.config import project_file
+from sierra.design.query import grammar
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.extensions.argos import physics
 from sierra.extensions.argos.platform import Argos, Size
 from sierra.model import Change, Criterion, MonteCarlo, Set
-from sierra.query import grammar
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import platforms
 from tests import projects

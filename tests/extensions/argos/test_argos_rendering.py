@@ -14,9 +14,9 @@ import pytest
 from lxml import etree
 
 from sierra.config import project_file
+from sierra.design.platforms.base import Rendering
 from sierra.errors import ConfigError
 from sierra.extensions.argos.platform import Argos
-from sierra.platforms.base import Rendering
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import platforms
 

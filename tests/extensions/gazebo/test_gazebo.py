@@ -12,10 +12,10 @@ import pytest
 
 import sierra.extensions.gazebo
 from sierra.config import project_file
+from sierra.design.platforms import base
 from sierra.errors import SierraError
 from sierra.extensions.gazebo.platform import PARTS, Gazebo
 from sierra.model import Criterion, Listed
-from sierra.platforms import base
 from sierra.templates import several
 from sierra.testing import platforms
 from tests import projects

@@ -20,12 +20,12 @@ import sierra
 import sierra.extensions.ros
 from sierra.config import project_file
 from sierra.design import robots
+from sierra.design.platforms import base
+from sierra.design.query import grammar
 from sierra.errors import ConfigError, QueryError, SierraError, TemplateError
 from sierra.execution.supervised import poses
 from sierra.extensions.ros.platform import Ros
 from sierra.model import Set
-from sierra.platforms import base
-from sierra.query import grammar
 from sierra.templates import several
 from sierra.testing import platforms
 from tests import projects

@@ -9,9 +9,9 @@ import pytest
 
 import sierra.extensions.simulators
 from sierra.config import project_file
+from sierra.design.platforms import base
 from sierra.errors import TemplateError
 from sierra.extensions.simulators.jsbsim import DRIVER, Jsbsim
-from sierra.platforms import base
 from sierra.templates import several
 from sierra.testing import platforms
 from tests import projects

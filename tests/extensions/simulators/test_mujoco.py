@@ -9,11 +9,11 @@ import pytest
 
 import sierra.extensions.simulators
 from sierra.config import project_file
+from sierra.design.platforms import base
+from sierra.design.platforms.base import Rendering, Renders
+from sierra.design.query import grammar
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.extensions.simulators.mujoco import DRIVER, Mujoco
-from sierra.platforms import base
-from sierra.platforms.base import Rendering, Renders
-from sierra.query import grammar
 from sierra.templates import several
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import platforms

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from sierra.config import plugin_registry, project_file
+from sierra.design.query import grammar
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.extensions.simulators.sumo import Sumo
-from sierra.query import grammar
 from sierra.templates import several
 from sierra.testing import platforms
 from tests import projects

@@ -18,10 +18,10 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import Missing
-from sierra.links.base import LinkOptions
-from sierra.links.fabric import Fabric
-from sierra.links.openssh import OpenSsh, OpenSshOptions
 from sierra.model import Limits
+from sierra.runners.links.base import LinkOptions
+from sierra.runners.links.fabric import Fabric
+from sierra.runners.links.openssh import OpenSsh, OpenSshOptions
 from sierra.runners.robots.trial import Trial
 from tests.support.robot_fleet import Fleet, Proxy
 from tests.support.robot_runs import Runs, job

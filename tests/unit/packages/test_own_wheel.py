@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra import __version__
 from sierra.errors import ConfigError, Missing
 from sierra.packages import archive, pack
 from sierra.packages.members import MANIFEST
 from sierra.packages.parts import own_wheel, wheels
 from sierra.packages.subject import Member
-from sierra.version import __version__
 from tests import projects
 
 PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
@@ -52,7 +52,7 @@ def test_the_wheel_lists_all_of_its_files_and_is_the_same_again(wheel: Path, tmp
             digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
             assert rows[name] == (("", "") if name == record else (f"sha256={digest}", str(len(content))))
     assert set(rows) == set(names)
-    assert {"sierra/version.py", "sierra/py.typed", "sierra/worker/worker.py"} <= set(names)
+    assert {"sierra/util/version.py", "sierra/py.typed", "sierra/worker/worker.py"} <= set(names)
     assert not [name for name in names if "__pycache__" in name or name.endswith(("direct_url.json", ".pth", "RECORD.jws"))]
     assert own_wheel.wheel(OWN, tmp_path / "again").read_bytes() == wheel.read_bytes()
 
@@ -133,7 +133,7 @@ def test_packed_wheels_are_installed_without_an_index(tmp_path: Path, packed: Pa
 def test_wheels_in_a_package_are_neither_installed_nor_imported_by_sierra(tmp_path: Path, packed: Path) -> None:
     evil = tmp_path / "sierra_experiments-9.9-py3-none-any.whl"
     with zipfile.ZipFile(evil, "w") as file:
-        for name in ("sierra/__init__.py", "evil.pth", "sitecustomize.py"):
+        for name in ("sierra/util/version.py", "evil.pth", "sitecustomize.py"):
             file.writestr(name, f"import pathlib; pathlib.Path({str(tmp_path / 'HACKED')!r}).touch()\n")
     with zipfile.ZipFile(packed) as file:
         contents = {name: Member(name, file.read(name), "") for name in file.namelist() if name != MANIFEST}

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sierra.links.base import Ended
+from sierra.runners.links.base import Ended
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.setup import host_checks
 from sierra.setup.doctor import Check

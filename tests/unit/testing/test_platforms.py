@@ -10,16 +10,16 @@ from typing import Any, ClassVar
 import pytest
 from pydantic import ConfigDict
 
-from sierra import platforms
 from sierra.config import field_types, project_file
 from sierra.config.change_tables import OWN_PLACEHOLDERS
 from sierra.config.plugin_registry import PLATFORMS
+from sierra.design import platforms
+from sierra.design.platforms.base import Platform, Reader, Rendering
+from sierra.design.platforms.command import Command
+from sierra.design.query import grammar
 from sierra.errors import ConfigError, TemplateError
 from sierra.extensions.argos.platform import Argos
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
-from sierra.platforms.base import Platform, Reader, Rendering
-from sierra.platforms.command import Command
-from sierra.query import grammar
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import platforms as conformance
 

@@ -6,7 +6,7 @@ import queue
 
 import pytest
 
-from sierra.links.clock import Clock
+from sierra.runners.links.clock import Clock
 from sierra.runners.robots import clock_changes
 from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.trial import Part

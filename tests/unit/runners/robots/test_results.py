@@ -13,9 +13,9 @@ import pytest
 from sierra.config.output_tables import Success
 from sierra.ingest.observations import observed
 from sierra.ingest.success import judge
-from sierra.links.clock import Clock
 from sierra.model import Limits, Status
 from sierra.runners.journal_reader import result_of
+from sierra.runners.links.clock import Clock
 from sierra.runners.robots import results
 from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.fleet_table import FleetTable

@@ -1,7 +1,0 @@
-"""Platforms: the ways to drive a simulator or robot stack."""
-
-from __future__ import annotations
-
-from sierra.platforms.base import find
-
-__all__ = ["find"]
