@@ -52,6 +52,7 @@ CONTENTS = {
     ],
     "Reference": ["reference/commands", "reference/sierra-toml", "reference/tables"],
     "Explanation": [
+        "explanation/architecture",
         "explanation/identity",
         "explanation/store-format",
         "explanation/execution",

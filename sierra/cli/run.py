@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +27,7 @@ from sierra.cli.arguments import (
 )
 from sierra.cli.output import note, print_json, table
 from sierra.errors import SierraError, UsageError
-from sierra.util.text import counted
+from sierra.util.text import counted, size
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.summary import Summary
     from sierra.execution.supervised.supervisor import Supervisor
+    from sierra.runners.cluster.resource_estimate import Estimate
 
 STDERR = 2
 
@@ -298,7 +299,6 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
 
     `built` says whether products are built.
     """
-    from sierra.cli import render_estimate
     from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
     from sierra.execution.cluster_status import seen
     from sierra.execution.dry_run import forecast, has_other_files
@@ -336,7 +336,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
     if not options.as_json:
         _print(plan, preview, selection, found.to_execute, explain=explain)
         if proposal:
-            render_estimate.show(proposal, explain=explain, script=options.dry_run)
+            show_estimate(proposal, explain=explain, script=options.dry_run)
     for message in (*plan.notes, *(proposal.notes if proposal else ())) if options.dry_run else ():
         note(message)
     return preview
@@ -409,3 +409,33 @@ def _again(project: Project, plan: Plan) -> list[str]:
     if why:
         note(f"this query was submitted before; since then: {'; '.join(why)}")
     return why
+
+
+def show_estimate(proposal: Estimate, *, explain: bool, script: bool) -> None:
+    """Print an estimate; with `explain` also the reasons for its settings, with `script` also the submission script."""
+    for line in _lines(proposal):
+        print(line)
+    if explain:
+        table(
+            ("setting", "value", "reason"),
+            [(one.name, "" if one.value is None else one.value, one.why) for one in proposal.settings],
+        )
+    if script and proposal.script is not None:
+        print(f"submission script for {proposal.runner}:")
+        print("".join(f"    {line}\n" for line in proposal.script.splitlines()), end="")
+
+
+def _lines(proposal: Estimate) -> Iterator[str]:
+    from sierra.execution.progress_display import duration
+
+    tasks, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")
+    cores = counted(proposal.cpus, "core")
+    wall = "the site's default time" if proposal.wall_s is None else duration(proposal.wall_s)
+    yield f"on {proposal.runner} ({proposal.scheduler}): {tasks} of up to {runs}, each {cores} for {wall}"
+    most = "" if proposal.most_core_hours is None else f", at most {proposal.most_core_hours:.3g} (the requested time)"
+    if proposal.core_hours is None:
+        yield f"core-hours: unknown, no run has been timed yet{most}"
+    else:
+        yield f"core-hours: about {proposal.core_hours:.3g}{most}"
+    wrote = "unknown size" if proposal.bytes is None else f"about {size(proposal.bytes)}"
+    yield f"on the shared file system: about {proposal.files} files, {wrote}"

@@ -34,7 +34,6 @@ from sierra.provenance.dependency_model import Programs
 from sierra.replay import compare_host_with_image, find_record, on_robots
 from sierra.replay.compare_host_with_record import other_machine, other_programs, used_files
 from sierra.replay.find_record import Record
-from sierra.replay.finished_runs import Finished, finished
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
 from sierra.replay.options import ReplayOptions
 from sierra.replay.same_files import UsedFiles, used_gpu
@@ -397,3 +396,40 @@ def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[st
         for column in names:
             if column not in ("*", *(columns or ())) and stored_name(column, columns or ()) not in (columns or ()):
                 yield f"[outputs.{name}] {key}: the table has no column {column!r}; {like(column, columns or ())}"
+
+
+class Finished(NamedTuple):
+    """A successful execution of an earlier call."""
+
+    run: str
+    execution: str
+    session: str
+
+
+FINISHED = """
+SELECT run, max(execution) AS execution, arg_max(session, execution) AS session FROM executions
+WHERE (purpose = 'replay' AND list_contains($sessions, session) OR list_contains($executions, execution))
+  AND list_contains($runs, run) AND status = 'ok'
+  AND programs = $programs AND environment = $environment AND ingest_rules = $rules
+  AND isolation IS NOT DISTINCT FROM $isolation
+GROUP BY run
+"""
+"""SQL: one of these executions for each run."""
+
+
+def finished(store: Store, record: Record, options: ReplayOptions, context: Context) -> dict[str, Finished]:
+    """Return the executions of earlier calls that count, by run: those that this replay would repeat."""
+    if not (options.earlier or options.variation.finished):
+        return {}
+    rows = store.select(
+        Finished,
+        FINISHED,
+        sessions=sorted(options.earlier),
+        executions=sorted(options.variation.finished),
+        runs=[one.run for one in record.runs],
+        programs=context.programs,
+        environment=context.environment,
+        rules=context.ingest_rules,
+        isolation=context.isolation and context.isolation.isolation,
+    )
+    return {row.run: row for row in rows}

@@ -96,23 +96,11 @@ class ThisHost:
 HERE = ThisHost()
 
 
-class Ended(Protocol):
-    """A command that ended on a host."""
-
-    @property
-    def status(self) -> int: ...
-
-    @property
-    def stdout(self) -> bytes: ...
-
-    @property
-    def stderr(self) -> bytes: ...
-
-
 class Link(Protocol):
     """The part of a link to a host that engines need: see `sierra.runners.links.base`."""
 
-    def run(self, argv: Sequence[str], *, stdin: bytes, timeout: float) -> Ended: ...
+    def run(self, argv: Sequence[str], *, stdin: bytes, timeout: float) -> Any:
+        """Execute a command; return its `status`, `stdout` and `stderr`."""
 
     def push(self, folder: Path, target: str, *, timeout: float, progress: Callable[[int], None]) -> object: ...
 
