@@ -66,6 +66,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "platforms": {"ros": "platform:Ros"},
         "readers": {"bag": "bags.bag_topics:BagTopics"},
         "outputs": {"bag": "output:BagOutput"},
+        "series": {"bag": "topic"},
         "options": {"files --recover": "command:recovered"},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
@@ -94,10 +95,11 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 }
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
 
-Five kinds are data. `inputs` are endings of input files, with the format of their templates. `starts` are endings of those
+Six kinds are data. `inputs` are endings of input files, with the format of their templates. `starts` are endings of those
 whose platform starts the simulator itself, with its name. `variables` are recorded with the environment; `libraries` are search
 paths of libraries. `examples` are projects for `sierra init --example`, with their folders. `needs` names other extensions,
-without which this one is as if it were not there.
+without which this one is as if it were not there. `series` are formats of outputs, each with the column that tells series of
+rows apart which have times of their own.
 """
 FOLDER = Path(__file__).parents[1] / "extensions"
 
@@ -118,6 +120,11 @@ def load(kind: str, name: str) -> Any:
 def names(kind: str) -> tuple[str, ...]:
     """Return all names of a kind, also those of extensions that are not there."""
     return tuple(name for adds in ADDS.values() for name in adds.get(kind, {}))
+
+
+def series(format: str) -> str:
+    """Return the column that tells series of rows of a format apart, also if its extension is not there; "" for none."""
+    return next((adds["series"][format] for adds in ADDS.values() if format in adds.get("series", {})), "")
 
 
 @cache

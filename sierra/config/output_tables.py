@@ -198,11 +198,8 @@ class Output(Table):
     """The largest number of bytes of a file that is searched for its tables."""
     needs: ClassVar[tuple[str, str, str] | None] = None
     """What reading needs: the format in words, a package, and the extra that installs it."""
-    series: ClassVar[str] = ""
-    """The column that tells series of rows apart that have times of their own, as topics of a bag have; "" for none.
-
-    A file of such a format may belong to several outputs, each of which makes a table of another part.
-    """
+    proposes: ClassVar[bool] = False
+    """True if files of this format say which tables they can make: see `proposals`."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -265,6 +262,14 @@ class Output(Table):
         return {key: getattr(self, key) for key in type(self).model_fields if key not in Output.model_fields}
 
     @property
+    def series(self) -> str:
+        """Return the column that tells series of rows apart that have times of their own, as topics of a bag have; or "".
+
+        A file of such a format may belong to several outputs, each of which makes a table of another part.
+        """
+        return extensions.series(self.kind)
+
+    @property
     def own_columns(self) -> tuple[str, ...]:
         """Return the names of columns that keys of this format declare."""
         return ()
@@ -274,7 +279,7 @@ class Output(Table):
 
     @classmethod
     def proposals(cls, content: bytes, name: str) -> Sequence[Proposal]:
-        """Return the tables that a file can make; none if it cannot be read. Only formats with `series` are asked."""
+        """Return the tables that a file can make; none if it cannot be read."""
         return ()
 
     def doubt(self) -> str:

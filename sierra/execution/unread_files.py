@@ -183,7 +183,7 @@ def _text_keys(one: Alike) -> Keys:
 def _proposed(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
     """Return the tables that a file makes whose format proposes them; nothing for other, declared, and unreadable files."""
     own = _of_ending(one.path)
-    if any(output.matches(one.path) for output in outputs.values()) or not own.series:
+    if any(output.matches(one.path) for output in outputs.values()) or not own.proposes:
         return ()
     content = one.content()
     made: list[UnreadFiles] = []

@@ -69,7 +69,8 @@ USES = {
     "gazebo": Use(("[platforms.gazebo]",), "[platforms.gazebo]\nlength = 1.0\n", "[platforms.gazebo]: the platform 'gazebo'"),
     "ros": Use(
         ("[platforms.ros]", "--recover"),
-        '[outputs.goals]\nfile = "run.bag"\nformat = "bag"\ntopics = ["/goal"]\nrequired = false\n',
+        '[outputs.goals]\nfile = "run.bag"\nformat = "bag"\ntopics = ["/goal"]\nrequired = false\n'
+        '[outputs.odom]\nfile = "run.bag"\nformat = "bag"\ntopics = ["/odom"]\nrequired = false\n',
         "[outputs.goals] format: 'bag'",
     ),
     "sierra1": Use(("--from-sierra1",)),

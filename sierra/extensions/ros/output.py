@@ -37,7 +37,7 @@ class BagOutput(Output):
     endings: ClassVar[Mapping[str, str]] = dict.fromkeys(("bag", "mcap", "db3"), 'format = "bag", topics = ["/TOPIC"]')
     most_searched: ClassVar[int] = 1 << 28
     needs: ClassVar[tuple[str, str, str] | None] = ("bags of ROS", "rosbags", "bags")
-    series: ClassVar[str] = "topic"
+    proposes: ClassVar[bool] = True
 
     def check_own_keys(self) -> None:
         if not self.topics:
