@@ -371,8 +371,9 @@ class Project:
         planning: Observer | None = None,
         supervisor: Supervisor | None = None,
     ) -> StudyOutcome:
-        """Execute a query with more and more runs until its intervals are narrow enough: see `deliverables.studies.study`.
+        """Execute a query with more and more runs until its intervals are narrow enough.
 
+        `sierra.deliverables.studies.study` has the rules.
         `plan` is the plan of the first look; its number of runs per experiment grows by a factor of 1.5 from look to look, up
         to `max_runs`. `until` is the rule: see `sierra.design.query.until`. The rule and the schedule are recorded before the
         first look, and each look with its decision. The same arguments continue a study, and execute nothing twice. `planning`

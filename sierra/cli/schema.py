@@ -27,7 +27,10 @@ def schema(
     write: Annotated[
         Path | None, typer.Option("--write", metavar="FOLDER", help="Write the schema files to this folder, as in schemas/.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; for sierra.toml, its JSON Schema.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print JSON: of a table of the store if there is one; for sierra.toml, its JSON Schema."),
+    ] = False,
 ) -> None:
     """Describe the tables of the store, or the keys of sierra.toml.
 
@@ -40,6 +43,7 @@ def schema(
       sierra schema outputs
       sierra schema sierra.toml --json > sierra.toml.schema.json
     """
+    from sierra.config.project_file import KEYS
     from sierra.errors import NotFound
     from sierra.setup import published_schemas
 
@@ -51,7 +55,7 @@ def schema(
         return
     tables = published_schemas.tables()
     chosen = [one for one in tables.values() if name in (None, one.name)]
-    keys = _keys(name) if name else []
+    keys = _keys(name) if name and not (chosen and (as_json or name not in KEYS)) else []
     if not chosen and not keys:
         raise NotFound(f"unknown name {name!r}; tables of the store are {', '.join(tables)} (sierra sql 'SHOW TABLES')")
     if as_json:

@@ -67,7 +67,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "readers": {"bag": "bags.bag_topics:BagTopics"},
         "outputs": {"bag": "output:BagOutput"},
         "series": {"bag": "topic"},
-        "options": {"files --recover": "command:recovered"},
+        "options": {"files --recover": "command:recovered", "open files --recover": "command:recovered"},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
         "examples": {"ros": "examples/ros", "turtlebot3": "examples/turtlebot3"},
@@ -127,10 +127,17 @@ def series(format: str) -> str:
     return next((adds["series"][format] for adds in ADDS.values() if format in adds.get("series", {})), "")
 
 
-@cache
 def data(kind: str) -> Mapping[str, str]:
-    """Return all names that extensions add to a kind that is data, each with its text."""
-    return {name: text for _, names in _present(kind) for name, text in names.items()}
+    """Return all names of a kind that is data, each with its text, also of extensions that are not there.
+
+    What is recorded of a run must not depend on which extensions exist.
+    """
+    return {name: text for adds in ADDS.values() for name, text in adds.get(kind, {}).items()}
+
+
+def starts() -> Mapping[str, str]:
+    """Return the endings of input files whose platform starts the simulator itself, each with the platform's name."""
+    return {ending: name for _, names in _present("starts") for ending, name in names.items()}
 
 
 def examples() -> Mapping[str, Path]:
@@ -155,20 +162,24 @@ def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str,
     and options of platforms that are not used.
     """
     kept: dict[str, Any] = {}
-    absent: dict[str, str] = {}
+    ignored: dict[str, str] = {}
     for key, value in table.items():
         if key in ("figures", "platforms") and isinstance(value, Mapping):
-            names = {name: name if key == "platforms" else str(dict(inner).get("kind")) for name, inner in value.items()}
-            lost = {n: owner for n, used in names.items() if used != table.get("platform") and (owner := _absent(key, used))}
+            names = {name: name if key == "platforms" else _kind(name, table, ()) for name in value}
+            lost = {n: owner for n, used in names.items() if used != table.get("platform") and (owner := absent(key, used))}
             kept[key] = {name: inner for name, inner in value.items() if name not in lost}
-            absent |= {f"{key}.{name}": owner for name, owner in lost.items()}
-        elif owner := _absent("tables", key):
-            absent[key] = owner
+            ignored |= {f"{key}.{name}": owner for name, owner in lost.items()}
+            if key == "figures" and lost:  # other figures may take keys from these
+                defaults = table.get("figure_defaults")
+                inherited = {name: value[name] for name in lost}
+                kept["figure_defaults"] = {**inherited, **(defaults if isinstance(defaults, Mapping) else {})}
+        elif owner := absent("tables", key):
+            ignored[key] = owner
         else:
-            kept[key] = value
+            kept.setdefault(key, value)
     notes = [
         f"sierra.toml: {where}{name} of the package is ignored: the extension {owner!r} is not installed"
-        for name, owner in absent.items()
+        for name, owner in ignored.items()
     ]
     if isinstance(targets := kept.get("targets"), Mapping):
         for name, target in targets.items():
@@ -179,7 +190,16 @@ def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str,
     return kept, tuple(notes)
 
 
-def _absent(kind: str, name: str) -> str | None:
+def _kind(name: object, table: Mapping[str, Any], children: tuple[object, ...]) -> str:
+    """Return the kind of a figure in the settings of a package, which may be another's; "" if it has none."""
+    groups = [group for key in ("figures", "figure_defaults") if isinstance(group := table.get(key), Mapping)]
+    found: Mapping[str, Any] = next((group[name] for group in groups if isinstance(group.get(name), Mapping)), {})
+    if "kind" in found or name in children or not isinstance(found.get("inherit"), str):
+        return str(found.get("kind", ""))
+    return _kind(found["inherit"], table, (*children, name))
+
+
+def absent(kind: str, name: str) -> str | None:
     """Return the extension that a name of a kind belongs to, if it does not exist here; else None."""
     return None if name in added(kind) else home(kind, name)
 

@@ -19,6 +19,7 @@ from pydantic import (
     StrictInt,
     StrictStr,
     StringConstraints,
+    ValidationInfo,
     WithJsonSchema,
     model_validator,
 )
@@ -203,21 +204,21 @@ class Output(Table):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _of_format(cls, data: object, handler: ModelWrapValidatorHandler[Output]) -> Output:
-        """Validate the keys of a format of an extension by its own class."""
+    def _of_format(cls, data: object, handler: ModelWrapValidatorHandler[Output], info: ValidationInfo) -> Output:
+        """Validate the keys of a format of an extension by its own class, as strictly as the others."""
         if cls is not Output or not isinstance(data, Mapping):
             return handler(data)
         name = str(data.get("format"))
-        if name in extensions.added("outputs"):
-            own: type[Output] = extensions.load("outputs", name)
-            return own.model_validate(data)
+        own: type[Output] = cls
         if name in extensions.names("outputs"):
-            return AbsentOutput.model_validate(data)
-        for key in data.keys() - cls.model_fields.keys():
-            if formats := [name for name, own in of_extensions().items() if key in own.model_fields]:
-                known = handler({name: value for name, value in data.items() if name in cls.model_fields})
+            own = extensions.load("outputs", name) if name in extensions.added("outputs") else AbsentOutput
+        if own is not AbsentOutput:
+            data = {key: value for key, value in data.items() if not _is_default_of_others(key, value, own)}
+        for key in data if own is not AbsentOutput else ():
+            if key not in own.model_fields and (formats := _having(key)):
+                known = handler({key: value for key, value in data.items() if key in cls.model_fields})
                 raise ValueError(f"{key} needs {_formats(formats)}, but the format is {known.kind!r}")
-        return handler(data)
+        return handler(data) if own is cls else own.model_validate(data, strict=bool(info.context), context=info.context)
 
     @model_validator(mode="after")
     def _fitting(self) -> Output:
@@ -336,6 +337,17 @@ class AbsentOutput(Output):
 def of_extensions() -> Mapping[str, type[Output]]:
     """Return the classes of the outputs of extensions by format."""
     return {name: extensions.load("outputs", name) for name in extensions.added("outputs")}
+
+
+def _having(key: str) -> list[str]:
+    """Return the formats of extensions that have a key of their own."""
+    return [name for name, own in of_extensions().items() if key in own.model_fields]
+
+
+def _is_default_of_others(key: str, value: object, own: type[Output]) -> bool:
+    """Return whether a key that only other formats have says what it would say by default; it may then be anywhere."""
+    fields = [of_extensions()[name].model_fields[key] for name in _having(key)] if key not in own.model_fields else []
+    return any(value == field.default for field in fields)
 
 
 def _formats(names: Iterable[str]) -> str:

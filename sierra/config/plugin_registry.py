@@ -49,13 +49,8 @@ class Offer:
 
     name: str
     point: EntryPoint
-    package: str = ""
-    """Name and version of the package, as in `sonar 1.2`; empty for SIERRA."""
-
-    @property
-    def module(self) -> str:
-        """Return the name of the top-level module with the class."""
-        return self.point.module.partition(".")[0]
+    package: str
+    """Name and version of the package, as in `sonar 1.2`."""
 
     @property
     def remedy(self) -> str:

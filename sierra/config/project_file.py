@@ -397,7 +397,9 @@ class Project(Table):
         return self.variables[name].is_given or self._uses(name)
 
     def _written(self) -> RawTable:
-        return self.model_dump(exclude_unset=True, by_alias=True, serialize_as_any=True)
+        outputs = {name: output.model_dump(exclude_unset=True, by_alias=True) for name, output in self.outputs.items()}
+        table = self.model_dump(exclude_unset=True, by_alias=True, exclude={"outputs"})
+        return {**table, "outputs": outputs} if outputs else table
 
     def _unknown(self, name: str) -> str:
         known = f"known are {', '.join(self.targets)}" if self.targets else "sierra.toml declares no [targets.NAME]"

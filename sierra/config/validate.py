@@ -16,6 +16,9 @@ from sierra.config.field_types import NAME, Table
 from sierra.config.find_project import TOO_DEEP
 from sierra.errors import ConfigError
 
+KEYS_OF_PROJECTS = {"outputs", "figures"}
+"""Keys by which a model of a whole `sierra.toml` is known."""
+TARGET = re.compile(r"targets\.[^.]+\.[^.]+")
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
 KINDS = {
     "int_type": "should be a whole number",
@@ -31,12 +34,14 @@ KINDS = {
     "string_too_short": "should not be empty",
 }
 """Messages in the terms of TOML for the error types of pydantic."""
+STRICT = {"strict": True}
+"""The context of validation, for models that validate a table by another model."""
 
 
 def options(model: type[OptionsT], table: object, origin: str, within: tuple[str, ...] = ()) -> OptionsT:
     """Validate a table strictly: a text is not a number. Messages name `origin`, and `within` in it. Raises ConfigError."""
     try:
-        return model.model_validate(_frozen(table, origin), strict=True)
+        return model.model_validate(_frozen(table, origin), strict=True, context=STRICT)
     except RecursionError as error:
         raise ConfigError(f"{origin}: {TOO_DEEP}") from error
     except ValidationError as error:
@@ -60,8 +65,10 @@ def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, 
     """Return the first error in one line; for an unknown key, with the most similar valid key."""
     complaint = error.errors()[0]
     where = ".".join(str(part) for part in (*within, *complaint["loc"]))
-    if complaint["type"] == "extra_forbidden" and (home := extensions.home("tables", where)):
-        return f"{extensions.belongs(where, home)}, or remove the key"
+    if complaint["type"] == "extra_forbidden" and model.model_fields.keys() >= KEYS_OF_PROJECTS:
+        key = ".".join(map(str, complaint["loc"]))
+        if home := extensions.absent("tables", key.rpartition(".")[2] if TARGET.fullmatch(key) else key):
+            return f"{extensions.belongs(where, home)}, or remove the key"
     if complaint["type"] == "extra_forbidden":
         return f"unknown key {where!r}{_dotted(complaint['loc'], complaint['input']) or _nearest(model, complaint['loc'])}"
     if complaint["type"] == "missing":
@@ -120,7 +127,8 @@ def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
     for part in location:
         inner = next((f.annotation for n, f in model.model_fields.items() if part in (n, f.alias)), None)
         model = next((other for other in _tables() if re.search(rf"\b{other.__name__}\b", str(inner))), model)
-    return {field.alias or name for name, field in model.model_fields.items()}
+    models = [model, *(other for other in model.__subclasses__() if location[:1] == ("outputs",))]
+    return {field.alias or name for one in models for name, field in one.model_fields.items()}
 
 
 def _tables() -> Iterator[type[BaseModel]]:

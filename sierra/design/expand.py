@@ -97,7 +97,7 @@ class Expansion:
         cell = self._design.cells[0]
         files = self._files(cell, self._renderers(cell), 0, self._seed(cell, 0))
         own = tuple(name for name in (name.removeprefix(self._folder) for name, _ in files) if name not in spec.named_inputs)
-        usual = (getattr(self._platform, "usual_files", None), ())
+        usual = (vars(type(self._platform)).get("usual_files"), ())
         return spec if own in usual else replace(spec, named_inputs=(*spec.named_inputs, *own))
 
     def _experiment(self, cell: Cell) -> Experiment:

@@ -58,7 +58,7 @@ USES = {
     ),
     "figures": Use(
         ('kind = "ridge"', '"pareto"'),
-        '[figures.densities]\nkind = "ridge"\ntable = "swarm"\ncolumn = "coverage"\n',
+        '[figures.densities]\nkind = "ridge"\ntable = "swarm"\ncolumn = "coverage"\n[figures.some]\ninherit = "densities"\n',
         "[figures.densities]: the figure 'ridge'",
     ),
     "formats": Use(
@@ -104,8 +104,7 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def without(name: str, folder: Path, *commands: tuple[Path | str, ...]) -> list[tuple[int, str, str]]:
     """Return the exit code, output and errors of commands, each in a folder, with a copy of SIERRA without an extension."""
-    left_out = shutil.ignore_patterns("examples")
-    shutil.copytree(ROOT / "sierra", folder / "sierra", ignore=left_out, copy_function=os.link)
+    shutil.copytree(ROOT / "sierra", folder / "sierra", copy_function=os.link)
     shutil.rmtree(folder / "sierra" / "extensions" / name)
     words = [[str(word) for word in command] for command in commands]
     variables = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "", "SIERRA_FIGURES": "no"}
@@ -127,7 +126,7 @@ def test_an_extension_can_be_deleted(name: str, used: Path, tmp_path: Path) -> N
     plain = shutil.copytree(used, tmp_path / "plain")
     config = plain / "sierra.toml"
     config.write_text(config.read_text().replace(use.config, ""))
-    *told, refused, ls, run, opened, ls_opened, notes, check = without(
+    *told, refused, ls, run, opened, ls_opened, notes, check, _, example = without(
         name,
         tmp_path / "copy",
         (tmp_path, "--help"),
@@ -141,12 +140,15 @@ def test_an_extension_can_be_deleted(name: str, used: Path, tmp_path: Path) -> N
         (plain, "open", "p.zip", "ls"),
         (plain, "open", "p.zip", "sql", "SELECT count(line) AS n FROM notes"),
         (plain, "figures", batch, "--check"),
+        (tmp_path, "init", "--example", "swarm", "demo"),
+        (tmp_path / "demo", "doctor"),
     )
     assert [(code, word) for code, out, _ in told for word in use.traces if code or word in out] == []
     if use.config:
         assert refused[0] == 2
         assert use.refused in refused[2]
         assert f"belongs to the extension {name!r}, which is not installed; install sierra-{name}" in refused[2]
+    assert "ok       options: the options of all plug-ins are valid" in example[1]
     for ended in (ls, run, opened, ls_opened, notes):
         assert ended[0] == 0, ended[2]
     assert notes[1].split() == ["n", "4"]

@@ -4,8 +4,8 @@ The core has the platform `command` (any program), extensions have those of simu
 `sierra.platforms` (see `sierra.plugin`). `sierra.testing.platforms` checks that they fulfil the contract.
 
 Two class attributes are optional. `usual_files` are the names of input files that are no part of specifications: two platforms
-have it since format 1 of ids, and no other needs it. `finds_files` is True if a platform finds all files that a template names,
-so that `sierra init` need not.
+have it since format 1 of ids, and classes that inherit from them have not. `finds_files` is True if a platform finds all files
+that a template names, so that `sierra init` need not.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The result of a run on robots, from what the robots have reported and left: one folder, and rows of `robots`.
 
-The part of a robot whose program has failed comes last, because the end of a log is shown with the reason of a failure.
+The logs of all robots become one file each: every robot gets its share of what is kept, however much others print. The part
+of a robot whose program has failed comes last, because the end of a log is shown with the reason of a failure.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Times:
 def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
     """Return the result of a trial whose files are in `folder`/PLACE, and are moved to one folder of a run there.
 
-    The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots: see `joint_logs`.
+    The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots: see `join_logs`.
     A run that the user has ended may have an error, too: if a person's stop is its planned end, it has failed nevertheless.
     """
     started = [part for part in trial.parts if part.started]

@@ -36,7 +36,7 @@ def platform(inputs: Mapping[str, object], command: str | None) -> tuple[str, Pl
     `inputs` are the settings of the templates.
     """
     written = str([inputs.get("template"), inputs.get("templates")])
-    name = next((name for ending, name in extensions.data("starts").items() if f"{ending}'" in written), "command")
+    name = next((name for ending, name in extensions.starts().items() if f"{ending}'" in written), "command")
     table = {"platform": name, **inputs} | ({"command": command} if command else {})
     return name, platforms.find(name, project_file.parse(table, "sierra init"))
 
@@ -61,7 +61,7 @@ def _has_input(words: Iterable[str]) -> bool:
 
 def choose(root: Path, template: str | None, given: str | None, ask: Ask | None) -> str | None:
     """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
-    if template and template.endswith(tuple(extensions.data("starts"))) and given is None:
+    if template and template.endswith(tuple(extensions.starts())) and given is None:
         return None
     found = folder.simulators(root)
     lines = {name: joined([*words, "{input}"] if template else words) for name, words in found.items()}

@@ -90,7 +90,7 @@ def _with_arguments(started: str | None, *, seeded: bool) -> tuple[str | None, d
 
 def _inputs(root: Path, template: str, options: Options, started: str | None) -> tuple[Inputs, str | None]:
     """Return the templates and the files that they name, and the command with the placeholders of all templates."""
-    name = extensions.data("starts").get(Path(template).suffix)
+    name = extensions.starts().get(Path(template).suffix)
     if name is not None and getattr(PLATFORMS.load(name), "finds_files", False):
         return Inputs(template), started
     words = shlex.split(started or "")

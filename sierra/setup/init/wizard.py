@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace
@@ -144,6 +145,12 @@ def _end(log: Path) -> str:
         return ""
 
 
+def _without_absent(text: str) -> str:
+    """Return a `sierra.toml` without the tables of extensions that are not there."""
+    keys = [key for key in extensions.names("tables") if extensions.absent("tables", key)]
+    return re.sub(rf"(?ms)^(# [^\n]*\n)*\[({'|'.join(keys)})[.\]].*?(?=^# |^\[|\Z)", "", text) if keys else text
+
+
 def copy_example(name: str, target: Path) -> list[str]:
     """Copy a bundled example; return the files' names. Raises UsageError for an unknown name or a folder that is not empty."""
     examples = {**{folder.name: folder for folder in EXAMPLES.glob("[a-z]*/")}, **extensions.examples()}
@@ -157,6 +164,8 @@ def copy_example(name: str, target: Path) -> list[str]:
     for file in files:
         (target / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(example / file, target / file)
+        if file.name == CONFIG:
+            (target / file).write_text(_without_absent((target / file).read_text()))
         if os.access(example / file, os.X_OK):
             mode = (target / file).stat().st_mode
             (target / file).chmod(mode | (mode & 0o444) >> 2)  # whoever can read it can execute it
