@@ -90,8 +90,8 @@ def measured(core: Size) -> dict[str, dict[str, int]]:
 
 def entries() -> int:
     """Return the number of modules and packages at the top."""
-    names = (path for path in (ROOT / PACKAGE).iterdir() if path.suffix == ".py" or path.is_dir())
-    return sum(path.name != "__pycache__" for path in names)
+    paths = (ROOT / PACKAGE).iterdir()
+    return sum(path.suffix == ".py" or (path.is_dir() and any(path.rglob("*.py"))) for path in paths)
 
 
 def circles() -> int:
