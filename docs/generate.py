@@ -96,6 +96,7 @@ def keys() -> Iterator[str]:
 
 def tables() -> Iterator[str]:
     """Yield the tables of the store, with their columns."""
+    from sierra.setup.key_tables import closed
     from sierra.store.schema import DERIVED, RECORDED
 
     yield "# Tables of the store"
@@ -107,14 +108,9 @@ def tables() -> Iterator[str]:
         yield f"## {title}"
         for table in group.values():
             yield f"### {table.name}"
-            yield _closed(table.meaning)
+            yield closed(table.meaning)
             rows = [(f"`{column.name}`", f"`{column.type}`", column.unit, column.meaning) for column in table.columns]
             yield _table(("column", "type", "unit", "meaning"), rows)
-
-
-def _closed(text: str) -> str:
-    """Return a text as a sentence: with a capital letter, and a full stop."""
-    return text and text[0].upper() + text[1:].rstrip(".") + "."
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

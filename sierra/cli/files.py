@@ -11,7 +11,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson
-from sierra.cli.lazy_commands import GIVEN
+from sierra.cli.lazy_commands import given
 from sierra.cli.output import fields, note, print_json, readable, table
 from sierra.errors import UsageError
 from sierra.util.text import counted, verb
@@ -69,7 +69,7 @@ def files(
     from sierra.cli.open_project import project
     from sierra.store.export_recorded_files import extract, listing
 
-    besides = [given for given in GIVEN.get() if isinstance(given, Beside)]
+    besides = given(Beside)
     if besides and to is None:
         raise UsageError(f"{besides[0].option} needs --to FOLDER")
     opened = project()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 import typer
 
-from sierra.cli.lazy_commands import GIVEN
+from sierra.cli.lazy_commands import given
 from sierra.cli.output import note, print_json
 from sierra.config import extensions
 from sierra.errors import UsageError
@@ -103,7 +103,7 @@ def init(
     """
     from sierra.setup.init import wizard
 
-    for other in (given for given in GIVEN.get() if isinstance(given, FromElsewhere)):
+    for other in given(FromElsewhere):
         if any((example, command, variables, seed, source, format, no_try)):
             raise UsageError(f"{other.option} can be combined only with --template, --yes and --json")
         other.write(folder, template, as_json)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
@@ -20,7 +20,13 @@ if TYPE_CHECKING:
 
 
 GIVEN: ContextVar[tuple[object, ...]] = ContextVar("given", default=())
-"""The values that the options of extensions have returned, for this call of the command."""
+"""The values that the options of extensions have returned, for this call of the command; see `given`."""
+T = TypeVar("T")
+
+
+def given(kind: type[T]) -> list[T]:
+    """Return the values of one type that the options of extensions have returned, for this call of the command."""
+    return [value for value in GIVEN.get() if isinstance(value, kind)]
 
 
 class Commands(Mapping[str, "Command"]):
@@ -56,7 +62,7 @@ class Commands(Mapping[str, "Command"]):
 
 
 def _with_options(command: Command, words: str) -> Command:
-    """Add the options that extensions have for a command. Each is a function; `GIVEN` has what it returns."""
+    """Add the options that extensions have for a command. Each is a function; `given` returns its values."""
     from sierra.config.extensions import added
 
     if isinstance(command, lazy_parameters.Command):
@@ -77,8 +83,8 @@ def _both(own: Callable[..., object] | None, more: Command) -> Callable[..., obj
     def both(**values: object) -> object:
         assert own  # noqa: S101
         assert more.callback  # noqa: S101
-        given = more.callback(**{name: value for name, value in values.items() if name in names})
-        before = GIVEN.set((*GIVEN.get(), *([] if given is None else [given])))
+        result = more.callback(**{name: value for name, value in values.items() if name in names})
+        before = GIVEN.set((*GIVEN.get(), *([] if result is None else [result])))
         try:
             return own(**{name: value for name, value in values.items() if name not in names})
         finally:

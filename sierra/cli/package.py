@@ -78,7 +78,7 @@ def package(
       sierra package 9e1c -o review.zip --anonymous
     """
     from sierra.cli.confirm import agreed
-    from sierra.cli.lazy_commands import GIVEN
+    from sierra.cli.lazy_commands import given
     from sierra.cli.open_project import project
     from sierra.errors import Identifying
 
@@ -101,7 +101,7 @@ def package(
             image=image,
             wheels=wheels,
             report=not no_report,
-            without=[kind for kind in GIVEN.get() if isinstance(kind, str)],
+            without=given(str),
             **chosen,
         )
     except Identifying as error:

@@ -54,17 +54,18 @@ def schema(
         print(published_schemas.toml_schema(note), end="")
         return
     tables = published_schemas.tables()
-    chosen = [one for one in tables.values() if name in (None, one.name)]
-    keys = _keys(name) if name and not (chosen and (as_json or name not in KEYS)) else []
+    chosen = [described for described in tables.values() if name in (None, described.name)]
+    both = name in KEYS and not as_json
+    keys = _keys(name) if name and (both or not chosen) else []
     if not chosen and not keys:
         raise NotFound(f"unknown name {name!r}; tables of the store are {', '.join(tables)} (sierra sql 'SHOW TABLES')")
     if as_json:
         print_json(chosen or keys)
         return
-    for one in chosen:
-        _print_columns(one)
-    for found in keys:
-        _print_keys(found)
+    for described in chosen:
+        _print_columns(described)
+    for of_keys in keys:
+        _print_keys(of_keys)
 
 
 def _keys(name: str) -> list[KeyTable]:
@@ -76,21 +77,21 @@ def _keys(name: str) -> list[KeyTable]:
     every = list(key_tables(note))
     if name == CONFIG:
         return every
-    named = [one for one in every if one.name == name or one.name.startswith(f"{name}.")]
-    having = [replace(one, keys=tuple(key for key in one.keys if key.name == name)) for one in every]
-    return named or [one for one in having if one.keys]
+    named = [of_keys for of_keys in every if of_keys.name == name or of_keys.name.startswith(f"{name}.")]
+    having = [replace(of_keys, keys=tuple(key for key in of_keys.keys if key.name == name)) for of_keys in every]
+    return named or [of_keys for of_keys in having if of_keys.keys]
 
 
-def _print_columns(one: Table) -> None:
-    print(f"{one.name}: {one.meaning}")
-    table(("column", "type", "unit", "meaning"), [(c.name, c.type, c.unit, c.meaning) for c in one.columns])
+def _print_columns(described: Table) -> None:
+    print(f"{described.name}: {described.meaning}")
+    table(("column", "type", "unit", "meaning"), [(c.name, c.type, c.unit, c.meaning) for c in described.columns])
     print()
 
 
-def _print_keys(one: KeyTable) -> None:
-    kind = f', kind = "{one.kind}"' if one.kind else ""
-    title = one.header or (f"keys of a {one.name}" if one.name and not one.kind else one.name) or "top level of sierra.toml"
-    print(" ".join((f"{title}{kind}:", *one.sentences)).replace("`", ""))
-    rows = [tuple(text.replace("`", "") for text in (key.name, key.type, key.default, key.meaning)) for key in one.keys]
+def _print_keys(of_keys: KeyTable) -> None:
+    name, kind = of_keys.name, f', kind = "{of_keys.kind}"' if of_keys.kind else ""
+    title = of_keys.header or (f"keys of a {name}" if name and not kind else name) or "top level of sierra.toml"
+    print(" ".join((f"{title}{kind}:", *of_keys.sentences)).replace("`", ""))
+    rows = [tuple(text.replace("`", "") for text in (key.name, key.type, key.default, key.meaning)) for key in of_keys.keys]
     table(("key", "type", "default", "meaning"), rows)
     print()

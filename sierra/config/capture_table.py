@@ -15,7 +15,7 @@ Side = Annotated[int, Field(ge=16, le=8192)]
 
 
 class Capture(Table):
-    """How recorded runs are executed once more with rendering. Nothing of it changes measured runs or their identity."""
+    """Rendering of recorded runs, which are executed once more for it. Measured runs and their identity do not change."""
 
     files: str = Field(
         "",

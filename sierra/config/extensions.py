@@ -2,7 +2,8 @@
 
 An extension is a folder in `sierra/extensions` that can be deleted. `ADDS` gives its names as another package gives entry
 points in its `pyproject.toml`: reading them imports nothing, and no other module knows an extension. An extension whose folder
-does not exist adds nothing; its names are only used to say where an unknown key of `sierra.toml` belongs.
+does not exist adds nothing. Its names say where an unknown key of `sierra.toml` belongs, and its data count nevertheless, so
+that records do not depend on which extensions exist.
 """
 
 from __future__ import annotations
@@ -117,21 +118,8 @@ def load(kind: str, name: str) -> Any:
 
 
 @cache
-def names(kind: str) -> tuple[str, ...]:
-    """Return all names of a kind, also those of extensions that are not there."""
-    return tuple(name for adds in ADDS.values() for name in adds.get(kind, {}))
-
-
-def series(format: str) -> str:
-    """Return the column that tells series of rows of a format apart, also if its extension is not there; "" for none."""
-    return next((adds["series"][format] for adds in ADDS.values() if format in adds.get("series", {})), "")
-
-
-def data(kind: str) -> Mapping[str, str]:
-    """Return all names of a kind that is data, each with its text, also of extensions that are not there.
-
-    What is recorded of a run must not depend on which extensions exist.
-    """
+def every(kind: str) -> Mapping[str, str]:
+    """Return all names of a kind, each with its text in `ADDS`, also those of extensions that are not there."""
     return {name: text for adds in ADDS.values() for name, text in adds.get(kind, {}).items()}
 
 

@@ -55,7 +55,7 @@ def complaint_if_shipped(figure: Figure) -> str:
     if figure.kind in FIGURES.shipped:
         return complaint(figure)
     known = FIGURES.names()
-    if figure.kind in (*known, *extensions.names("figures")):
+    if figure.kind in (*known, *extensions.every("figures")):
         return ""
     return f"unknown kind {figure.kind!r}{_nearest(figure.kind, list(known), '')}"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, ClassVar, Literal
@@ -32,7 +32,7 @@ SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
-NAMED_FORMATS = ("json", "xml", *extensions.names("outputs"))
+NAMED_FORMATS = ("json", "xml", *extensions.every("outputs"))
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
 PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
@@ -198,9 +198,7 @@ class Output(Table):
     most_searched: ClassVar[int] = 1 << 24
     """The largest number of bytes of a file that is searched for its tables."""
     needs: ClassVar[tuple[str, str, str] | None] = None
-    """What reading needs: the format in words, a package, and the extra that installs it."""
-    proposes: ClassVar[bool] = False
-    """True if files of this format say which tables they can make: see `proposals`."""
+    """The package that reading needs: the format in words, the package, and the extra that installs it."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -208,17 +206,16 @@ class Output(Table):
         """Validate the keys of a format of an extension by its own class, as strictly as the others."""
         if cls is not Output or not isinstance(data, Mapping):
             return handler(data)
-        name = str(data.get("format"))
-        own: type[Output] = cls
-        if name in extensions.names("outputs"):
-            own = extensions.load("outputs", name) if name in extensions.added("outputs") else AbsentOutput
-        if own is not AbsentOutput:
-            data = {key: value for key, value in data.items() if not _is_default_of_others(key, value, own)}
-        for key in data if own is not AbsentOutput else ():
-            if key not in own.model_fields and (formats := _having(key)):
+        name, strict = str(data.get("format")), bool(info.context)
+        if extensions.absent("outputs", name):
+            return AbsentOutput.model_validate(data, strict=strict, context=info.context)
+        own: type[Output] = extensions.load("outputs", name) if name in extensions.added("outputs") else cls
+        data = {key: value for key, value in data.items() if key in own.model_fields or not _is_default_of_others(key, value)}
+        for key in [key for key in data if key not in own.model_fields]:
+            if formats := _having(key):
                 known = handler({key: value for key, value in data.items() if key in cls.model_fields})
                 raise ValueError(f"{key} needs {_formats(formats)}, but the format is {known.kind!r}")
-        return handler(data) if own is cls else own.model_validate(data, strict=bool(info.context), context=info.context)
+        return handler(data) if own is cls else own.model_validate(data, strict=strict, context=info.context)
 
     @model_validator(mode="after")
     def _fitting(self) -> Output:
@@ -268,7 +265,7 @@ class Output(Table):
 
         A file of such a format may belong to several outputs, each of which makes a table of another part.
         """
-        return extensions.series(self.kind)
+        return extensions.every("series").get(self.kind, "")
 
     @property
     def own_columns(self) -> tuple[str, ...]:
@@ -279,8 +276,8 @@ class Output(Table):
         """Check what this format needs. Raises ValueError."""
 
     @classmethod
-    def proposals(cls, content: bytes, name: str) -> Sequence[Proposal]:
-        """Return the tables that a file can make; none if it cannot be read."""
+    def proposals(cls, content: Callable[[], bytes | None], name: str) -> Sequence[Proposal]:
+        """Return the tables that a file can make; none if it cannot be read. `content` reads it, or returns None."""
         return ()
 
     def doubt(self) -> str:
@@ -344,10 +341,9 @@ def _having(key: str) -> list[str]:
     return [name for name, own in of_extensions().items() if key in own.model_fields]
 
 
-def _is_default_of_others(key: str, value: object, own: type[Output]) -> bool:
-    """Return whether a key that only other formats have says what it would say by default; it may then be anywhere."""
-    fields = [of_extensions()[name].model_fields[key] for name in _having(key)] if key not in own.model_fields else []
-    return any(value == field.default for field in fields)
+def _is_default_of_others(key: str, value: object) -> bool:
+    """Return whether a key that only formats of extensions have says what it says by default; it may then be anywhere."""
+    return any(value == of_extensions()[name].model_fields[key].default for name in _having(key))
 
 
 def _formats(names: Iterable[str]) -> str:

@@ -108,12 +108,12 @@ def _read(path: Path | None) -> bytes | None:
 
 def most_searched(path: str) -> int:
     """Return the largest number of bytes of a file of this name that is searched for its tables."""
-    return _of_ending(path).most_searched
+    return _of_ending(_ending(path)).most_searched
 
 
-def _of_ending(path: str) -> type[Output]:
+def _of_ending(ending: str) -> type[Output]:
     """Return the class of the outputs of files with this ending."""
-    return next((output for output in of_extensions().values() if _ending(path) in output.endings), Output)
+    return next((output for output in of_extensions().values() if ending in output.endings), Output)
 
 
 def _varying(paths: Iterable[str]) -> set[int]:
@@ -182,12 +182,10 @@ def _text_keys(one: Alike) -> Keys:
 
 def _proposed(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
     """Return the tables that a file makes whose format proposes them; nothing for other, declared, and unreadable files."""
-    own = _of_ending(one.path)
-    if any(output.matches(one.path) for output in outputs.values()) or not own.proposes:
+    if any(output.matches(one.path) for output in outputs.values()):
         return ()
-    content = one.content()
     made: list[UnreadFiles] = []
-    for proposal in own.proposals(content, one.path) if content is not None else ():
+    for proposal in _of_ending(_ending(one.path)).proposals(one.content, one.path):
         made.append(_table(one, proposal, {*taken, *(table.name.lower() for table in made)}, runs))
     return made
 
@@ -229,7 +227,7 @@ def _not_automatic(one: Alike, tables: Collection[str]) -> str:
 
 def _named(ending: str) -> str:
     """Return the keys that make a table of files with an ending, which no reader takes by itself; "" if none are known."""
-    return NAMED.get(ending) or next((one.endings[ending] for one in of_extensions().values() if ending in one.endings), "")
+    return NAMED.get(ending) or _of_ending(ending).endings.get(ending, "")
 
 
 def _ending(path: str) -> str:

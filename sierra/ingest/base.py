@@ -80,8 +80,8 @@ def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
 
 def check_formats(outputs: Mapping[str, Output]) -> None:
     """Check that all formats can be read that outputs name. Raises ConfigError, and Missing for a package that is needed."""
+    known = (*READERS.names(), FILE_FORMAT)
     for name, output in outputs.items():
-        known = (*READERS.names(), FILE_FORMAT)
         if output.format is not None and output.format not in known:
             raise ConfigError(f"[outputs.{name}] format: {_unknown(output.format, known)}")
         check_package(output)

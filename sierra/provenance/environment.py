@@ -28,7 +28,7 @@ VARIABLES = (
     *("PYTHONPATH", "PYTHONHASHSEED", "CONDA_DEFAULT_ENV", "CONDA_PREFIX", "VIRTUAL_ENV"),
     *("OMP_*", "GOMP_*", "KMP_*", "OPENBLAS_*", "MKL_*", "BLIS_*", "VECLIB_*", "NUMEXPR_*", "NPY_*"),
     *("CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "XLA_FLAGS", "PYOPENGL_PLATFORM", "LIBGL_*", "MESA_*"),
-    *extensions.data("variables"),
+    *extensions.every("variables"),
 )
 """Names (or patterns) of the variables that are recorded."""
 LOADED = "LOADEDMODULES"

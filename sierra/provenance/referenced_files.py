@@ -26,12 +26,12 @@ from sierra.util.regular_files import open_regular
 
 LIBRARY = re.compile(r".*\.so(?:\.\d\w*)*")
 """The names of shared libraries, such as `libssl.so.1.0.2k`."""
-LIBRARY_PATHS = tuple(name for name, use in extensions.data("variables").items() if use == "libraries")
+LIBRARY_PATHS = tuple(name for name, use in extensions.every("variables").items() if use == "libraries")
 """Variables of runs that are search paths: programs use only libraries in the folders that they name."""
 MAX_LENGTH = 4096
 MAX_SIZE = 10**9
 """Maximum size in bytes of a file that a template names; larger files are not hashed."""
-SEARCHED = (".xml", ".urdf", ".xacro", ".mjcf", ".json", ".yaml", ".yml", ".toml", *extensions.data("inputs"))
+SEARCHED = (".xml", ".urdf", ".xacro", ".mjcf", ".json", ".yaml", ".yml", ".toml", *extensions.every("inputs"))
 MAX_SEARCHED = 1 << 24
 """Maximum number of bytes of the template, or of such a file, that are searched for names."""
 LETTER = re.compile(r"[^\W\d_]")

@@ -61,11 +61,11 @@ def _tables(schema: Schema, name: str, key: Schema, header: str, model: Schema) 
     """Yield the table of a key, and those within it."""
     if model["title"] in OF_ALL.values():
         if "." not in name:
-            yield KeyTable(name, header.format(name), (_closed(_sentence(key)), _closed(_sentence(model))), ())
+            yield KeyTable(name, header.format(name), (closed(_sentence(key)), closed(_sentence(model))), ())
         return
     properties = model.get("properties", {})
     if properties:
-        sentences = filter(None, dict.fromkeys((_closed(_sentence(key)), _closed(_sentence(model)))))
+        sentences = filter(None, dict.fromkeys((closed(_sentence(key)), closed(_sentence(model)))))
         yield KeyTable(name, header.format(name), tuple(sentences), _keys(model))
     for inside, inner in properties.items():
         if not {"platforms", "runners", "targets"} & {name, inside} and (headed := _model(schema, inner)) is not None:
@@ -138,6 +138,6 @@ def _sentence(schema: Schema) -> str:
     return " ".join(str(schema.get("description", "")).split())
 
 
-def _closed(text: str) -> str:
+def closed(text: str) -> str:
     """Return a text as a sentence: with a capital letter, and a full stop."""
     return text and text[0].upper() + text[1:].rstrip(".") + "."

@@ -98,7 +98,7 @@ class Document(Protocol):
         """
 
 
-ENDINGS = {".yml": "yaml", ".txt": "text", ".urdf": "xml", **extensions.data("inputs")}
+ENDINGS = {".yml": "yaml", ".txt": "text", ".urdf": "xml", **extensions.every("inputs")}
 """The formats of files whose ending is not the name of a format."""
 _BLANKS = b"\xef\xbb\xbf\xff\xfe \t\r\n\0"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 from pydantic import Field
@@ -37,7 +37,6 @@ class BagOutput(Output):
     endings: ClassVar[Mapping[str, str]] = dict.fromkeys(("bag", "mcap", "db3"), 'format = "bag", topics = ["/TOPIC"]')
     most_searched: ClassVar[int] = 1 << 28
     needs: ClassVar[tuple[str, str, str] | None] = ("bags of ROS", "rosbags", "bags")
-    proposes: ClassVar[bool] = True
 
     def check_own_keys(self) -> None:
         if not self.topics:
@@ -52,10 +51,10 @@ class BagOutput(Output):
             raise ValueError(f"ros: unknown version {self.ros!r}; known are {', '.join(VERSIONS)}")
 
     @classmethod
-    def proposals(cls, content: bytes, name: str) -> Sequence[Proposal]:
+    def proposals(cls, content: Callable[[], bytes | None], name: str) -> Sequence[Proposal]:
         from sierra.extensions.ros import proposals
 
-        return proposals.proposals(content, name)
+        return () if (bag := content()) is None else proposals.proposals(bag, name)
 
     @property
     def own_columns(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
 from sierra.util.regular_files import open_regular
 
-TEMPLATES = tuple(dict.fromkeys((".xml", *extensions.data("inputs"), *extensions.starts())))
+TEMPLATES = tuple(dict.fromkeys((".xml", *extensions.every("inputs"), *extensions.starts())))
 DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
 """The endings of data files, which are templates only if there is none of the others."""
 TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")

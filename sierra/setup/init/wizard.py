@@ -147,7 +147,7 @@ def _end(log: Path) -> str:
 
 def _without_absent(text: str) -> str:
     """Return a `sierra.toml` without the tables of extensions that are not there."""
-    keys = [key for key in extensions.names("tables") if extensions.absent("tables", key)]
+    keys = [key for key in extensions.every("tables") if extensions.absent("tables", key)]
     return re.sub(rf"(?ms)^(# [^\n]*\n)*\[({'|'.join(keys)})[.\]].*?(?=^# |^\[|\Z)", "", text) if keys else text
 
 

@@ -22,8 +22,8 @@ def none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_what_is_recorded_does_not_depend_on_which_extensions_exist(none: None) -> None:
-    assert extensions.data("variables")["ARGOS_PLUGIN_PATH"] == "libraries"
-    assert extensions.data("inputs")[".sdf"] == "xml"
+    assert extensions.every("variables")["ARGOS_PLUGIN_PATH"] == "libraries"
+    assert extensions.every("inputs")[".sdf"] == "xml"
     assert extensions.starts() == {}
 
 
