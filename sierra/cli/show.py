@@ -38,9 +38,10 @@ APART = (
     "host_access",
     "history",
     "around",
+    "ports",
 )
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
-AT_MOST = {"attempts": 20, "captures": 20, "nondeterminism": 10, "verdicts": 20}
+AT_MOST = {"attempts": 20, "channels": 20, "captures": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from sierra.design import run_values
@@ -22,6 +22,7 @@ from sierra.execution.shown_records import (
     FirmwareOfBatch,
     ImportOfBatch,
     Nondeterminism,
+    Record,
     RecordedFile,
     ReplayOfBatch,
     RobotOfBatch,
@@ -42,14 +43,13 @@ from sierra.store.row_types import (
     BatchRow,
     BuildProductRow,
     BuildRow,
-    EndingRow,
     ExecutionRow,
-    RobotRow,
+    Of,
     SessionRow,
     SourceRow,
     SpecRow,
-    TrialRow,
 )
+from sierra.store.schema import RECORDED, STAMPED, columns_with
 from sierra.store.store import Found, Snapshot, Store
 from sierra.util.text import natural
 
@@ -323,13 +323,26 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         environment=show_environment.environment(snapshot, row.environment),
         observation=_observation(snapshot, row),
         packages=snapshot.values(str, PACKAGES, s=row.session),
-        robots=snapshot.select(RobotRow, "SELECT * FROM robots WHERE execution = $e ORDER BY place", e=identity),
-        trials=snapshot.select(TrialRow, "SELECT * FROM all_trials WHERE execution = $e ORDER BY lamport", e=identity),
-        ports=snapshot.values(
-            str, "SELECT name FROM channels WHERE execution = $e AND use = 'given' ORDER BY name", e=identity
-        ),
-        endings=snapshot.select(EndingRow, "SELECT * FROM endings WHERE execution = $e ORDER BY ALL", e=identity),
+        records=dict(_records(snapshot, identity)),
     )
+
+
+APART = ("executions", "artifacts", "observations", "files_written")
+"""Tables of executions that are shown in forms of their own."""
+REMARKS = {"trials": "all_trials"}
+"""Views that have all records of a table, which itself has only the last ones."""
+KEYS = ("execution", "lamport")
+"""Columns that say to which execution a row belongs, and its position: the rows are those of one execution, in order."""
+
+
+def _records(snapshot: Snapshot, identity: str) -> Iterator[tuple[str, list[Record]]]:
+    """Yield the rows of an execution in further tables, without those that are NULL. Tables without rows are left out."""
+    for table in columns_with(Of.EXECUTION, Of.JUDGEMENT):
+        if table in RECORDED and table not in APART and snapshot.holds(table):
+            order = "lamport" if table in STAMPED else "ALL"
+            rows = snapshot.rows(f"FROM {REMARKS.get(table, table)} WHERE execution = $e ORDER BY {order}", e=identity)
+            if rows:
+                yield table, [{name: row[name] for name in row if row[name] is not None and name not in KEYS} for row in rows]
 
 
 def _observation(snapshot: Snapshot, row: ExecutionRow) -> ShownObservation | None:

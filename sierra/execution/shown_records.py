@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
@@ -18,16 +18,13 @@ from sierra.store.row_types import (
     BatchRow,
     BuildProductRow,
     BuildRow,
-    EndingRow,
     EnvironmentRow,
     ExecutionRow,
     ImageRow,
     IsolationRow,
-    RobotRow,
     SessionRow,
     SourceRow,
     SpecRow,
-    TrialRow,
 )
 from sierra.store.sql_result import SqlValue
 from sierra.util.json_types import Json
@@ -362,22 +359,19 @@ class ShownExecution:
     """The packages in which it came, the imported one first; empty if it was made here."""
     log_file: str | None = None
     """Log file of its session."""
-    robots: Sequence[RobotRow] = ()
-    trials: Sequence[TrialRow] = ()
-    """Remarks that people made on it, the one that counts last."""
-    ports: Sequence[str] = ()
-    """The ports that it was given in the places of `{port}`, `{port2}`, …"""
-    endings: Sequence[EndingRow] = ()
-    """Remarks on how it ended, beside its status."""
+    records: Mapping[str, Sequence[Record]] = field(default_factory=dict)
+    """Its rows in further tables, by table: robots, trials (the remark that counts last), endings, channels and others."""
+
+    @property
+    def ports(self) -> list[str]:
+        """The ports that it was given in the places of `{port}`, `{port2}`, …"""
+        return [str(channel["name"]) for channel in self.records.get("channels", ()) if channel["use"] == "given"]
 
     def as_dict(self) -> Record:
-        members = _members(self) if self.isolation else _without(_members(self), "isolation")
+        members = _without(_members(self), "records", *([] if self.isolation else ["isolation"]))
         artifacts = [_without(artifact._asdict(), "execution", "run") for artifact in self.artifacts]
-        robots = [_without_nulls(_without(one._asdict(), "execution")) for one in self.robots]
-        trials = [_without_nulls(_without(one._asdict(), "execution", "lamport")) for one in self.trials]
-        endings = [_without(one._asdict(), "execution") for one in self.endings]
-        own = {"robots": robots, "trials": trials, "ports": list(self.ports), "endings": endings, "artifacts": artifacts}
-        return {"kind": self.kind, **_without_nulls(self.row._asdict()), **members, **own}
+        records = {"robots": [], "trials": [], "ports": self.ports, "endings": [], **self.records}
+        return {"kind": self.kind, **_without_nulls(self.row._asdict()), **members, **records, "artifacts": artifacts}
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,7 +393,7 @@ Shown: TypeAlias = ShownBatch | ShownExperiment | ShownRun | ShownExecution | Sh
 
 def _members(shown: ShownBatch | ShownRun | ShownExecution | ShownEnvironment) -> Record:
     """Return the fields except the row, with the form in JSON of those that have one."""
-    return {field.name: _form(getattr(shown, field.name)) for field in fields(shown) if field.name != "row"}
+    return {each.name: _form(getattr(shown, each.name)) for each in fields(shown) if each.name != "row"}
 
 
 def _form(value: object) -> object:

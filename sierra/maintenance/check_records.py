@@ -49,12 +49,13 @@ from sierra.store.row_types import (
     IsolationRow,
     LookIntervalRow,
     LookRow,
+    Of,
     SharedFileRow,
     SourceRow,
     SpecRow,
     StudyRow,
 )
-from sierra.store.schema import RECORDED, TIME, sql_types
+from sierra.store.schema import RECORDED, TIME, columns_with, sql_types
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
 from sierra.store.study_records import look_id, study_id
@@ -481,23 +482,13 @@ LOST_BY_EXECUTION = {
         SELECT DISTINCT judgement FROM all_judgements ANTI JOIN ingest_rules USING (ingest_rules)""",
     "the isolation of executions is not recorded": """
         SELECT DISTINCT execution FROM executions ANTI JOIN isolations USING (isolation) WHERE isolation IS NOT NULL""",
-    "artifacts belong to executions that are not recorded": """
-        SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN all_judgements e ON e.judgement = a.execution""",
-    "findings belong to executions that are not recorded": """
-        SELECT DISTINCT execution FROM findings f ANTI JOIN all_judgements e ON e.judgement = f.execution""",
     "the files that executions used are not recorded": f"""
         SELECT DISTINCT execution FROM observations ANTI JOIN files_read USING (files) WHERE files <> '{file_set(())}'""",
-    "observations belong to executions that are not recorded": """
-        SELECT DISTINCT execution FROM observations ANTI JOIN executions USING (execution)""",
     "executions that other runs reuse are not recorded": """
         SELECT DISTINCT execution FROM reused_executions ANTI JOIN executions USING (execution)""",
     "the names in folders that executions listed are not recorded": """
         SELECT DISTINCT execution FROM observations JOIN files_read f USING (files) ANTI JOIN listings l ON l.sha256 = f.sha256
         WHERE f.use = 'listed' AND f.sha256 IS NOT NULL""",
-    "robots belong to executions that are not recorded": """
-        SELECT DISTINCT execution FROM robots ANTI JOIN executions USING (execution)""",
-    "remarks on trials belong to executions that are not recorded": """
-        SELECT DISTINCT execution FROM trials ANTI JOIN executions USING (execution)""",
     "judgements belong to executions that are not recorded": """
         SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
     "verdicts belong to executions that are not recorded": """
@@ -508,8 +499,21 @@ LOST_BY_EXECUTION = {
 }
 
 
+OWNERS = {Of.EXECUTION: "executions o ON o.execution", Of.JUDGEMENT: "all_judgements o ON o.judgement"}
+
+
+def _lost_owners(records: Records) -> Iterator[tuple[str, str]]:
+    """Yield a check for each table whose records belong to executions or judgements: its message and its statement."""
+    for fact, owners in OWNERS.items():
+        for table in sorted(RECORDED.keys() & columns_with(fact).keys() - {"executions", "judgements"}):
+            yield (
+                f"{table} belong to executions that are not recorded",
+                f"SELECT DISTINCT r.execution FROM {records.raw(table)} r ANTI JOIN {owners} = r.execution",
+            )
+
+
 def _references(records: Records) -> Iterator[Finding]:
-    for what, statement in LOST_BY_EXECUTION.items():
+    for what, statement in (*LOST_BY_EXECUTION.items(), *_lost_owners(records)):
         if named := _unless_broken(records, (row[0] for row in records.each(statement))):
             yield Finding(Kind.LOST, "executions", what, of(records.snapshot, named))
     doubled = (

@@ -388,6 +388,16 @@ def test_replay_compares_with_the_effective_execution_after_reevaluation(project
     project.is_sound()
 
 
+@pytest.mark.integration
+def test_show_lists_the_later_judgements_of_an_execution(project: Counted) -> None:
+    project.declare(WIDE + 'delimiter = ";"\n')
+    project.ask()
+    execution = project.value("SELECT min(execution) FROM executions")
+    shown = json.loads(quick(project.root, "show", execution, "--json").stdout)
+    assert [(row["status"], "judged_at" in row, "reason" in row) for row in shown["judgements"]] == [("ok", True, False)]
+    assert "\njudgements:\n" in quick(project.root, "show", execution).stdout
+
+
 @pytest.mark.nightly
 @pytest.mark.integration
 def test_removing_an_execution_removes_its_judgements_and_rows(project: Counted) -> None:

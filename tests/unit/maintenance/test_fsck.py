@@ -6,6 +6,7 @@ import json
 import random
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
+from sierra.execution.sessions import Session
 from sierra.ingest import recorder
 from sierra.maintenance.findings import Kind
 from sierra.maintenance.fsck import Report
+from sierra.store.row_types import ChannelRow, EndingRow, FileWrittenRow, TrialRow
 from sierra.store.segments import manifest
 from sierra.util.hashing import sha256
 from tests import projects, stores
@@ -271,6 +274,28 @@ def test_rows_that_were_never_read_are_found_missing_and_their_execution_is_drop
     assert f"(swarm.csv: {row['rows']} instead of {row['counted_rows']})" in finding.what
     assert any("lost: 1 execution;" in line for line in repaired(root))
     assert fsck(root).sound
+
+
+ROWS_OF_NOTHING = (
+    EndingRow("0" * 64, "error", "no GPU"),
+    ChannelRow("0" * 64, "127.0.0.1:20001", "given"),
+    FileWrittenRow("0" * 64, "/dev/shm/pose", "written"),
+    TrialRow("0" * 64, datetime.now(UTC), valid=True),
+)
+
+
+def test_records_of_executions_that_are_not_recorded_are_found_in_each_table(root: Path) -> None:
+    store = sierra.open(root).store
+    session = Session(store.paths, logged=False)
+    session.take_number()
+    writer = store.writer(session.paths.segment, str(next(iter(store.values(str, "SELECT batch FROM batches")))))
+    for row in ROWS_OF_NOTHING:
+        writer.records([row])
+    store.publish(writer)
+    session.close()
+    problems = {finding.what for finding in fsck(root).findings if finding.kind is Kind.LOST}
+    tables = ("endings", "channels", "files_written", "trials")
+    assert problems >= {f"{table} belong to executions that are not recorded" for table in tables}
 
 
 @pytest.mark.nightly
