@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 project = "SIERRA"
@@ -16,10 +17,8 @@ CONTENTS = {
     "Begin": ["tutorial", "glossary", "limitations"],
     "How-to guides": [
         "how-to/your-simulator",
-        "how-to/from-sierra1",
         "how-to/templates",
         "how-to/simulators",
-        "how-to/ros",
         "how-to/compile",
         "how-to/around-a-run",
         "how-to/queries",
@@ -31,11 +30,8 @@ CONTENTS = {
         "how-to/sql",
         "how-to/derived-tables",
         "how-to/figures",
-        "how-to/explore",
         "how-to/report",
         "how-to/figure-kinds",
-        "how-to/videos",
-        "how-to/capture",
         "how-to/models",
         "how-to/compare",
         "how-to/claims",
@@ -50,6 +46,7 @@ CONTENTS = {
         "how-to/python",
         "how-to/plugins",
     ],
+    "Extensions": [f"extensions/{page.stem}" for page in sorted(Path(__file__).with_name("extensions").glob("*.md"))],
     "Reference": ["reference/commands", "reference/sierra-toml", "reference/tables"],
     "Explanation": [
         "explanation/architecture",
@@ -59,7 +56,6 @@ CONTENTS = {
         "explanation/standstill",
         "explanation/observation",
         "explanation/cluster-protocol",
-        "explanation/argos",
         "explanation/threat-model",
         "explanation/self-checks",
     ],

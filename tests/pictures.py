@@ -1,8 +1,8 @@
-"""The pictures of all kinds of figures in the documentation: `make pictures` draws them as the page says.
+"""The pictures of all kinds of figures in the documentation: `make pictures` draws them as two pages say.
 
     python -m tests.pictures
 
-The page has a figure for each kind as TOML. The batch is made anew by a small simulator. A test compares the hashes of the data
+The pages have a figure for each kind as TOML. The batch is made anew by a small simulator. A test compares the hashes of the data
 in the pictures with those of a new batch, and not their bytes, which depend on the version of matplotlib.
 """
 
@@ -24,7 +24,7 @@ from sierra.store.samples import Frame
 from tests import projects
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE = DOCS / "how-to" / "figure-kinds.md"
+PAGES = (DOCS / "how-to" / "figure-kinds.md", DOCS / "extensions" / "figures.md")
 FOLDER = DOCS / "pictures"
 QUERY = ("controller=walk,levy,pheromone", "population_size=2,4,8")
 RUNS = 8
@@ -117,8 +117,8 @@ time = "tick"
 
 
 def declared() -> dict[str, Figure]:
-    """Return the figures of the page by name; each has the name of its kind."""
-    text = PAGE.read_text("utf-8")
+    """Return the figures of the pages by name; each has the name of its kind."""
+    text = "".join(page.read_text("utf-8") for page in PAGES)
     blocks = [block.partition("```")[0] for block in text.split("```toml\n")[1:]]
     found = tomllib.loads("\n".join(blocks))["figures"]
     return {name: Figure.model_validate(table) for name, table in found.items()}

@@ -17,11 +17,12 @@ from tests import plugins, projects
 from tests.support.pages import DOCS, FENCE, ROOT, as_user, blocks, follow, name_of
 
 TUTORIAL = DOCS / "tutorial.md"
+EXTENSIONS = DOCS / "extensions"
 PLUGINS = DOCS / "how-to" / "plugins.md"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 ROBOTS = DOCS / "how-to" / "robots.md"
 """The page that `tests/integration/robots/test_robots_page.py` executes, on a fleet."""
-EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md"))]
+EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md")), *sorted(EXTENSIONS.glob("*.md"))]
 LONG = {"derived-tables", "number-of-runs", "packages", "plugins", "queries", "report", "supervised-trials", "targets"}
 """Guides whose commands take long; they are executed at night, those of all other pages for each change."""
 
@@ -58,7 +59,7 @@ def test_commands_of_a_page_print_the_shown_output(
         place = plugins.install(tmp_path / "package")
         monkeypatch.syspath_prepend(str(place))
         monkeypatch.setenv("PYTHONPATH", str(place))
-    elif page.parent.name == "how-to":
+    elif page.parent.name in ("how-to", "extensions"):
         shutil.copytree(project, folder)
     else:
         folder.mkdir()
@@ -165,6 +166,8 @@ def test_every_link_has_a_target(page: Path) -> None:
         assert not anchor or anchor in slugs(target), f"{name_of(page)}: {link}"
         if page.is_relative_to(DOCS):
             assert target.is_relative_to(DOCS), f"{name_of(page)}: {link} is not on the site"
+        if page.is_relative_to(DOCS) and page != DOCS / "index.md" and not page.is_relative_to(EXTENSIONS):
+            assert not target.is_relative_to(EXTENSIONS), f"{name_of(page)}: {link} is of an extension, which can be deleted"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

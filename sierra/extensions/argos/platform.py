@@ -1,6 +1,6 @@
 """ARGoS 3: a configuration in which SIERRA sets the seed, length, controller, arena and population.
 
-`docs/explanation/argos.md` has the rules: replaced parts, the arena and its walls, densities, libraries, failures.
+`docs/extensions/argos.md` has the rules: replaced parts, the arena and its walls, densities, libraries, failures.
 """
 
 from __future__ import annotations

@@ -154,7 +154,7 @@ def test_a_stop_command_needs_no_master_and_ends_the_velocities_of_a_run(turtles
     on_fleet(turtles, fleet, 600.0)
     log_velocities(turtles, deaf=deaf)
     stop = tomllib.loads((turtles / "sierra.toml").read_text())["runners"]["robots"]["stop"]
-    page = (DOCS / "how-to" / "ros.md").read_text()
+    page = (DOCS / "extensions" / "ros.md").read_text()
     assert stop in [tomllib.loads(block)["runners"]["robots"].get("stop") for block in TABLES.findall(page)]
     name = fleet.names[0]
     link = Fabric(name, LinkOptions(ssh_config=str(fleet.ssh_config)))
