@@ -2,8 +2,8 @@
 
     python -m tests.pictures
 
-The pages have a figure for each kind as TOML. The batch is made anew by a small simulator. A test compares the hashes of the data
-in the pictures with those of a new batch, and not their bytes, which depend on the version of matplotlib.
+The pages have a figure for each kind as TOML. The batch is made anew by a small simulator. A test compares the hashes of the
+data in the pictures with those of a new batch, and not their bytes, which depend on the version of matplotlib.
 """
 
 from __future__ import annotations

@@ -12,8 +12,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
 from tests import plugins, projects
 
 ROOT = Path(__file__).parents[2]
@@ -144,13 +142,14 @@ def test_a_column(tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     root = projects.make(tmp_path / "p")
     sierra(ROOT, root, "run", "population_size=1")
-    last = '    lamport: Annotated[int, "its position in the logical order, as in sessions"]\n\n\nclass AttemptRow'
-    column = '    niceness: Annotated[int | None, "how far it gives way to other programs", "1", LATER] = None\n\n\nclass AttemptRow'
+    last = '    lamport: Annotated[int, "its position in the logical order, as in sessions"]\n'
+    column = '    niceness: Annotated[int | None, "how far it gives way to other programs", "1", LATER] = None\n'
+    behind = "\n\nclass AttemptRow"
     change(
         copy,
         "a table or a column",
         {
-            "sierra/store/row_types.py": Edit(last, last.replace("\n\nclass AttemptRow", column)),
+            "sierra/store/row_types.py": Edit(last + behind, last + column + behind),
             "sierra/ingest/recorder.py": Edit(
                 "lamport=context.lamport(position),\n        )\n\n\ndef _endings",
                 "lamport=context.lamport(position),\n            niceness=7,\n        )\n\n\ndef _endings",

@@ -10,6 +10,7 @@ that a template names, so that `sierra init` need not.
 
 from __future__ import annotations
 
+import os.path
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol, runtime_checkable
@@ -138,3 +139,9 @@ def find(name: str, project: Project) -> Platform:
     PLATFORMS.check(project.platforms)
     platform: Platform = PLATFORMS.make(name, project.platforms, project)
     return platform
+
+
+def driver_path(template: str, name: str, *, is_among_files: bool) -> str:
+    """Return the path of a driver in a command: beside the input, which lies in its template's folder among other files."""
+    folder = os.path.dirname(os.path.normpath(template)) if is_among_files else ""  # noqa: PTH120
+    return "/".join(("{run}", *filter(None, (folder,)), name))

@@ -11,7 +11,7 @@ from sierra.deliverables.figures import facets, style
 from sierra.deliverables.figures.pairs import lacking
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import NotInstalled, UsageError
-from sierra.stats import embedding as stats
+from sierra.extensions.figures import embedding_methods as methods
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ EXTRA = "pip install 'sierra-experiments[embedding]'"
 def notes(drawing: Drawing, perplexity: float | None) -> list[str]:
     """Return notes on the method, and on the columns and runs that are not in the figure."""
     columns = list(drawing.tables)
-    used = stats.varying(_values(drawing))
+    used = methods.varying(_values(drawing))
     constant = [name for place, name in enumerate(columns) if place not in used]
     components = f"principal components of {len(used)} columns, with their % of the variance"
     return [
@@ -40,9 +40,9 @@ def notes(drawing: Drawing, perplexity: float | None) -> list[str]:
 def embedding(drawing: Drawing, perplexity: float | None) -> Figure:
     """Draw each run as a mark. All panels share one plane."""
     values = _values(drawing)
-    table = stats.standardised(values[:, stats.varying(values)])
+    table = methods.standardised(values[:, methods.varying(values)])
     if perplexity is None:
-        found = stats.principal_components(table)
+        found = methods.principal_components(table)
         points = found.points
         names = [f"PC {k} ({style.number(100 * part, 3)} %)" for k, part in enumerate(found.explained, 1)]
     else:
@@ -68,7 +68,7 @@ def _values(drawing: Drawing) -> Floats:
     found = np.column_stack([style.column(drawing.runs, name) for name in names])
     if len(found) < FEWEST:
         raise UsageError(f"an embedding needs {FEWEST} runs with values in all columns, but there are {len(found)}")
-    if len(stats.varying(found)) < 2:
+    if len(methods.varying(found)) < 2:
         raise UsageError("an embedding needs two columns in which runs differ, but there are fewer")
     return found
 
@@ -83,6 +83,6 @@ def _tsne(table: Floats, perplexity: float) -> Floats:
     if len(table) > MOST:
         raise UsageError(f"t-SNE of {len(table)} runs takes too long; at most {MOST} are possible; use pca, or where")
     try:
-        return stats.tsne(table, perplexity)
+        return methods.tsne(table, perplexity)
     except ImportError as error:
         raise NotInstalled(f"scikit-learn is not installed; {EXTRA}") from error

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
     from sierra.deliverables.figures.drawing import Drawing
-    from sierra.stats.comparison.block_ranks import Ranking
+    from sierra.extensions.figures.block_ranks import Ranking
 
 
 class CriticalDifferenceOptions(Table):

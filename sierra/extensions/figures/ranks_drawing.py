@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from sierra.deliverables.figures import bands, style
 from sierra.errors import UsageError
-from sierra.stats.comparison.block_ranks import Ranking, Test, ranking
+from sierra.extensions.figures.block_ranks import Ranking, Test, ranking
 from sierra.stats.words import of_run
 from sierra.util.text import counted, few
 

@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PositiveInt, StringConstraints
 
-from sierra.design.platforms.driver_path import driver_path
+from sierra.design.platforms.base import driver_path
 from sierra.extensions.gazebo import robots
 from sierra.extensions.gazebo.robots import COPIES, SEED, Area, Start
 from sierra.plugin import (

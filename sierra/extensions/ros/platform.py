@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints
 
-from sierra.design.platforms.driver_path import driver_path
+from sierra.design.platforms.base import driver_path
 from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, Launch1, Launch2, Pose, RandomPoses, Robots
 from sierra.plugin import (
     Add,

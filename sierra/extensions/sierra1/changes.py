@@ -15,9 +15,9 @@ from xml.sax.saxutils import quoteattr
 
 from sierra.errors import SierraError
 from sierra.extensions.argos.platform import PLACEHOLDER, ROOT
+from sierra.extensions.sierra1.yaml_values import Plain
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.base import Template
-from sierra.templates.yaml_values import Plain
 
 SETS = ("attr_change", "attr_add")
 RENAMES = ("element_change", "tag_change")

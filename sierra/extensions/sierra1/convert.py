@@ -26,11 +26,11 @@ from sierra.extensions.argos.platform import ARENA, EXPERIMENT, PLACEHOLDER
 from sierra.extensions.sierra1 import graphs as figures
 from sierra.extensions.sierra1.changes import ADDS, REMOVES, RENAMES, SETS, Old, Trial, first, listed, translated, xpath
 from sierra.extensions.sierra1.old_project import Call, OldProject, read
+from sierra.extensions.sierra1.yaml_values import Plain
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.setup.init import folder
 from sierra.store.layout import CONFIG
 from sierra.templates.base import Template
-from sierra.templates.yaml_values import Plain
 from sierra.util.fs import write_whole
 from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line

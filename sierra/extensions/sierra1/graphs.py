@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from sierra.extensions.sierra1.old_project import OldProject
-from sierra.templates.yaml_values import Plain
+from sierra.extensions.sierra1.yaml_values import Plain
 
 Entry = dict[str, str | bool]
 """A table of `sierra.toml` with simple values."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import Missing, UsageError
-from sierra.templates.yaml_values import Plain, values
+from sierra.extensions.sierra1.yaml_values import Plain, values
 from sierra.util.regular_files import open_regular
 
 CONTROLLERS = "config/controllers.yaml"

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, StringConstraints
 
-from sierra.design.platforms.driver_path import driver_path
+from sierra.design.platforms.base import driver_path
 from sierra.plugin import (
     Add,
     Axis,

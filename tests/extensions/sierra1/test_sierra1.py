@@ -14,7 +14,7 @@ from lxml import etree
 
 from sierra.config import project_file
 from sierra.errors import TemplateError
-from sierra.templates import yaml_values
+from sierra.extensions.sierra1 import yaml_values
 from tests import projects
 
 TEMPLATE = """<?xml version="1.0"?>

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sierra.stats import embedding
+from sierra.extensions.figures import embedding_methods as embedding
 
 
 def clusters(seed: int, n: int = 20) -> embedding.Floats:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sierra.extensions.figures.block_ranks import Ranking, ranking
 from sierra.stats.comparison.analyse import analyse
-from sierra.stats.comparison.block_ranks import Ranking, ranking
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample, Verdict
 
 C45 = ("C4.5", "+m", "+cf", "+m+cf")
