@@ -20,11 +20,7 @@ if TYPE_CHECKING:
 
 READING = ("ls", "show", "sql", "stats", "outputs", "files", "compare", "diff", "why", "fsck")
 """Commands that read records, and execute nothing of the package."""
-OF_PACKAGES = {
-    "figures": "sierra.cli.open_figures:figures",
-    "report": "sierra.cli.open_report:report",
-    "claims": "sierra.cli.open_claims:claims",
-}
+OF_PACKAGES = {name: f"sierra.cli.open_results:{name}" for name in ("figures", "report", "claims")}
 """Commands that differ from those of projects: they read the package, which their context has."""
 
 

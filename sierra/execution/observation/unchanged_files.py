@@ -6,11 +6,10 @@ import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
-from sierra.execution.observation import shared_libraries
 from sierra.execution.observation.current_files import Current, is_same, located
 from sierra.execution.observation.file_sets import FileSets, UsedFile, located_paths
+from sierra.execution.observation.found_elsewhere import CACHE, LoaderCache, found_elsewhere
 from sierra.execution.observation.listed_folders import ListedFolders
-from sierra.execution.observation.search_path import found_elsewhere
 from sierra.provenance.hash_cache import HashCache
 
 FOUND_ELSEWHERE = "found elsewhere"
@@ -46,7 +45,7 @@ def compare(sets: FileSets, current: Current) -> Changes:
         if one.use == "listed":
             if folders.is_changed(one):
                 doubtful.append(one)
-        elif one.path == shared_libraries.CACHE:
+        elif one.path == CACHE:
             if not is_same(one.path, "read", one.sha256, {}, cache):
                 doubtful.append(one)
         elif not _is_same(one, current, cache):
@@ -63,7 +62,7 @@ def _changed_for(
     sets: FileSets, current: Current, folders: ListedFolders, doubtful: Collection[UsedFile]
 ) -> Iterator[tuple[str, UsedFile, bool]]:
     """Yield the sets with these files, and whether a change of the file counts, which depends on the other files of the set."""
-    loader = shared_libraries.LoaderCache()
+    loader = LoaderCache()
     having = sets.having(doubtful)
     members = sets.members(having)
     for name, files in having.items():

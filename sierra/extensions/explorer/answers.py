@@ -25,9 +25,8 @@ from sierra.errors import NotFound, UsageError
 from sierra.extensions.explorer import batch_list, declarations, recorded_files
 from sierra.extensions.explorer.batch_list import BatchList
 from sierra.extensions.explorer.checked_files import Hashes
-from sierra.extensions.explorer.kept import Kept, T
 from sierra.extensions.explorer.limit import AGAIN_S, Limit
-from sierra.extensions.explorer.opened import Opened
+from sierra.extensions.explorer.snapshots import Kept, Opened, T
 from sierra.extensions.explorer.tickets import Made, Tickets
 from sierra.store.derived_tables import Limits, Rules
 from sierra.store.read_lock import Shared

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli.arguments import AsJsonList
-from sierra.cli.open_figures import show
+from sierra.cli.open_results import show
 
 
 def video(

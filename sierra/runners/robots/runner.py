@@ -31,7 +31,7 @@ from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.links.base import Link, NoSession, Unreachable
 from sierra.runners.local import record
-from sierra.runners.robots import agent_start, fitting_programs, fitting_robots, results
+from sierra.runners.robots import agent_start, fitting, results
 from sierra.runners.robots.agent_link import AgentLink
 from sierra.runners.robots.agent_messages import Record, as_report
 from sierra.runners.robots.engine_errors import classify
@@ -213,8 +213,8 @@ class Robots:
         each(Robot.supply, robots.values())
         if self._stopped is not None:
             return
-        fitting_robots.check_addresses({one.name: one.address for one in robots.values()})
-        fitting_robots.check_time_zones({one.name: one.hello for one in robots.values()})
+        fitting.check_addresses({one.name: one.address for one in robots.values()})
+        fitting.check_time_zones({one.name: one.hello for one in robots.values()})
         addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
         parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
@@ -312,7 +312,7 @@ class Robots:
     def _part(self, job: Job, member: Member, robot: Robot, addresses: Mapping[str, str]) -> Part:
         """Return the part of a run that a robot executes. `addresses`: variables with those of all robots of the run."""
         if self._work.code:
-            fitting_programs.check(robot.name, robot.arch, member, self._work.code, robot.agent.link)
+            fitting.check_programs(robot.name, robot.arch, member, self._work.code, robot.agent.link)
         placed = member.at("\0", robot.code, robot.arch)
         given = robot.variables if robot.container else robot.hello["variables"]  # a setup line is about the host
         variables = {**given, **placed.environment, **addresses, "SIERRA_EXECUTION": job.execution}

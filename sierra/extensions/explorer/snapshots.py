@@ -1,14 +1,37 @@
 """Snapshots that stay open between questions, so that a question costs little more than its own statement.
 
 A snapshot reads files that never change, so it is right as long as the store has the same segments. Files that were damaged
-meanwhile are noticed. The lock on the segments is
-held only while a question is answered: in between, other processes can remove segments, and then a new snapshot is opened.
+meanwhile are noticed. The lock on the segments is held only while a question is answered: in between, other processes can
+remove segments, and then a new snapshot is opened. Statements can be interrupted while the snapshot exists.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
+from weakref import WeakSet
+
+from sierra.store.store import Snapshot
+
+
+class Opened:
+    """Snapshots, which may be added by one thread while another one interrupts them."""
+
+    def __init__(self) -> None:
+        self._every: WeakSet[Snapshot] = WeakSet()
+        self._one = threading.Lock()
+
+    def add(self, snapshot: Snapshot) -> None:
+        with self._one:
+            self._every.add(snapshot)
+
+    def interrupt(self) -> None:
+        """End the statements that other threads execute on these snapshots; they raise SqlError there."""
+        with self._one:
+            every = list(self._every)
+        for snapshot in every:
+            snapshot.interrupt()
 
 
 class Open(Protocol):

@@ -9,7 +9,7 @@ import pytest
 from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
-from sierra.runners.robots import fitting_programs
+from sierra.runners.robots import fitting
 from tests.support import elf
 from tests.support.local_link import LocalLink
 
@@ -18,7 +18,7 @@ OWN = f"{ON_ROBOT}/bin/{ARCH_ON_ROBOT}/go"
 
 def check(folder: Path, *argv: str, arch: str = "aarch64", variables: dict[str, str] | None = None) -> None:
     link = LocalLink("rb3", folder / "home")
-    fitting_programs.check("rb3", arch, Member(1, "robot", argv, variables or {}, ()), folder / "code", link)
+    fitting.check_programs("rb3", arch, Member(1, "robot", argv, variables or {}, ()), folder / "code", link)
 
 
 def test_each_processor_has_its_own_program(tmp_path: Path):
@@ -52,7 +52,7 @@ def test_a_program_for_another_processor_is_refused(tmp_path: Path, monkeypatch:
     assert str(caught.value) == (
         "rb3 is aarch64, but go is a program for x86_64; build it for aarch64, and use {arch} in its path"
     )
-    monkeypatch.setattr(fitting_programs, "EMULATORS", str(tmp_path / "qemu-"))
+    monkeypatch.setattr(fitting, "EMULATORS", str(tmp_path / "qemu-"))
     (tmp_path / "qemu-x86_64").touch()
     check(tmp_path, f"{ON_ROBOT}/go")
 

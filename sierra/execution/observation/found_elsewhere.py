@@ -1,6 +1,7 @@
-"""Shared libraries that the loader's cache (/etc/ld.so.cache) would now find elsewhere than an observed execution did.
+"""Programs and shared libraries that would now be found elsewhere than an observed execution found them.
 
-The cache changes whenever any library is installed, so its content says nothing. What counts is where it finds each library.
+Programs are found by the search path (PATH), libraries by the loader's cache (/etc/ld.so.cache). The cache changes whenever any
+library is installed, so its content says nothing. What counts is where it finds each library.
 """
 
 from __future__ import annotations
@@ -51,3 +52,28 @@ def _cached() -> list[tuple[str, str, str]]:
         return []
     done = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=LIMIT_S, check=False)
     return [(match[1], match[2], match[3]) for match in map(LINE.fullmatch, done.stdout.splitlines()) if match]
+
+
+def found_elsewhere(executed: Iterable[str], missed: Iterable[str], before: str | None, now: str) -> str | None:
+    """Return a program that was found on the search path `before`, or missed there, and that `now` would find elsewhere.
+
+    None if there is none. `executed` are files and the links to them; those that were executed by their whole path are not
+    searched for. If `before` is unknown, every file that either path could have found counts as found elsewhere, unless `now`
+    finds just this file.
+    """
+    if before == now:
+        return None
+    for path in executed:
+        name = os.path.basename(path)  # noqa: PTH119 - for speed
+        if (before is None or _is(path, shutil.which(name, path=before))) and not _is(path, shutil.which(name, path=now)):
+            return path
+    folders = set((before or "").split(os.pathsep))
+    for path in missed:
+        folder, name = os.path.split(path)
+        if folder in folders and shutil.which(name, path=before) is None and (found := shutil.which(name, path=now)):
+            return found
+    return None
+
+
+def _is(path: str, found: str | None) -> bool:
+    return found is not None and os.path.realpath(found) == os.path.realpath(path)
