@@ -243,8 +243,6 @@ AROUND = {
     ),
 }
 """By table: its key column, and a query for the ids that nothing refers to any more."""
-SHARED = {"environments": "environment", "programs": "programs", "ingest_rules": "ingest_rules", "isolations": "isolation"}
-"""The same for tables whose records any table may name, in a column of this name."""
 GONE: Mapping[Enum, str] = {
     **dict.fromkeys((Of.EXECUTION, Of.JUDGEMENT, About.EXECUTION), "SELECT execution FROM gone"),
     Of.SESSION: GONE_SESSIONS,
@@ -361,7 +359,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
         gone = _column(snapshot, statement)
         for table, columns in columns_with(fact).items():
             drop.setdefault(table, {}).update(dict.fromkeys(columns, gone))
-    for table, key in SHARED.items():
+    for table, (key,) in columns_with(Of.NAMED).items():
         drop[table] = {key: _column(snapshot, _unshared(table, key))}
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}

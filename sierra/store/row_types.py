@@ -1,9 +1,9 @@
 """The rows of the recorded tables: a class for each table, with all facts about each column beside it.
 
 A column's annotation gives the type of its values, its meaning, its unit if it has one, and further facts: the object with
-which a record is removed or copied (`Of`, `About`), how anonymous packages show its values (`Redaction`), and `LATER`. The
-store's schema is made from these classes (see `sierra.store.schema`), and records are written and read as their instances. A
-column whose type allows None can be NULL.
+which a record is removed or copied (`Of`, `About`), how anonymous packages show its values (`Redaction`), `KEY` and `LATER`.
+The store's schema is made from these classes (see `sierra.store.schema`), and records are written and read as their
+instances. A column whose type allows None can be NULL.
 
 A column of texts must say how it is redacted, so its type is one of the names below. By default, times are moved and numbers
 are kept.
@@ -20,6 +20,8 @@ class Of(Enum):
     EXECUTION = auto()
     JUDGEMENT = auto()
     SESSION = auto()
+    NAMED = auto()
+    """The record itself, which others name in a column of the same name: it is removed with the last of them."""
 
 
 class About(Enum):
@@ -28,6 +30,12 @@ class About(Enum):
     EXECUTION = auto()
     BATCH = auto()
     REPLAY = auto()
+
+
+class Key(Enum):
+    """The column identifies a record of a table to which two writers may add the same one; views show it once."""
+
+    YES = auto()
 
 
 class Later(Enum):
@@ -66,6 +74,7 @@ class Redaction(Enum):
     ROW = auto()
 
 
+KEY = Key.YES
 LATER = Later.YES
 
 Kept = Annotated[str, Redaction.KEEP]
@@ -85,7 +94,7 @@ Rewritten = Annotated[str, Redaction.ROW]
 class BatchRow(NamedTuple):
     """Batches: the ordered set of experiments that a query expands to."""
 
-    batch: Annotated[Kept, "the batch's id: a Merkle hash over its experiments", About.BATCH]
+    batch: Annotated[Kept, "the batch's id: a Merkle hash over its experiments", About.BATCH, KEY]
     created: Annotated[datetime, "when it was first submitted"]
     query: Annotated[Kept, "the criteria as they were first submitted"]
     axes: Annotated[list[Kept], "names of the independent variables, in order"]
@@ -106,8 +115,8 @@ class ExperimentRow(NamedTuple):
     """Points in the space of the independent variables; each variable is a further column here."""
 
     experiment: Annotated[Kept, "the experiment's id: a Merkle hash over its values and runs"]
-    batch: Annotated[Kept, "the batch that it belongs to", About.BATCH]
-    ordinal: Annotated[int, "its position in the batch, from 0"]
+    batch: Annotated[Kept, "the batch that it belongs to", About.BATCH, KEY]
+    ordinal: Annotated[int, "its position in the batch, from 0", KEY]
 
 
 class BatchRunRow(NamedTuple):
@@ -126,7 +135,7 @@ class BatchRunRow(NamedTuple):
 class SpecRow(NamedTuple):
     """Run specifications, which runs share: a spec, inputs and a seed make a run."""
 
-    spec: Annotated[Kept, "the spec's id"]
+    spec: Annotated[Kept, "the spec's id", KEY]
     platform: Annotated[Kept, "the platform, which drives the simulator"]
     command: Annotated[list[Kept], "program and arguments, before paths of this machine are inserted"]
     variables: Annotated[Kept, "declared environment variables, as JSON"]
@@ -315,7 +324,7 @@ class DuplicateRow(NamedTuple):
 class IsolationRow(NamedTuple):
     """Isolations: how executions were isolated in containers, each recorded once."""
 
-    isolation: Annotated[Rewritten, "hash of all columns below"]
+    isolation: Annotated[Rewritten, "hash of all columns below", KEY, Of.NAMED]
     engine: Annotated[Kept, "the container engine"]
     version: Annotated[Kept | None, "versions of the engine and of the program with which it starts containers"]
     rootless: Annotated[bool | None, "whether the engine ran without root privileges"]
@@ -352,7 +361,7 @@ class JudgementRow(NamedTuple):
 class FindingRow(NamedTuple):
     """Problems that were found after an execution was recorded; from then on its status is not ok."""
 
-    execution: Annotated[Kept, "the execution, or its judgement that is not ok", Of.JUDGEMENT]
+    execution: Annotated[Kept, "the execution, or its judgement that is not ok", Of.JUDGEMENT, KEY]
     found_at: Annotated[datetime, "when the problem was found"]
     status: Annotated[Kept, "the new status"]
     reason: Annotated[Kept, "the reason, in one line"]
@@ -463,8 +472,8 @@ class BuildProductRow(NamedTuple):
 class SharedFileRow(NamedTuple):
     """Files of the project that lie beside the inputs in the folder of each run (`files` in `sierra.toml`)."""
 
-    shared: Annotated[Kept, "the set of files, as in specs"]
-    name: Annotated[Kept, "path of the file, in the project and in the folder of a run"]
+    shared: Annotated[Kept, "the set of files, as in specs", KEY]
+    name: Annotated[Kept, "path of the file, in the project and in the folder of a run", KEY]
     sha256: Annotated[Kept, "SHA-256 of the file; the file itself is in objects"]
     size: Annotated[int, "its size", "bytes"]
     executable: Annotated[bool, "whether the owner may execute it"]
@@ -585,15 +594,17 @@ class ObservationRow(NamedTuple):
 class FileReadRow(NamedTuple):
     """Sets of files that executions used, outside their own folders; executions that used the same files share one."""
 
-    files: Annotated[Rewritten, "the set: a hash of the columns path, use and sha256"]
+    files: Annotated[Rewritten, "the set: a hash of the columns path, use and sha256", KEY]
     path: Annotated[
         Rewritten,
         "its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders, {gpu} for GPUs and drivers",
+        KEY,
     ]
     use: Annotated[
         Kept,
         "executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were "
         "read), linked (a link to a file that was read), link (any other link that was followed)",
+        KEY,
     ]
     sha256: Annotated[
         Rewritten | None,
@@ -606,7 +617,7 @@ class FileReadRow(NamedTuple):
 class ListingRow(NamedTuple):
     """Names in the folders that executions listed, without Python's caches and what the execution had written itself."""
 
-    sha256: Annotated[Rewritten, "the SHA-256 of these names, as in files_read"]
+    sha256: Annotated[Rewritten, "the SHA-256 of these names, as in files_read", KEY]
     names: Annotated[list[Kept], "the names, sorted"]
 
 
@@ -688,7 +699,7 @@ class ChannelRow(NamedTuple):
 class EnvironmentRow(NamedTuple):
     """Environments of executions (operating system, hardware, libraries, variables), each recorded once."""
 
-    environment: Annotated[Rewritten, "hash of all columns below"]
+    environment: Annotated[Rewritten, "hash of all columns below", KEY, Of.NAMED]
     host: Annotated[Rewritten, "host name"]
     os: Annotated[Kept | None, "operating system, by its own name"]
     kernel: Annotated[Kept, "kernel release"]
@@ -731,7 +742,7 @@ class EnvironmentRow(NamedTuple):
 class SourceRow(NamedTuple):
     """Sources: states of the code of runs, each recorded once."""
 
-    source: Annotated[Rewritten, "hash of all columns below except files"]
+    source: Annotated[Rewritten, "hash of all columns below except files", KEY]
     tree: Annotated[Kept, "the tree of the code that identifies runs, as an SWHID"]
     vcs: Annotated[Rewritten, "git, or none"]
     commit: Annotated[Rewritten | None, "the commit that was checked out"]
@@ -753,6 +764,7 @@ class BlobRow(NamedTuple):
         Kept,
         "git's hash of the file; in packages also the id of a submodule's commit, that of its tree (with its list of files), "
         "and the SHA-256 of data that git-lfs manages",
+        KEY,
     ]
     sha256: Annotated[Kept, "SHA-256 of the file; the file itself is in objects"]
 
@@ -760,25 +772,26 @@ class BlobRow(NamedTuple):
 class IngestRulesRow(NamedTuple):
     """The rules by which executions were evaluated, so that other executions can be evaluated by the same rules."""
 
-    ingest_rules: Annotated[Kept, "hash of the rules, as in executions"]
+    ingest_rules: Annotated[Kept, "hash of the rules, as in executions", KEY, Of.NAMED]
     declared: Annotated[Kept, "the tables [outputs] and [success] of sierra.toml, as JSON"]
 
 
 class ProgramRow(NamedTuple):
     """Dependencies of executions outside source and image: programs, libraries, Python distributions, files."""
 
-    programs: Annotated[Kept, "fingerprint of the set of programs that was used together"]
+    programs: Annotated[Kept, "fingerprint of the set of programs that was used together", KEY, Of.NAMED]
     name: Annotated[
         PathName,
         "the name that the command uses; for a library, the name that the loader uses; for a file in the project "
         "or in a mount, {project}/… or {mount}/…",
+        KEY,
     ]
     kind: Annotated[Kept, "program, library, distributions (packages installed for a Python), file or link"]
     version: Annotated[
         Kept | None,
         "for a program, the first line of its version text; for distributions, one name==version per line; else NULL",
     ]
-    path: Annotated[PathName | None, "where it was found; several folders are separated by :"]
+    path: Annotated[PathName | None, "where it was found; several folders are separated by :", KEY]
     sha256: Annotated[Kept | None, "SHA-256 of the file; for distributions, of their names and versions, or of their content"]
 
 
@@ -789,6 +802,7 @@ class ImageRow(NamedTuple):
         Kept,
         "content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system; "
         "variants: and the hash of the images in the column variants",
+        KEY,
     ]
     kind: Annotated[Kept, "oci or squashfs; variants for images for several processors"]
     architecture: Annotated[Kept | None, "the OCI name: amd64, arm64, …; NULL if the image does not state it"]
@@ -891,7 +905,7 @@ class LookIntervalRow(NamedTuple):
 class ImportRow(NamedTuple):
     """Imported packages, whose records were made in other stores."""
 
-    package: Annotated[PackageId, "the package's id: a hash over the names and hashes of its files"]
+    package: Annotated[PackageId, "the package's id: a hash over the names and hashes of its files", KEY]
     title: Annotated[Hidden, "its title"]
     date: Annotated[Hidden, "its date of publication, as it states it"]
     batches: Annotated[list[Kept], "the batches that it has, those that were in the store before included"]
@@ -902,7 +916,7 @@ class ImportRow(NamedTuple):
 class ImportedSessionRow(NamedTuple):
     """Sessions that came in packages: their executions were not made here."""
 
-    session: Annotated[Kept, "the session"]
+    session: Annotated[Kept, "the session", KEY]
     batch: Annotated[Kept, "the batch that was requested"]
     packages: Annotated[
         list[PackageId],
@@ -918,8 +932,8 @@ class RedactionRow(NamedTuple):
     durations and outputs are.
     """
 
-    session: Annotated[Kept, "the session; for a replay, the replay"]
-    batch: Annotated[Kept, "the batch that its records belong to"]
+    session: Annotated[Kept, "the session; for a replay, the replay", KEY]
+    batch: Annotated[Kept, "the batch that its records belong to", KEY]
     rules: Annotated[Kept, "the version of the rules by which the records were rewritten"]
 
 
@@ -928,8 +942,8 @@ class ObjectRow(NamedTuple):
     [store] raw is false.
     """
 
-    sha256: Annotated[Kept, "SHA-256 of the whole file"]
-    part: Annotated[int, "position of this part, from 0"]
+    sha256: Annotated[Kept, "SHA-256 of the whole file", KEY]
+    part: Annotated[int, "position of this part, from 0", KEY]
     size: Annotated[int, "size of the whole file", "bytes"]
     content: Annotated[bytes, "the part's bytes"]
 

@@ -14,7 +14,8 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.index_reader import IN_SEGMENTS, Index
 from sierra.store.listing import Listing
-from sierra.store.schema import DERIVED, LATER, RECORDED
+from sierra.store.row_types import Key
+from sierra.store.schema import DERIVED, LATER, RECORDED, columns_with
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
@@ -43,26 +44,7 @@ NEEDS_IF_IMPORTED = {
     "sessions": ("all_sessions", "imported_sessions", "origins"),
 }
 """The tables that these need too, if any session came in a package."""
-ONCE = {
-    "batches": ("batch",),
-    "experiments": ("batch", "ordinal"),
-    "specs": ("spec",),
-    "environments": ("environment",),
-    "sources": ("source",),
-    "programs": ("programs", "name", "path"),
-    "files_read": ("files", "path", "use"),
-    "listings": ("sha256",),
-    "objects": ("sha256", "part"),
-    "blobs": ("blob",),
-    "shared_files": ("shared", "name"),
-    "images": ("image",),
-    "isolations": ("isolation",),
-    "ingest_rules": ("ingest_rules",),
-    "findings": ("execution",),
-    "imports": ("package",),
-    "imported_sessions": ("session",),
-    "redactions": ("session", "batch"),
-}
+ONCE = columns_with(Key.YES)
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 
 KEPT_OBJECTS = "kept objects"

@@ -44,7 +44,7 @@ from sierra.store.views import ONCE
 from sierra.util.hashing import short
 
 Drop = dict[str, dict[str, AbstractSet[str]]]
-BY_EXECUTION, BY_JUDGEMENT, BY_SESSION = map(columns_with, Of)
+BY_EXECUTION, BY_JUDGEMENT, BY_SESSION = map(columns_with, (Of.EXECUTION, Of.JUDGEMENT, Of.SESSION))
 """Tables whose rows are added with an execution, a judgement or a session; the first two in the column `execution`."""
 BY_ID = {
     **{name: keys[0] for name, keys in ONCE.items() if name not in ("findings", "imports", "imported_sessions")},

@@ -102,8 +102,8 @@ def test_batch_is_removed_completely_but_shared_runs_stay(root: Path) -> None:
 
 
 def test_a_removal_knows_each_table() -> None:
-    """A new table says with which objects its rows are removed: beside its columns, or in one of these two tables."""
-    assert {*columns_with(*Of, *About), *remove.AROUND, *remove.SHARED, "blobs", "objects"} == {*RECORDED, OUTPUTS}
+    """A new table says with which objects its rows are removed: beside its columns, or in this table."""
+    assert {*columns_with(*Of, *About), *remove.AROUND, "blobs", "objects"} == {*RECORDED, OUTPUTS}
 
 
 def test_what_a_cluster_did_for_a_batch_is_removed_with_it(root: Path) -> None:
