@@ -23,7 +23,7 @@ from sierra.containers.images.image import AnyImage, Image, ImageVariants
 from sierra.containers.images.image_contents import Contents
 from sierra.design.query.query_request import repeated
 from sierra.errors import Damaged, Missing, NotFound, UsageError
-from sierra.execution import around, commands, row_queries, targets
+from sierra.execution import commands, row_queries, targets
 from sierra.execution.build import recorded as recorded_build
 from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
@@ -37,6 +37,7 @@ from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.row_types import BatchRow, ImageRow, IngestRulesRow, SourceRow, SpecRow
+from sierra.store.spec_rows import run_spec
 from sierra.store.store import Store
 from sierra.templates.base import Files
 from sierra.util.fs import inside
@@ -151,32 +152,17 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
     check_formats(outputs)
     return Recalled(
-        batch, _spec_of(row), manifest, commit, used, programs, outputs, success, installed(readers), build, observed
+        batch, run_spec(row), manifest, commit, used, programs, outputs, success, installed(readers), build, observed
     )
 
 
 def spec(store: Store, batch: str) -> RunSpec:
     """Return the recorded specification of a batch's runs."""
     with store.snapshot() as snapshot:
-        return _spec_of(required_row(SpecRow, snapshot, SPEC, b=batch))
+        return run_spec(required_row(SpecRow, snapshot, SPEC, b=batch))
 
 
 SPEC = "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b"
-
-
-def _spec_of(row: SpecRow) -> RunSpec:
-    return RunSpec(
-        row.platform,
-        tuple(row.command),
-        json.loads(row.variables),
-        row.source,
-        row.image,
-        tuple(row.host_access),
-        tuple(row.named_inputs or ()),
-        row.shared_files,
-        around.recorded(row.around),
-        around.commands_of_robots(row.robots),
-    )
 
 
 def installed(readers: Used) -> Used:

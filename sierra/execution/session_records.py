@@ -20,6 +20,7 @@ from sierra.execution.reuse import FileCheck, check
 from sierra.execution.sessions import Session
 from sierra.model import Batch
 from sierra.provenance import source
+from sierra.store import spec_rows
 from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
@@ -32,7 +33,6 @@ from sierra.store.row_types import (
     ImageRow,
     ReusedExecutionRow,
     SessionRow,
-    SpecRow,
     StaleSessionRow,
 )
 from sierra.store.schema import sql_types
@@ -80,7 +80,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
         writer.records([_row_of_image(plan, store, plan.image, objects)])
     objects.close()
     writer.records([batch_row(plan, _lamport(session))])
-    writer.records([_spec_row(batch)])
+    writer.records([spec_rows.of_batch(batch)])
     writer.records([code.row(listing)])
     _write_host(plan, writer)
     _write_experiments(batch, writer)
@@ -176,7 +176,7 @@ def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:
     """Record a batch in the store of a trial, without its inputs and its source."""
     writer = store.writer(session.paths.segment, plan.batch.id)
     writer.records([batch_row(plan, _lamport(session))])
-    writer.records([_spec_row(plan.batch)])
+    writer.records([spec_rows.of_batch(plan.batch)])
     writer.records(plan.shared_files)
     _write_host(plan, writer)
     _write_experiments(plan.batch, writer)
@@ -381,24 +381,6 @@ def batch_row(plan: Plan, lamport: int = 0) -> BatchRow:
         template=" ".join(plan.project.config.template_paths),
         template_sha256=plan.template_sha256,
         lamport=lamport,
-    )
-
-
-def _spec_row(batch: Batch) -> SpecRow:
-    spec = batch.spec
-    return SpecRow(
-        spec=batch.spec_id,
-        platform=spec.platform,
-        command=list(spec.command),
-        variables=json.dumps(dict(spec.environment), sort_keys=True),
-        source=spec.source,
-        image=spec.image,
-        host_access=list(spec.host_access),
-        files=[name for name, _ in batch.experiments[0].runs[0].inputs],
-        named_inputs=list(spec.named_inputs) or None,
-        shared_files=spec.shared_files,
-        around=json.dumps(spec.around.preimage()) if spec.around else None,
-        robots=None if spec.robots is None else json.dumps(spec.robots),
     )
 
 

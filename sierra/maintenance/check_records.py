@@ -21,7 +21,6 @@ import pyarrow as pa
 from sierra.containers.images.image import variants_id
 from sierra.design.expand import exact, run_id
 from sierra.errors import Damaged, Missing, SierraError
-from sierra.execution import around
 from sierra.execution.build.recipe import PLATFORM, build_id
 from sierra.execution.build_products import Product
 from sierra.execution.build_products import result as products_hash
@@ -56,6 +55,7 @@ from sierra.store.row_types import (
     StudyRow,
 )
 from sierra.store.schema import RECORDED, TIME, columns_with, sql_types
+from sierra.store.spec_rows import run_spec
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
 from sierra.store.study_records import look_id, study_id
@@ -157,23 +157,7 @@ def _id(what: Callable[[], str]) -> str | None:
 
 
 def _recipes(records: Records) -> Iterator[Finding]:
-    def spec(row: SpecRow) -> str:
-        variables = json.loads(row.variables)
-        made = RunSpec(
-            row.platform,
-            tuple(row.command),
-            variables,
-            row.source,
-            row.image,
-            tuple(row.host_access or ()),
-            tuple(row.named_inputs or ()),
-            row.shared_files,
-            around.recorded(row.around),
-            around.commands_of_robots(row.robots),
-        )
-        return digest("recipe", made.preimage())
-
-    yield from _own(records, SpecRow, spec)
+    yield from _own(records, SpecRow, lambda row: digest("recipe", run_spec(row).preimage()))
 
 
 def _environments(records: Records) -> Iterator[Finding]:
