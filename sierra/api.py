@@ -771,9 +771,9 @@ class Project:
         >>> [one.name for one in project.diff(summary.batch, other.batch).differences]
         ['runs']
         """
-        from sierra.explain import diff
+        from sierra.explain.diff.compare import compare
 
-        return diff.compare(self._loaded, self.store, before, after)
+        return compare(self._loaded, self.store, before, after)
 
     def diff_packages(self, before: str, after: str) -> PackageDifferences:
         """Return the differences between two batches of which at least one is in a package.

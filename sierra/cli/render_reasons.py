@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sierra.execution.reasons import ChangeReason
-from sierra.explain.plan_changes import Aspect, Basis
+from sierra.execution.reasons import Basis, ChangeReason
 from sierra.util.hashing import short
-from sierra.util.text import counted, few
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from sierra.execution.build.state import BuildState
     from sierra.execution.reasons import Reason
-    from sierra.explain.plan_changes import NewRuns, PlanChange
     from sierra.explain.preview_repeat import NextRun
     from sierra.explain.why_executed import NewSince
+    from sierra.explain.why_new_runs import NewRuns
 
 PREVIEW = {
     ChangeReason.NEW: "new",
@@ -60,35 +59,6 @@ BASES = {
     Basis.BATCH: "compared with batch {batch} ({query}):",
 }
 """The first line of an explanation: the batch, if any, with which the plan is compared."""
-CHANGES = {
-    Aspect.QUERY: "{name} was {was} and is {now}",
-    Aspect.SET_ADDED: "--set {name} was added",
-    Aspect.SET_REMOVED: "--set {name} was removed",
-    Aspect.COMMAND: "the command was {was} and is {now}",
-    Aspect.AROUND: "{name} was {was} and is {now}",
-    Aspect.VARIABLE: "the variable {name} was {was} and is {now}",
-    Aspect.PLATFORM: "the platform was {was} and is {now}",
-    Aspect.IMAGE: "the image was {was} and is {now}",
-    Aspect.VARIANTS: "the images by processor differ: {details}",
-    Aspect.PACKAGES: "the images differ in packages: {details}",
-    Aspect.FILES: "the images differ in files: {details}",
-    Aspect.SAME_CONTENT: "both images have the same packages and files",
-    Aspect.INPUT_NAMES: "the input files had the names {was} and have the names {now}",
-    Aspect.SHARED_FILES: "the files beside the inputs have changed: {details}",
-    Aspect.HOST_ACCESS: "the host access of runs has changed: {name}",
-    Aspect.SOURCE: "the source has changed: {details}",
-    Aspect.EXCLUSIONS: "{details}",
-    Aspect.TEMPLATE: "the template {name} has changed",
-    Aspect.NEW_TEMPLATE: "the template {name} was added",
-    Aspect.NO_TEMPLATE: "the template {name} is not used any more",
-    Aspect.SETTINGS: "sierra.toml makes other inputs (variables, changes, controllers, scenarios, seed, platforms)",
-    Aspect.PROGRAM: "{details}",
-}
-"""A line for each difference between a plan and a recorded batch."""
-QUOTED = (Aspect.QUERY, Aspect.COMMAND, Aspect.AROUND, Aspect.VARIABLE)
-"""The differences whose values are texts or numbers of the user's."""
-SHOWN = 10
-"""The largest number of details in a line."""
 
 
 def build(state: BuildState, *, dry_run: bool) -> str:
@@ -100,20 +70,9 @@ def build(state: BuildState, *, dry_run: bool) -> str:
     return f"build: the products {when}, because {state.reason}{unknown}"
 
 
-def change(found: PlanChange) -> str:
-    """Return a difference between a plan and a recorded batch in words."""
-    was, now = (_quoted(value) if found.aspect in QUOTED else value for value in (found.was, found.now))
-    words = CHANGES[found.aspect].format(name=found.name, was=was, now=now, details=few(found.details, SHOWN))
-    return words.removesuffix(": ")
-
-
-def _quoted(value: str | int | None) -> str:
-    return "not set" if value is None else repr(value)
-
-
 def new_runs(found: NewRuns) -> list[str]:
     """Return the reasons why runs of a plan are new, one line each."""
-    return [BASES[found.basis].format(batch=short(found.batch), query=found.query), *map(change, found.changes)]
+    return [BASES[found.basis].format(batch=short(found.batch), query=found.query), *(one.line for one in found.differences)]
 
 
 def new_since(found: NewSince) -> list[str]:
@@ -132,14 +91,14 @@ def next_run(answer: NextRun) -> list[str]:
         recorded = f"(sierra run {short(answer.batch)} executes this batch with the recorded code)"
         return [
             f"different runs (batch {short(answer.other_batch)}), because:",
-            *map(change, answer.differences),
+            *(one.line for one in answer.differences),
             recorded,
             *first,
         ]
     if first:
         return first
     reasons = (f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons)
-    return [*reasons, *map(change, answer.differences)]
+    return [*reasons, *(one.line for one in answer.differences)]
 
 
 def text(reason: Reason, words: Mapping[ChangeReason, str]) -> str:

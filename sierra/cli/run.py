@@ -299,19 +299,20 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
 
     `built` says whether products are built.
     """
-    from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
+    from sierra.cli.render_reasons import PREVIEW, new_runs, text
     from sierra.execution.cluster_status import seen
     from sierra.execution.dry_run import forecast, has_other_files
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.reasons import ChangeReason, Reason
-    from sierra.explain.why_new_runs import other_programs, why_new
 
     store, explain = project.stored(), options.explain
     runs = selection.runs if selection else None
     found = forecast(plan, store, runs)
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
-    other = explain and store and has_other_files(reasons)
+    other = explain and has_other_files(reasons)
+    if new or other:
+        from sierra.explain.why_new_runs import other_programs, why_new
     proposal = project.proposal(plan, project.runner_of(plan, options.runner), detach=options.detach, runs=runs)
     preview = PlanPreview(
         request=plan.request,
@@ -329,7 +330,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
         reasons={text(reason, PREVIEW): count for reason, count in reasons.most_common()},
         notes=plan.notes,
         new_because=tuple(new_runs(why_new(plan, store))) if new else (),
-        other_programs=tuple(map(change, other_programs(plan, store))) if other and store else None,
+        other_programs=tuple(one.line for one in other_programs(plan, store)) if other and store else None,
         build=built,
         proposal=proposal,
     )
@@ -402,10 +403,9 @@ def _again(project: Project, plan: Plan) -> list[str]:
     store = project.stored()
     if store is None or is_repeated(plan, store):
         return []
-    from sierra.cli.render_reasons import change
     from sierra.explain.why_new_runs import why_again
 
-    why = [change(one) for one in why_again(plan, store)]
+    why = [one.line for one in why_again(plan, store)]
     if why:
         note(f"this query was submitted before; since then: {'; '.join(why)}")
     return why

@@ -70,8 +70,9 @@ def show(
       sierra show figures/722b00d418/swarm_coverage_summary.pdf
     """
     from sierra.cli.open_project import project
-    from sierra.execution.around import commands_of_robots, described, recorded
+    from sierra.execution.around import described
     from sierra.execution.shown_records import ShownBatch, ShownExecution, ShownRun
+    from sierra.store.spec_rows import run_spec
 
     if (os.sep in prefix or "." in prefix) and Path(prefix).exists():
         _print_deliverable(project().deliverable(prefix), long=long, as_json=as_json)
@@ -84,9 +85,8 @@ def show(
     match shown:
         case ShownBatch():
             spec = {name: value for name, value in shown.spec._asdict().items() if value is not None or name not in OPTIONAL}
-            robots = commands_of_robots(shown.spec.robots)
             spec.pop("robots", None)
-            record["spec"] = {**_without_parts(spec), **described(recorded(shown.spec.around), robots)}
+            record["spec"] = {**_without_parts(spec), **described(run_spec(shown.spec))}
             _print_record(_without_parts(record), long=long)
             _print_firmware(shown.firmware)
             if shown.build:

@@ -7,7 +7,6 @@ an identity.
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +18,7 @@ from sierra.config.project_file import Project
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError
 from sierra.execution import commands
-from sierra.model import Around, Service
+from sierra.model import Around, RunSpec, Service
 
 KNOWN = tuple(name for name in OWN_PLACEHOLDERS if name != "arguments")
 OF_ONE_RUN = ("input", "seed")
@@ -90,25 +89,16 @@ def _check_own_port(one: Service, variables: Mapping[str, str], texts: Mapping[s
         )
 
 
-def described(around: Around, robots: Mapping[str, Sequence[str]] | None = None) -> Mapping[str, str]:
+def described(spec: RunSpec) -> Mapping[str, str]:
     """Return lines for people, by name: `before`, `after`, `service NAME`, and `robots GROUP` for the commands of robots."""
+    around = spec.around
     several = {"before": around.before, "after": around.after}
     lines = {name: "; ".join(map(shlex.join, argvs)) for name, argvs in several.items() if argvs}
     for one in around.services:
         kind, *test = one.ready
         scope = ", scope: batch" if one.shared else ""
         lines[f"service {one.name}"] = f"{shlex.join(one.command)}, ready: {kind} {shlex.join(test)}{scope}"
-    return lines | {f"robots {group}": shlex.join(argv) for group, argv in (robots or {}).items()}
-
-
-def recorded(text: str | None) -> Around:
-    """Return what a row of `specs` has in its column `around`."""
-    return Around.of(json.loads(text)) if text else Around()
-
-
-def commands_of_robots(text: str | None) -> Mapping[str, tuple[str, ...]] | None:
-    """Return what a row of `specs` has in its column `robots`."""
-    return None if text is None else {group: tuple(argv) for group, argv in json.loads(text).items()}
+    return lines | {f"robots {group}": shlex.join(argv) for group, argv in (spec.robots or {}).items()}
 
 
 def _joined(several: Iterable[Sequence[str]]) -> str:

@@ -51,6 +51,17 @@ class Reason:
     detail: str = ""
 
 
+class Basis(StrEnum):
+    """The batch, if any, with which a plan that has new runs is compared."""
+
+    EMPTY_STORE = "empty store"
+    SAME_BATCH = "same batch"
+    """The batch is recorded; an earlier session ended before it executed the runs."""
+    NOTHING = "nothing"
+    """No batch with these variables is recorded."""
+    BATCH = "batch"
+
+
 WORTH = (ChangeReason.FAILED, ChangeReason.RULES, ChangeReason.PROGRAMS, ChangeReason.REUSED)
 """Recorded executions by their usefulness for a session, the least useful first; SQL uses the positions."""
 FAILED, RULES, PROGRAMS, REUSED = range(len(WORTH))

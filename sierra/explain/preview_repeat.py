@@ -13,7 +13,7 @@ from sierra.execution.build.state import BuildState
 from sierra.execution.dry_run import forecast, has_other_files
 from sierra.execution.plan import Plan
 from sierra.execution.reasons import Reason
-from sierra.explain.plan_changes import PlanChange
+from sierra.explain.diff.model import Difference
 from sierra.explain.why_new_runs import other_programs, why_other
 from sierra.store.row_types import BatchRow
 from sierra.store.store import Store
@@ -29,7 +29,7 @@ class NextRun:
     """Reason why the query cannot be repeated as it is."""
     other_batch: str = ""
     """Id of the batch that the query makes now, if that is another one."""
-    differences: tuple[PlanChange, ...] = ()
+    differences: tuple[Difference, ...] = ()
     """Differences that make it another batch, or, for the same batch, the programs that differ."""
     reasons: tuple[tuple[int, Reason], ...] = ()
     """Numbers of runs by the reason why they would be executed or reused."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sierra.config.project_file import LoadedProject
 from sierra.execution.cluster_status import ClusterSession as OnCluster
 from sierra.execution.cluster_status import seen
-from sierra.explain import diff
+from sierra.explain.diff.compare import made_other
 from sierra.explain.diff.model import Difference
 from sierra.explain.effective_executions import EffectiveRuns, standings
 from sierra.explain.history import Event, events
@@ -75,7 +75,7 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
         firsts = dict.fromkeys(event.batch for event in history if any(cause.new for cause in event.causes))
         before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
     because = {
-        batch: NewSince(earlier, diff.made_other(project, store, earlier, batch)) if earlier else NewSince(None)
+        batch: NewSince(earlier, made_other(project, store, earlier, batch)) if earlier else NewSince(None)
         for batch, earlier in before.items()
     }
     return Why(

@@ -76,6 +76,11 @@ def _files(manifest: bytes) -> Files:
     return {path.decode("utf-8", "surrogateescape"): parts(what) for path, what in read(manifest).items()}
 
 
+def changed(before: bytes, after: bytes) -> list[File]:
+    """Return the files in which two manifests differ, without the numbers of lines."""
+    return list(_changed(_files(before), _files(after)))
+
+
 def _changed(old: Files, new: Files) -> Iterator[File]:
     """Yield the files that differ, ordered by path; an equal file under another name is renamed."""
     gone = {old[path]: path for path in sorted(old.keys() - new.keys(), reverse=True)}

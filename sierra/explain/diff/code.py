@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sierra.errors import Damaged, NotFound
@@ -11,6 +13,7 @@ from sierra.explain.diff.model import ARROW, Difference
 from sierra.provenance import commits_between, recorded_source_diff
 from sierra.provenance.commits_between import Commits
 from sierra.provenance.recorded_source_diff import File, State
+from sierra.provenance.source import manifest, suggest_exclusions
 from sierra.store.store import Store
 from sierra.util.text import few
 
@@ -36,24 +39,34 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     except (NotFound, Damaged) as error:
         why = "the list of files is not in the store" if isinstance(error, NotFound) else error
         return Difference("source", "tree", f"source: the files differ; {why}", was, now)
+    if after.plan:  # its files are not in the store
+        files = [_file(file) for file in recorded_source_diff.changed(old.manifest, new.manifest)]
+        return Difference("source", "tree", _line(files), was, now)
     found = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
-    files = [_file(file, known=file.path not in found.unknown) for file in found.files]
-    count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
-    line = f"source: {count}: {few(files, SHOWN)}{_relation_text(commits, after)}"
+    files = [_file(file, "content lost" if file.path in found.unknown else "binary") for file in found.files]
+    line = f"{_line(files)}{_relation_text(commits, after)}"
     unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
     more = files if len(files) > SHOWN else ()
     return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))
 
 
+def _line(files: Sequence[str]) -> str:
+    count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
+    return f"source: {count}: {few(files, SHOWN)}"
+
+
 def _state(store: Store, side: Side) -> State:
-    """Return the recorded source of a side. Raises NotFound, Damaged."""
+    """Return the source of a side. Raises NotFound, Damaged."""
+    if side.spec.source and side.plan and side.plan.source:
+        return State(side.spec.source, side.plan.source.manifest)
     if side.spec.source is None or side.source is None:
         raise NotFound("the source is not recorded")
     return State(side.spec.source, store.object(side.source.files))
 
 
-def _file(file: File, *, known: bool) -> str:
+def _file(file: File, uncounted: str = "") -> str:
+    """Return the name of a file, and how it differs; `uncounted` tells why its lines are not counted."""
     match file.what:
         case "renamed":
             return f"{file.was} {ARROW} {file.now}"
@@ -63,8 +76,19 @@ def _file(file: File, *, known: bool) -> str:
             return f"{file.path} (mode {file.was} {ARROW} {file.now})"
         case what:
             counts = f"+{file.added} −{file.removed}" if file.added is not None else ""
-            parts = ", ".join(filter(None, ("" if what == "changed" else what, counts)))
-            return f"{file.path} ({parts or ('binary' if known else 'content lost')})"
+            parts = ", ".join(filter(None, ("" if what == "changed" else what, counts))) or uncounted
+            return f"{file.path} ({parts})" if parts else file.path
+
+
+def exclusions(store: Store, before: Side, after: Side) -> Iterator[Difference]:
+    """Yield advice if the files that differ suggest to exclude them from the source."""
+    if before.spec.source == after.spec.source:
+        return
+    with contextlib.suppress(NotFound, Damaged):
+        old, new = (_state(store, side).manifest for side in (before, after))
+        advice = suggest_exclusions.advice(map(os.fsencode, manifest.changed(old, new)), manifest.paths(new))
+        if advice != suggest_exclusions.ONLY_SAID:
+            yield Difference("source", "exclusions", advice)
 
 
 def _blob(store: Store, blob: str) -> bytes | None:

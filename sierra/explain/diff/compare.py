@@ -6,17 +6,21 @@ results. If a record cannot be read any more, a note reports that, and the compa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import TypeAlias
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged, NotFound, SqlError
 from sierra.execution import targets
-from sierra.explain.diff import code, environment, images, query, results, run_inputs, used_files
-from sierra.explain.diff.load_sides import AFTER, BEFORE, check, gather, pair
-from sierra.explain.diff.model import KINDS, Difference, Note
-from sierra.store.store import Found, Store
+from sierra.execution.plan import Plan
+from sierra.explain.diff import code, environment, images, query, run_inputs, used_files
+from sierra.explain.diff.load_sides import AFTER, BEFORE, Side, check, gather, of_batch, of_plan, pair, pair_runs
+from sierra.explain.diff.model import KINDS, Difference, Note, changed
+from sierra.store.store import Found, Snapshot, Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +78,42 @@ def made_other(project: LoadedProject, store: Store, before: str, after: str) ->
     return tuple(one for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING)
 
 
-Part = tuple[tuple[str, ...], Iterable[Difference]]
+OTHER_SETTINGS = Difference(
+    "inputs", "settings", "sierra.toml makes other inputs (variables, changes, controllers, scenarios, seed, platforms)"
+)
+
+
+def other_plan(plan: Plan, store: Store, batch: str) -> tuple[Difference, ...]:
+    """Return the differences that make the runs of a plan different from those of a recorded batch."""
+    with store.snapshot() as snapshot:
+        before, after = of_batch(snapshot, batch), of_plan(plan)
+        parts = made_from(snapshot, store, plan.project.root, before, after, pair(before, after))
+        found = [
+            *chain.from_iterable(differences for _, differences in parts),
+            *query.base_seed(before, after),
+            *changed("inputs", "names", list(before.names), list(after.names), called="names of the input files"),
+            *code.exclusions(store, before, after),
+        ]
+    return tuple(sorted(found, key=lambda one: one.rank)) or (OTHER_SETTINGS,)
+
+
+Part: TypeAlias = tuple[tuple[str, ...], Iterable[Difference]]
 """Kinds that are compared, and their differences, which are computed when they are read."""
+
+
+def made_from(
+    snapshot: Snapshot, store: Store, root: Path, before: Side, after: Side, pairs: Sequence[tuple[int, int]]
+) -> Iterator[Part]:
+    """Yield the differences of everything that the runs of recorded batches and plans are made from, except their inputs.
+
+    `pairs` are the experiments that both sides have.
+    """
+    yield ("query",), query.query(before, after, pairs)
+    yield ("platform", "command", "variables"), query.spec(before, after)
+    if before.spec.shared_files != after.spec.shared_files:
+        yield ("inputs",), query.files_beside(snapshot, before, after)
+    yield ("image",), images.image(snapshot, store, before, after, root)
+    yield ("source",), code.source(store, root, before, after)
 
 
 AROUND = (
@@ -92,13 +130,9 @@ def _parts(
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")
         before, after = gather(snapshot, old, BEFORE), gather(snapshot, new, AFTER)
-        pairs = pair(snapshot, before, after)
-        yield ("query",), query.query(before, after, pairs)
-        yield ("platform", "command", "variables"), query.spec(before, after)
-        if before.spec.shared_files != after.spec.shared_files:
-            yield ("inputs",), run_inputs.beside(snapshot, before, after)
-        yield ("image",), images.image(snapshot, store, before, after, project.root)
-        yield ("source",), code.source(store, project.root, before, after)
+        pairs = pair(before, after)
+        pair_runs(snapshot, before, after, pairs)
+        yield from made_from(snapshot, store, project.root, before, after, pairs)
         if code.has_commits(before, after):
             yield ("commit",), code.commit(project.root, before, after)
         used = ("programs", "programs", partial(environment.programs, root=project.root))
@@ -115,19 +149,23 @@ def _parts(
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind="isolation"), "isolation"))
         if pairs:
-            yield ("seed",), query.seeds(snapshot, before, after)
+            yield ("seed",), chain(query.base_seed(before, after), query.seeds(snapshot, before))
             yield ("inputs",), run_inputs.inputs(snapshot, before, after, notes)
         else:
             notes.append(Note("no experiment is in both; inputs, seeds and results are not compared", "results"))
-        if results_too and before.is_one:
+        if not results_too:
+            return
+        from sierra.explain.diff import results  # imports the statistics, which `sierra why` and `sierra run` do not need
+
+        if before.is_one:
             yield ("status", "results"), results.of_one(snapshot, store, project, before, after, notes)
-        elif results_too:
-            yield ("status",), results.good(snapshot, before, after)
-            yield ("results",), results.of_shared(snapshot, store, project, notes)
-            yield ("results",), results.of_places(snapshot)
-            others = results.others(snapshot, pairs)
-            rows = results.rows(snapshot) if others else 0
-    if results_too and not before.is_one and others:
+            return
+        yield ("status",), results.good(snapshot, before, after)
+        yield ("results",), results.of_shared(snapshot, store, project, notes)
+        yield ("results",), results.of_places(snapshot)
+        others = results.others(snapshot, pairs)
+        rows = results.rows(snapshot) if others else 0
+    if others:
         yield ("results",), results.means(store, project, before, after, others, rows, notes)
 
 

@@ -11,6 +11,7 @@ from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
 from sierra.containers.images import record
 from sierra.containers.images.diff import Change, files, packages
+from sierra.containers.images.image import AnyImage, ImageVariants, every
 from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed
@@ -28,17 +29,38 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
     """Yield differences of the image (its id, packages, variables and files) and of the host access of runs."""
     was, now = (side.spec.image for side in (before, after))
     if was != now:
-        old, new = (_row(snapshot, identity) for identity in (was, now))
+        known = _Images(snapshot, store, after.plan.image if after.plan else None)
+        old, new = map(known.row, (was, now))
         yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
         if old and new:
-            yield from _by_processor(snapshot, store, old, new, mentioned(after.spec.command, root))
+            yield from _by_processor(known, old, new, mentioned(after.spec.command, root))
     before_reach, reach = (side.spec.host_access for side in (before, after))
     if changes := other_host_access(before_reach, reach):
         yield Difference("image", "host_access", f"host access of runs: {', '.join(changes)}", before_reach, reach)
 
 
-def _row(snapshot: Snapshot, identity: str | None) -> ImageRow | None:
-    return next(iter(snapshot.select(ImageRow, "SELECT * FROM images WHERE image = $i", i=identity)), None)
+class _Images:
+    """The recorded images, and those of a plan, which may not be recorded yet."""
+
+    def __init__(self, snapshot: Snapshot, store: Store, planned: AnyImage | None) -> None:
+        self._snapshot, self._store = snapshot, store
+        self._rows: dict[str, ImageRow] = {}
+        self._listings: dict[str | None, bytes] = {}
+        for one in every(planned):
+            if contents := images.contents(store.paths, one):
+                row = self._rows[one.id] = contents.row()
+                self._listings[row.files] = contents.listing
+        if isinstance(planned, ImageVariants):
+            self._rows[planned.id] = record.row(planned)
+
+    def row(self, identity: str | None) -> ImageRow | None:
+        """Return the row of an image; None if it is unknown."""
+        rows = self._snapshot.select(ImageRow, "SELECT * FROM images WHERE image = $i", i=identity)
+        return rows[0] if rows else self._rows.get(identity or "")
+
+    def files(self, row: ImageRow) -> bytes:
+        """Return the list of an image's files. Raises NotFound or Damaged."""
+        return self._listings.get(row.files) or self._store.object(row.files or "")
 
 
 def _called(identity: str | None, row: ImageRow | None) -> str:
@@ -47,36 +69,34 @@ def _called(identity: str | None, row: ImageRow | None) -> str:
     return f"{row.name} ({images.short(identity)})" if row else f"{images.short(identity)} (not recorded)"
 
 
-def _by_processor(
-    snapshot: Snapshot, store: Store, old: ImageRow, new: ImageRow, words: frozenset[str]
-) -> Iterator[Difference]:
+def _by_processor(known: _Images, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:
     """Yield differences of two images; of images for several processors, for each processor that both have."""
     was, now = record.variants(old), record.variants(new)
     if not (was or now):
-        yield from _inside(store, old, new, words)
+        yield from _inside(known, old, new, words)
         return
     yield Difference("image", "variants", f"images by processor: {', '.join(record.changes(was, now))}", was, now)
     for one in record.changed(was, now):
-        before, after = _row(snapshot, was[one]), _row(snapshot, now[one])
+        before, after = known.row(was[one]), known.row(now[one])
         if before and after:
-            for difference in _inside(store, before, after, words):
+            for difference in _inside(known, before, after, words):
                 yield replace(difference, line=f"{one}: {difference.line}")
 
 
-def _inside(store: Store, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:
+def _inside(known: _Images, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:
     """Yield differences of the contents of two images, the most important first."""
     yield from changed("image", "architecture", old.architecture, new.architecture)
     was, now = (json.loads(row.packages or "{}") for row in (old, new))
     for manager, changes in packages(was, now, words).items():
         yield _difference(manager, f"{manager} packages of the image", changes)
     yield from changed("image", "variables", old.variables, new.variables, called="variables of the image")
-    yield _files(store, old, new)
+    yield _files(known, old, new)
 
 
-def _files(store: Store, old: ImageRow, new: ImageRow) -> Difference:
+def _files(known: _Images, old: ImageRow, new: ImageRow) -> Difference:
     called = "files of the image"
     try:
-        changes = files(*(store.object(row.files or "") for row in (old, new)))
+        changes = files(*map(known.files, (old, new)))
     except (NotFound, Damaged):
         return Difference("image", "files", f"{called}: the list of files is not in the store", old.files, new.files)
     if not changes:

@@ -1,20 +1,22 @@
 """Operands of a comparison: two sides with everything that the store has about each; their runs are in temporary tables.
 
 A run is represented by its effective execution (or its last one) in the batch whose session is the latest; an experiment is
-represented in the same way.
+represented in the same way. A plan is a side whose runs were not executed, and so has no table of runs.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from sierra.errors import UsageError
+from sierra.execution.plan import Plan
 from sierra.execution.row_queries import axis_values, required_row
-from sierra.model import Value
+from sierra.execution.session_records import batch_row
+from sierra.model import RunSpec, Value
 from sierra.store.recorded_files import ChosenExecution, Place, where
 from sierra.store.row_types import BatchRow, SessionRow, SourceRow, SpecRow
+from sierra.store.spec_rows import run_spec
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short
@@ -30,7 +32,7 @@ class Side:
 
     found: Found
     table: str
-    """Name of the table of its runs.
+    """Name of the table of its runs; empty if their executions are not compared.
 
     Columns: `ordinal`, `number`, `run`, `seed` and `input`; `own`, `result` and `status` of the execution that represents the
     run; `execution`, the judgement of it that is used; and `counts`, true if that is effective. To save memory, `input` and
@@ -38,9 +40,9 @@ class Side:
     """
     runs: int
     batch: BatchRow
-    spec: SpecRow
-    variables: Mapping[str, str]
-    """Declared variables of the spec."""
+    spec: RunSpec
+    names: Sequence[str]
+    """Names of the input files of each run."""
     session: SessionRow | None
     """Session of this side: for a batch or an experiment the last one. None if it is not recorded."""
     source: SourceRow | None
@@ -49,6 +51,8 @@ class Side:
     """Ids of the experiments, by their places in the batch."""
     cells: Mapping[int, Mapping[str, Value]]
     """Values of each experiment, by its place in the batch, including the controller or scenario of the whole batch."""
+    plan: Plan | None = None
+    """The plan, which has what the store may lack: the manifest of the source, images, and files beside the inputs."""
 
     @property
     def is_one(self) -> bool:
@@ -57,6 +61,11 @@ class Side:
     @property
     def called(self) -> str:
         return f"{self.found.kind} {short(self.found.id)}"
+
+    @property
+    def target(self) -> str | None:
+        """Return the target that was requested; None if there is none."""
+        return self.plan.target if self.plan else self.session.target if self.session else None
 
 
 def check(before: Found, after: Found) -> None:
@@ -112,26 +121,62 @@ def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool 
 def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
     """Return everything that the store has about one side."""
     place = where(snapshot, found)
-    batch_id = place.batch
-    snapshot.views.make(("specs", "sources", "replays"))
     make_runs(snapshot, place, table)
+    return _recorded(snapshot, found, place.batch, table)
+
+
+def of_batch(snapshot: Snapshot, batch: str) -> Side:
+    """Return everything that the store has about a batch, except executions of its runs."""
+    return _recorded(snapshot, Found("batch", batch, batch), batch)
+
+
+RUNS_OF_BATCH = "(SELECT DISTINCT ordinal, number FROM batch_runs WHERE batch = $b)"
+
+
+def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") -> Side:
+    """Return a side of recorded runs: those in a table, or all of a batch."""
+    snapshot.views.make(("batch_runs", "specs", "sources", "replays"))
     batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
-    spec = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch.spec)
-    cells = _cells_of_runs(snapshot, batch_id, table)
-    whole = {name: value for name in ("controller", "scenario") if (value := getattr(batch, name)) is not None}
+    row = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch.spec)
+    count = f"SELECT ordinal, count(*) FROM {table or RUNS_OF_BATCH} GROUP BY ordinal"  # noqa: S608 - our own names
+    runs: dict[int, int] = dict(snapshot.run(count, {} if table else {"b": batch_id}))
+    cells = {place: cell for place, cell in snapshot.cells(batch_id).items() if place in runs}
     session = _session(snapshot, found, batch_id)
     return Side(
         found=found,
         table=table,
-        runs=snapshot.run(f"SELECT count(*) FROM {table}")[0][0],  # noqa: S608
+        runs=sum(runs.values()),
         batch=batch,
-        spec=spec,
-        variables=json.loads(spec.variables),
+        spec=run_spec(row),
+        names=row.files,
         session=session,
-        source=_source(snapshot, spec.source, session.source if session else None),
+        source=_source(snapshot, row.source, session.source if session else None),
         experiments={ordinal: str(cell["experiment"]) for ordinal, cell in cells.items()},
-        cells={ordinal: {**whole, **axis_values(batch.axes, cell)} for ordinal, cell in cells.items()},
+        cells={ordinal: {**_whole(batch), **axis_values(batch.axes, cell)} for ordinal, cell in cells.items()},
     )
+
+
+def of_plan(plan: Plan) -> Side:
+    """Return a plan as a side, which nothing was executed of."""
+    batch = batch_row(plan)
+    return Side(
+        found=Found("batch", plan.batch.id, plan.batch.id),
+        table="",
+        runs=len(plan.batch.runs),
+        batch=batch,
+        spec=plan.batch.spec,
+        names=plan.batch.runs[0].names,
+        session=None,
+        source=None,
+        experiments={one.ordinal: one.id for one in plan.batch.experiments},
+        cells={one.ordinal: {**_whole(batch), **one.values} for one in plan.batch.experiments},
+        plan=plan,
+    )
+
+
+def _whole(batch: BatchRow) -> dict[str, Value]:
+    """Return the controller and the scenario that all experiments of a batch share."""
+    return {name: value for name in ("controller", "scenario") if (value := getattr(batch, name)) is not None}
 
 
 def _session(snapshot: Snapshot, found: Found, batch: str) -> SessionRow | None:
@@ -151,11 +196,6 @@ def _source(snapshot: Snapshot, tree: str | None, known: str | None) -> SourceRo
     return next(iter(snapshot.select(SourceRow, SOURCE, t=tree, s=known or "")), None)
 
 
-def _cells_of_runs(snapshot: Snapshot, batch: str, table: str) -> dict[int, Mapping[str, Value | None]]:
-    places = set(snapshot.values(int, f"SELECT DISTINCT ordinal FROM {table}"))  # noqa: S608 - our own names
-    return {place: cell for place, cell in snapshot.cells(batch).items() if place in places}
-
-
 BOTH = """
 CREATE TEMP VIEW both_sides AS
 SELECT b.ordinal, b.number, a.ordinal AS now_ordinal, a.number AS now_number, b.run AS was, a.run AS now,
@@ -166,23 +206,25 @@ FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = 
 """
 
 
-def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]:
-    """Return the experiments that both sides have, by their places; create the temporary view `both_sides` of their runs.
+def pair(before: Side, after: Side) -> list[tuple[int, int]]:
+    """Return the experiments that both sides have, by their places.
 
     A single experiment is paired with the one that it is compared with. Some variables do not separate experiments: an axis
     that only one batch has, with one value, and a controller or a scenario that is not an axis of either.
     """
     if before.found.kind != "batch":
-        pairs = [(next(iter(before.cells)), next(iter(after.cells)))]
-    else:
-        names = list(_telling(before, after))
-        places = {tuple(cell.get(name) for name in names): ordinal for ordinal, cell in after.cells.items()}
-        keys = {ordinal: tuple(cell.get(name) for name in names) for ordinal, cell in before.cells.items()}
-        pairs = [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
+        return [(next(iter(before.cells)), next(iter(after.cells)))]
+    names = list(_telling(before, after))
+    places = {tuple(cell.get(name) for name in names): ordinal for ordinal, cell in after.cells.items()}
+    keys = {ordinal: tuple(cell.get(name) for name in names) for ordinal, cell in before.cells.items()}
+    return [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
+
+
+def pair_runs(snapshot: Snapshot, before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> None:
+    """Create the temporary view `both_sides` of the runs of paired experiments."""
     snapshot.add_table("pairs", was=(was for was, _ in pairs), now=(now for _, now in pairs))
     same = "" if before.is_one else "AND a.number = b.number"
     snapshot.run(BOTH.format(before=before.table, after=after.table, same=same))
-    return pairs
 
 
 def _telling(before: Side, after: Side) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Differences of the query and of the parts that runs are made from: spec, template, seeds."""
+"""Differences of the query and of the parts that runs are made from: spec, template, files beside the inputs, seeds."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from sierra.execution import around
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
 from sierra.model import Value
+from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Snapshot
 from sierra.util.text import few
 
@@ -27,7 +28,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
                 yield from changed("query", name, old.get(name), new.get(name))
     for name in ("controller", "scenario"):
         yield from changed("query", name, _whole(before, name), _whole(after, name))
-    yield from changed("query", "target", *(side.session.target if side.session else None for side in (before, after)))
+    yield from changed("query", "target", *(side.target for side in (before, after)))
     if not before.is_one:
         yield from changed("query", "runs", _runs(before), _runs(after), called="runs per experiment")
     old_sets, new_sets = before.batch.overrides, after.batch.overrides
@@ -80,14 +81,11 @@ def spec(before: Side, after: Side) -> Iterator[Difference]:
     old, new = before.spec, after.spec
     yield from changed("platform", "platform", old.platform, new.platform)
     yield from changed("command", "command", " ".join(old.command), " ".join(new.command))
-    was, now = (
-        around.described(around.recorded(side.spec.around), around.commands_of_robots(side.spec.robots))
-        for side in (before, after)
-    )
+    was, now = map(around.described, (old, new))
     for name in sorted(was.keys() | now.keys()):
         yield from changed("command", name, was.get(name), now.get(name))
-    for name in sorted(before.variables.keys() | after.variables.keys()):
-        yield from changed("variables", name, before.variables.get(name), after.variables.get(name))
+    for name in sorted(old.environment.keys() | new.environment.keys()):
+        yield from changed("variables", name, old.environment.get(name), new.environment.get(name))
     if before.found.kind == "batch":
         yield from changed("template", "template", before.batch.template, after.batch.template)
         yield from _template(before, after)
@@ -95,14 +93,42 @@ def spec(before: Side, after: Side) -> Iterator[Difference]:
 
 def _template(before: Side, after: Side) -> Iterator[Difference]:
     was, now = (side.batch.template_sha256 for side in (before, after))
-    if was != now:
+    if was != now and before.batch.template and after.batch.template:
         yield Difference("template", "sha256", f"template: {after.batch.template} has changed", was, now)
 
 
-def seeds(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """Yield differences of the base seed, and of the seeds of paired runs."""
+BESIDE = "SELECT * FROM shared_files WHERE shared = $s ORDER BY name"
+
+
+def files_beside(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
+    """Yield a difference for each file beside the inputs (`files` in `sierra.toml`) that differs."""
+    was, now = ({row.name: row for row in _beside(snapshot, side)} for side in (before, after))
+    for name in sorted(was.keys() | now.keys()):
+        old, new = was.get(name), now.get(name)
+        if old is None or new is None:
+            yield Difference("inputs", name, f"file beside the inputs: {name} was {'removed' if old else 'added'}")
+        elif old.sha256 != new.sha256:
+            yield Difference("inputs", name, f"file beside the inputs: {name} has changed", old.sha256, new.sha256)
+        elif old.executable != new.executable:
+            word = "is executable now" if new.executable else "is not executable any more"
+            yield Difference("inputs", name, f"file beside the inputs: {name} {word}")
+
+
+def _beside(snapshot: Snapshot, side: Side) -> Sequence[SharedFileRow]:
+    if side.plan:
+        return side.plan.shared_files
+    snapshot.views.make(("shared_files",))
+    return snapshot.select(SharedFileRow, BESIDE, s=side.spec.shared_files or "")
+
+
+def base_seed(before: Side, after: Side) -> Iterator[Difference]:
+    """Yield the difference of the base seed of two batches or experiments."""
     if not before.is_one:
         yield from changed("seed", "base", before.batch.base_seed, after.batch.base_seed, called="base seed")
+
+
+def seeds(snapshot: Snapshot, before: Side) -> Iterator[Difference]:
+    """Yield the difference of the seeds of paired runs."""
     [(count, others, was, now)] = snapshot.run(
         "SELECT count(*), count(*) FILTER (was_seed <> now_seed), "
         "arg_min(was_seed, (ordinal, number)) FILTER (was_seed <> now_seed), "

@@ -10,7 +10,6 @@ from sierra.explain.diff.load_sides import Side, chosen_executions
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
 from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
-from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Snapshot
 from sierra.templates.input_diff import Spot, differing
 from sierra.util.text import counted
@@ -153,24 +152,3 @@ def _is_requested(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
     old, new = before.batch.overrides, after.batch.overrides
     values = {text.rpartition("=")[2]: text in new for text in (*old, *new) if (text in old) != (text in new)}
     return any(value == (spot.now if later else spot.was) for value, later in values.items())
-
-
-BESIDE = "SELECT * FROM shared_files WHERE shared = $s ORDER BY name"
-
-
-def beside(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """Yield a difference for each file beside the inputs (`files` in `sierra.toml`) that differs."""
-    snapshot.views.make(("shared_files",))
-    was, now = (
-        {row.name: row for row in snapshot.select(SharedFileRow, BESIDE, s=side.spec.shared_files or "")}
-        for side in (before, after)
-    )
-    for name in sorted(was.keys() | now.keys()):
-        old, new = was.get(name), now.get(name)
-        if old is None or new is None:
-            yield Difference("inputs", name, f"file beside the inputs: {name} was {'removed' if old else 'added'}")
-        elif old.sha256 != new.sha256:
-            yield Difference("inputs", name, f"file beside the inputs: {name} has changed", old.sha256, new.sha256)
-        elif old.executable != new.executable:
-            word = "is executable now" if new.executable else "is not executable any more"
-            yield Difference("inputs", name, f"file beside the inputs: {name} {word}")

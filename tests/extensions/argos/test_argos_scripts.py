@@ -81,7 +81,7 @@ def test_an_edited_script_is_the_reason_for_new_runs_and_replays_use_the_recorde
     before = projects.run(root, "population_size=1")[0]["batch"]
     (root / "lua" / "walk.lua").write_text("SPEED = 7\n")
     told = projects.quick(root, "run", "population_size=1", "--explain", "--dry-run").stdout
-    assert "the files beside the inputs have changed: lua/walk.lua" in told
+    assert "file beside the inputs: lua/walk.lua has changed" in told
     after = projects.run(root, "population_size=1")[0]
     assert (after["executed"], after["batch"] != before) == (1, True)
     differences = projects.quick(root, "diff", before, after["batch"])

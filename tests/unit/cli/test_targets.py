@@ -302,9 +302,13 @@ def test_a_template_of_one_of_two_batches_is_named(tmp_path: Path) -> None:
     words = ("run", "population_size=1", "--no-figures")
     assert projects.quick(folder, *words).returncode == 0
     (folder / "sierra.toml").write_text(config + '\ntemplate = "params.json"\n')
-    assert "the template params.json was added" in projects.quick(folder, *words, "--explain").stdout
+    assert _templates(projects.quick(folder, *words, "--explain").stdout) == ["template: nothing → params.json"]
     (folder / "sierra.toml").write_text(config + "environment.set.A = '1'\n")
-    assert "the template params.json is not used any more" in projects.quick(folder, *words, "--explain").stdout
+    assert _templates(projects.quick(folder, *words, "--explain").stdout) == ["template: params.json → nothing"]
+
+
+def _templates(said: str) -> list[str]:
+    return [line.strip() for line in said.splitlines() if line.strip().startswith("template:")]
 
 
 @pytest.mark.nightly

@@ -132,7 +132,7 @@ def test_the_explanation_names_what_changed_around_the_command(tmp_path: Path) -
     projects.run(root, "population_size=1")
     make(root, before='after = "true again"\n')
     done = projects.quick(root, "run", "population_size=1", "--dry-run", "--explain")
-    assert "after was 'true' and is 'true again'" in done.stdout
+    assert "after: true → true again" in done.stdout
     projects.run(root, "population_size=1")
     first, second = (row["batch"] for row in projects.sql(root, "SELECT batch FROM batches ORDER BY lamport"))
     assert "after: true → true again" in projects.quick(root, "diff", first, second).stdout

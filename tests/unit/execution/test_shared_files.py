@@ -93,7 +93,7 @@ def test_their_change_is_the_reason_for_new_runs(tmp_path: Path) -> None:
     run(root, "population_size=1")
     (root / "conf" / "speed.txt").write_text("0.7\n")
     told = quick(root, "run", "population_size=1", "--explain", "--dry-run").stdout
-    assert "the files beside the inputs have changed: conf/speed.txt" in told
+    assert "file beside the inputs: conf/speed.txt has changed" in told
     run(root, "population_size=1")
     old, new = (row["batch"] for row in sql(root, "SELECT batch FROM batches ORDER BY lamport"))
     differences = quick(root, "diff", old, new)

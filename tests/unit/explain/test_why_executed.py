@@ -80,7 +80,7 @@ def test_changed_file_is_the_reason_for_new_runs(root: Path) -> None:
         assert told[0] == f"compared with batch {before[:10]}:"
         assert "sim.py (+1 −0)" in told[1]
     again = why(root, before)["next_run"]
-    assert again[:2] == [f"different runs (batch {after[:10]}), because:", "the source has changed: sim.py"]
+    assert again[:2] == [f"different runs (batch {after[:10]}), because:", "source: 1 file differs: sim.py"]
     assert again[2].startswith(f"(sierra run {before[:10]} ")
 
 

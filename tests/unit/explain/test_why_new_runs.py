@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -28,3 +29,19 @@ def test_a_query_that_is_new_is_explained_by_the_programs_of_its_recorded_runs(r
     assert (done.returncode, done.stderr) == (0, "")
     assert "executed with other programs" in done.stdout
     assert "simulator: " in done.stdout
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("query", [("population_size=1,2", "--set", "//noise=0.2"), ("population_size=2,3", "--runs", "3")])
+def test_a_plan_is_compared_in_the_same_words_as_the_batch_that_it_becomes(tmp_path: Path, query: tuple[str, ...]) -> None:
+    folder = projects.make(tmp_path / "project", projects.CONFIG)
+    before, _ = projects.run(folder, "population_size=1,2")
+    based = 'seed = { set = "//random/@seed", base = 7 }'
+    config = projects.CONFIG.replace('seed = "//random/@seed"', based) + '[environment]\nset = { SPEED = "2" }\n'
+    (folder / "sierra.toml").write_text(config)
+    planned = json.loads(projects.quick(folder, "run", *query, "--dry-run", "--explain", "--json").stdout)["new_because"]
+    after, _ = projects.run(folder, *query)
+    differences = json.loads(projects.quick(folder, "diff", before["batch"], after["batch"], "--json").stdout)["differences"]
+    kinds = ("query", "variables", "seed")
+    assert planned[1:] == [one["line"] for one in differences if one["kind"] in kinds and one["name"] != "seed"]
+    assert {one["kind"] for one in differences} >= set(kinds)

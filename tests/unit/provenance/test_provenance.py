@@ -361,7 +361,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     (project.root / "sim.sh").write_text("exit 0\n")
     project.run("n=1", figures=False)
     (project.root / "sim.sh").write_text("exit 0 # changed\n")
-    assert "the source has changed: sim.sh" in new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
+    assert "source: 1 file differs: sim.sh" in new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
 
 
 @pytest.mark.nightly
@@ -372,7 +372,7 @@ def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(t
     project.run("n=1", figures=False)
     (project.root / "notes.txt").write_text("after\n")
     told = new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
-    assert told[1] == "the source has changed: notes.txt"
+    assert told[1] == "source: 1 file differs: notes.txt"
     assert 'write paths = ["sim.sh"] under [source] in sierra.toml' in told[2]
 
 

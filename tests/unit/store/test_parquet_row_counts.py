@@ -228,9 +228,9 @@ def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> Non
     assert "submitted before" not in ask() + ask()
     assert "this query was submitted before; since then: sim: " in ask(2)
     (root / "sim.py").write_text("another")
-    assert "this query was submitted before; since then: the source has changed: sim.py" in ask(2)
+    assert "this query was submitted before; since then: source: 1 file differs: sim.py" in ask(2)
     (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
-    assert "since then: the template arena.xml has changed" in ask(2)
+    assert "since then: template: arena.xml has changed" in ask(2)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"//swarm/@count"', '"/arena/@size"'))
     assert "since then: sierra.toml makes other inputs" in ask(2)
     assert "submitted before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
