@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from sierra.execution.build.state import BuildState
     from sierra.execution.reasons import Reason
     from sierra.explain.preview_repeat import NextRun
-    from sierra.explain.why_executed import NewSince
     from sierra.explain.why_new_runs import NewRuns
 
 PREVIEW = {
@@ -55,7 +54,7 @@ EFFECTIVE = {
 BASES = {
     Basis.EMPTY_STORE: "the store is still empty",
     Basis.SAME_BATCH: "this batch is recorded; an earlier session ended before it executed these runs",
-    Basis.NOTHING: "no batch with these variables is recorded",
+    Basis.NOTHING: "no batch with these variables was recorded before",
     Basis.BATCH: "compared with batch {batch} ({query}):",
 }
 """The first line of an explanation: the batch, if any, with which the plan is compared."""
@@ -71,15 +70,8 @@ def build(state: BuildState, *, dry_run: bool) -> str:
 
 
 def new_runs(found: NewRuns) -> list[str]:
-    """Return the reasons why runs of a plan are new, one line each."""
+    """Return the reasons why runs of a plan or of a recorded batch are new, one line each."""
     return [BASES[found.basis].format(batch=short(found.batch), query=found.query), *(one.line for one in found.differences)]
-
-
-def new_since(found: NewSince) -> list[str]:
-    """Return what made the runs of a recorded batch new, one line each."""
-    if found.batch is None:
-        return ["no batch with these variables was recorded before"]
-    return [f"compared with batch {short(found.batch)}:", *(one.line for one in found.differences)]
 
 
 def next_run(answer: NextRun) -> list[str]:

@@ -42,7 +42,7 @@ def why(
 
 
 def _answer(answer: Why) -> dict[str, object]:
-    from sierra.cli.render_reasons import EFFECTIVE, HISTORY, new_since, next_run, text
+    from sierra.cli.render_reasons import EFFECTIVE, HISTORY, new_runs, next_run, text
 
     def with_reason(found: Cause | EffectiveRuns, words: Mapping[ChangeReason, str]) -> dict[str, object]:
         return {**(members(found) or {}), "reason": text(found.reason, words), "change": found.reason.kind}
@@ -55,7 +55,7 @@ def _answer(answer: Why) -> dict[str, object]:
         "id": answer.found.id,
         "runs": answer.runs,
         "history": [with_causes(event) for event in answer.history],
-        "new_because": {batch: new_since(found) for batch, found in answer.new_because.items()},
+        "new_because": {batch: new_runs(found) for batch, found in answer.new_because.items()},
         "effective": [with_reason(one, EFFECTIVE) for one in answer.effective],
         "next_run": next_run(answer.next_run),
         "clusters": answer.clusters,
@@ -111,7 +111,7 @@ def _standing(one: EffectiveRuns) -> str:
 
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
-    from sierra.cli.render_reasons import HISTORY, new_since, text
+    from sierra.cli.render_reasons import HISTORY, new_runs, text
     from sierra.util.hashing import short
 
     many = answer.runs > 1
@@ -129,7 +129,7 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
         )
         print(f"  {which}: {readable(text(cause.reason, HISTORY))}")
         if cause.new and because:
-            for line in new_since(answer.new_because[event.batch]) if event.batch in answer.new_because else ():
+            for line in new_runs(answer.new_because[event.batch]) if event.batch in answer.new_because else ():
                 print(f"    {readable(line)}")
     if event.reevaluated:
         print(readable(f"  {_runs(event.reevaluated)} evaluated again by other rules, not executed: {event.other_rules}"))

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from sierra.config.project_file import LoadedProject
 from sierra.execution.cluster_status import ClusterSession as OnCluster
 from sierra.execution.cluster_status import seen
+from sierra.execution.reasons import Basis
 from sierra.explain.diff.compare import made_other
-from sierra.explain.diff.model import Difference
 from sierra.explain.effective_executions import EffectiveRuns, standings
 from sierra.explain.history import Event, events
 from sierra.explain.preview_repeat import NextRun, next_run
+from sierra.explain.why_new_runs import NewRuns
 from sierra.store.recorded_files import where
 from sierra.store.store import Found, Snapshot, Store
 
@@ -25,21 +26,12 @@ WHERE b.batch IN (SELECT batch FROM batch_runs WHERE run = $r) ORDER BY coalesce
 """
 EARLIER = """
 WITH s AS (SELECT batch, max(lamport) AS asked, arg_max(coalesce(target, ''), lamport) AS target FROM sessions GROUP BY batch)
-SELECT b.batch FROM batches b JOIN batches this ON this.batch = $b
+SELECT b.batch, b.query FROM batches b JOIN batches this ON this.batch = $b
 LEFT JOIN s ON s.batch = b.batch LEFT JOIN s now ON now.batch = this.batch
 WHERE b.axes = this.axes AND b.lamport < this.lamport AND b.batch <> this.batch
 ORDER BY coalesce(s.target, '') = coalesce(now.target, '') DESC,
          CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC LIMIT 1
 """
-
-
-@dataclass(frozen=True, slots=True)
-class NewSince:
-    """The reason why the first session of a batch had runs to execute."""
-
-    batch: str | None
-    """Id of the earlier batch that it is compared with; None if no batch with these variables was recorded before."""
-    differences: tuple[Difference, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +42,8 @@ class Why:
     runs: int
     history: tuple[Event, ...]
     """Events in order; for an execution, only the event of that execution."""
-    new_because: Mapping[str, NewSince]
-    """By batch with new runs, what made them new."""
+    new_because: Mapping[str, NewRuns]
+    """By batch with new runs, its differences from the batch over the same axes that was recorded before it."""
     effective: tuple[EffectiveRuns, ...]
     next_run: NextRun
     """Effect of repeating the query on these runs."""
@@ -75,7 +67,9 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
         firsts = dict.fromkeys(event.batch for event in history if any(cause.new for cause in event.causes))
         before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
     because = {
-        batch: NewSince(earlier, made_other(project, store, earlier, batch)) if earlier else NewSince(None)
+        batch: NewRuns(Basis.BATCH, *earlier, made_other(project, store, earlier[0], batch))
+        if earlier
+        else NewRuns(Basis.NOTHING)
         for batch, earlier in before.items()
     }
     return Why(
@@ -113,5 +107,6 @@ def _session(snapshot: Snapshot, execution: str) -> str:
     return snapshot.values(str, "SELECT session FROM executions WHERE execution = $e", e=execution)[0]
 
 
-def _before(snapshot: Snapshot, batch: str) -> str | None:
-    return next(iter(snapshot.values(str, EARLIER, b=batch)), None)
+def _before(snapshot: Snapshot, batch: str) -> tuple[str, str] | None:
+    """Return the id and the query of the batch over the same axes that was recorded before another one."""
+    return next(iter(snapshot.run(EARLIER, {"b": batch})), None)

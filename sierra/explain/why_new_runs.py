@@ -18,7 +18,7 @@ from sierra.store.store import Snapshot, Store
 
 @dataclass(frozen=True, slots=True)
 class NewRuns:
-    """The reason why runs of a plan are new: its differences from a recorded batch."""
+    """The reason why runs of a plan or of a batch are new: its differences from a batch that was recorded before."""
 
     basis: Basis
     batch: str = ""

@@ -12,7 +12,6 @@ names of the same programs.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,9 +22,9 @@ from sierra.execution.observation.current_files import Current
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.unchanged_files import unchanged
 from sierra.execution.plan import Plan, context
-from sierra.model import RunSpec
 from sierra.provenance import referenced_files, source
 from sierra.provenance.dependency_model import Kind, Programs
+from sierra.store import spec_rows
 from sierra.store.row_types import UnusedChangeRow
 from sierra.store.store import Snapshot, Store
 from sierra.util.text import counted, few
@@ -65,11 +64,13 @@ class _Inheriting(NamedTuple):
     """The sets of files that these executions used."""
 
 
+KIN = ("platform", "command", "around", "variables", "host_access", "files", "shared_files")
+"""The columns of a specification that must be equal."""
 CANDIDATES = """
 WITH kin AS (
     SELECT spec FROM specs WHERE platform = $platform AND command = $command
     AND around IS NOT DISTINCT FROM $around AND variables = $variables AND image IS NULL
-    AND host_access = $host_access AND files = $files AND coalesce(shared_files, '') = $shared_files
+    AND host_access = $host_access AND files = $files AND shared_files IS NOT DISTINCT FROM $shared_files
 ),
 same AS (
     SELECT DISTINCT s.run, m.run AS executed, m.spec
@@ -159,15 +160,9 @@ def find(
         stale = ()  # such a service may have read a file for any run, whichever run was observed then
     if plan.checkout is not None:  # it does not have the current files, so that nothing else can be compared
         return _inherited(plan, snapshot, stale, lambda sets: sets - other)
-    names = [name for name, _ in sought[0].inputs]
-    rows = snapshot.select(
-        _Candidate,
-        CANDIDATES,
-        spec=plan.batch.spec_id,
-        files=names,
-        ingest_rules=context(plan).ingest_rules,
-        **_kin(plan.batch.spec),
-    )
+    row = spec_rows.of_batch(plan.batch)
+    kin = {name: getattr(row, name) for name in KIN}
+    rows = snapshot.select(_Candidate, CANDIDATES, spec=row.spec, ingest_rules=context(plan).ingest_rules, **kin)
     current = plan_files.current(plan)
     same = _unchanged(current, snapshot, {row.files for row in rows})
     found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
@@ -228,18 +223,6 @@ def _certain(plan: Plan, programs: Programs) -> Programs:
             and not (one.kind == Kind.FILE and referenced_files.is_in_library_folder(one.name, variables))
         )
     )
-
-
-def _kin(spec: RunSpec) -> dict[str, str | list[str] | None]:
-    """Return the parts of a specification that must be equal."""
-    return {
-        "platform": spec.platform,
-        "command": list(spec.command),
-        "around": json.dumps(spec.around.preimage()) if spec.around else None,
-        "variables": json.dumps(dict(spec.environment), sort_keys=True),
-        "host_access": list(spec.host_access),
-        "shared_files": spec.shared_files or "",
-    }
 
 
 def recorded(snapshot: Snapshot) -> dict[str, str]:

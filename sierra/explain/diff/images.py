@@ -31,7 +31,7 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
     if was != now:
         known = _Images(snapshot, store, after.plan.image if after.plan else None)
         old, new = map(known.row, (was, now))
-        yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
+        yield Difference("image", "image", f"image: {known.called(was, old)} {ARROW} {known.called(now, new)}", was, now)
         if old and new:
             yield from _by_processor(known, old, new, mentioned(after.spec.command, root))
     before_reach, reach = (side.spec.host_access for side in (before, after))
@@ -44,6 +44,7 @@ class _Images:
 
     def __init__(self, snapshot: Snapshot, store: Store, planned: AnyImage | None) -> None:
         self._snapshot, self._store = snapshot, store
+        self._names = {one.id: one.name for one in every(planned)}
         self._rows: dict[str, ImageRow] = {}
         self._listings: dict[str | None, bytes] = {}
         for one in every(planned):
@@ -58,15 +59,16 @@ class _Images:
         rows = self._snapshot.select(ImageRow, "SELECT * FROM images WHERE image = $i", i=identity)
         return rows[0] if rows else self._rows.get(identity or "")
 
+    def called(self, identity: str | None, row: ImageRow | None) -> str:
+        """Return the name and the id of an image."""
+        if identity is None:
+            return "none"
+        name = row.name if row else self._names.get(identity)
+        return f"{name} ({images.short(identity)})" if name else f"{images.short(identity)} (not recorded)"
+
     def files(self, row: ImageRow) -> bytes:
         """Return the list of an image's files. Raises NotFound or Damaged."""
         return self._listings.get(row.files) or self._store.object(row.files or "")
-
-
-def _called(identity: str | None, row: ImageRow | None) -> str:
-    if identity is None:
-        return "none"
-    return f"{row.name} ({images.short(identity)})" if row else f"{images.short(identity)} (not recorded)"
 
 
 def _by_processor(known: _Images, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:

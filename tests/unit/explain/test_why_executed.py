@@ -77,7 +77,7 @@ def test_changed_file_is_the_reason_for_new_runs(root: Path) -> None:
         sierra.open(root).sql("SELECT run FROM batch_runs WHERE batch = $b LIMIT 1", b=after).column(0)[0].as_py(),
     ):
         [told] = why(root, thing)["new_because"].values()
-        assert told[0] == f"compared with batch {before[:10]}:"
+        assert told[0] == f"compared with batch {before[:10]} (population_size=1,2):"
         assert "sim.py (+1 −0)" in told[1]
     again = why(root, before)["next_run"]
     assert again[:2] == [f"different runs (batch {after[:10]}), because:", "source: 1 file differs: sim.py"]
