@@ -1,8 +1,9 @@
 """The history of a repository, for people: the commits between two commits, and one commit as its repository has it now.
 
-GitPython runs git. It is imported when history is read, which no run needs. A repository may come from a stranger: git runs
-with the settings of `sierra.provenance.source.git`, checks no signatures, and fetches no objects that the repository lacks,
-so that it executes no program that the repository's configuration names. Commits are given by their full hash.
+GitPython lists the commits between two others. It is imported for this alone (`sierra diff`), because the import takes as
+long as a short command. A repository may come from a stranger: git runs with the settings of
+`sierra.provenance.source.git`, checks no signatures, and fetches no objects that the repository lacks, so that it executes no
+program that the repository's configuration names. Commits are given by their full hash.
 """
 
 from __future__ import annotations
@@ -10,20 +11,24 @@ from __future__ import annotations
 import os
 import re
 import shutil
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
+from sierra.errors import Missing
 from sierra.provenance.source import origin
-from sierra.provenance.source.git import ALWAYS, Git, environment, foreign, in_repository
+from sierra.provenance.source.git import ALWAYS, OFFLINE, Git, environment, foreign, in_repository
 
 SHOWN = 20
 """Maximum number of commits that are listed."""
 BRANCHES = 6
 """Maximum number of branches and tags that are listed."""
 HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
-OFFLINE = {"GIT_ALLOW_PROTOCOL": "none", "GIT_NO_LAZY_FETCH": "1"}
-"""Variables that forbid git to fetch what a partial clone lacks, which may start any program."""
+Ask = Callable[..., str]
+"""Runs git with arguments, and returns its output; an empty text if git fails."""
 FORMAT = "--format=%H%x00%aI%x00%an%x00%s"
 ENCODING = "--encoding=UTF-8"
 
@@ -43,13 +48,11 @@ class Commit:
 
 @dataclass(frozen=True, slots=True)
 class Commits:
-    """The commits that only one of two histories has: their numbers, and up to `SHOWN` of each, newest first."""
+    """The commits that only one of two histories has."""
 
     on: int = 0
     """Number of commits that the later one has and the earlier one does not have."""
     back: int = 0
-    log_on: tuple[Commit, ...] = ()
-    log_back: tuple[Commit, ...] = ()
     missing: tuple[str, ...] = ()
     """The given commits that the repository does not have."""
     base: str | None = None
@@ -71,45 +74,55 @@ class Known:
 
 def between(root: Path, before: str, after: str) -> Commits:
     """Return the commits between two commits, as far as the repository of the project in `root` has them."""
-    if missing := tuple(commit for commit in dict.fromkeys((before, after)) if not _has(root, commit)):
+    ask = partial(_by_git, root)
+    if missing := tuple(commit for commit in dict.fromkeys((before, after)) if not _has(ask, commit)):
         return Commits(missing=missing)
-    on, back = f"{before}..{after}", f"{after}..{before}"
-    base = _line(root, "merge-base", before, after) or None
-    return Commits(_count(root, on), _count(root, back), _log(root, on), _log(root, back), base=base)
+    base = ask("merge-base", before, after).strip() or None
+    on, back = (
+        int(ask("rev-list", "--count", span, "--").strip() or 0) for span in (f"{before}..{after}", f"{after}..{before}")
+    )
+    return Commits(on, back, base=base)
+
+
+def listed(root: Path, before: str, after: str) -> tuple[Commit, ...]:
+    """Return the commits that `after` has and `before` does not have: at most `SHOWN`, newest first."""
+    return _log(partial(_by_gitpython, root), f"{before}..{after}")
 
 
 def known(root: Path, commit: str) -> Known | None:
     """Return what the repository of the project in `root` knows about a commit; None if it does not have it."""
-    if not _has(root, commit):
+    ask = partial(_by_git, root)
+    if not _has(ask, commit):
         return None
-    [found] = _log(root, commit, most=1)
-    described = _line(root, "describe", "--always", "--tags", f"--abbrev={origin.DIGITS}", commit)
+    [recorded] = _log(ask, commit, most=1)
+    described = ask("describe", "--always", "--tags", f"--abbrev={origin.DIGITS}", commit).strip()
     where = ("refs/heads", "refs/remotes", "refs/tags")
-    names = _text(root, "for-each-ref", f"--contains={commit}", f"--count={BRANCHES}", "--format=%(refname:short)", *where)
-    branch = _line(root, "symbolic-ref", "--quiet", "--short", "HEAD")
-    return Known(found, described, tuple(names.splitlines()), origin.remote(Git(root), branch))
+    names = ask("for-each-ref", f"--contains={commit}", f"--count={BRANCHES}", "--format=%(refname:short)", *where)
+    branch = ask("symbolic-ref", "--quiet", "--short", "HEAD").strip()
+    return Known(recorded, described, tuple(names.splitlines()), origin.remote(Git(root), branch))
 
 
-def _has(root: Path, commit: str) -> bool:
-    return bool(HASH.fullmatch(commit) and _line(root, "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}"))
+def _has(ask: Ask, commit: str) -> bool:
+    return bool(HASH.fullmatch(commit) and ask("rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}").strip())
 
 
-def _count(root: Path, span: str) -> int:
-    return int(_line(root, "rev-list", "--count", span, "--") or 0)
-
-
-def _log(root: Path, span: str, *, most: int = SHOWN) -> tuple[Commit, ...]:
-    text = _text(root, "log", "--no-color", "--no-show-signature", ENCODING, f"--max-count={most}", FORMAT, span, "--")
+def _log(ask: Ask, span: str, *, most: int = SHOWN) -> tuple[Commit, ...]:
+    text = ask("log", "--no-color", "--no-show-signature", ENCODING, f"--max-count={most}", FORMAT, span, "--")
     fields = (line.split("\0", 3) for line in text.split("\n") if line)
     return tuple(Commit(name, datetime.fromisoformat(date), author, subject) for name, date, author, subject in fields)
 
 
-def _line(root: Path, *arguments: str) -> str:
-    return _text(root, *arguments).strip()
-
-
-def _text(root: Path, *arguments: str) -> str:
+def _by_git(root: Path, *arguments: str) -> str:
     """Return git's output; an empty text if git fails, or if there is no git or no repository."""
+    if not in_repository(root):
+        return ""
+    with suppress(Missing):
+        return Git(root)(*arguments, optional=True, offline=True).decode("utf-8", "replace")
+    return ""
+
+
+def _by_gitpython(root: Path, *arguments: str) -> str:
+    """Return the same as `_by_git`."""
     program = shutil.which("git")
     if program is None or not in_repository(root):
         return ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from sierra.errors import Damaged, NotFound
@@ -48,7 +49,9 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     line = f"{_line(files)}{_relation_text(commits, after)}"
     unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
     more = files if len(files) > SHOWN else ()
-    return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))
+    return Difference(
+        "source", "tree", line, was, now, lambda: (*more, *_logs(root, before, after, commits), *unknown, *found.lines)
+    )
 
 
 def _line(files: Sequence[str]) -> str:
@@ -117,11 +120,14 @@ def _relation_text(commits: Commits, after: Side) -> str:
     return f"; {', '.join(parts)}" if parts else ""
 
 
-def _logs(commits: Commits) -> Iterator[str]:
-    for sign, count, log in (("+", commits.on, commits.log_on), ("-", commits.back, commits.log_back)):
-        yield from (f"{sign} {commit}" for commit in log)
-        if count > len(log):
-            yield f"{sign} … {count - len(log)} more commits"
+def _logs(root: Path, before: Side, after: Side, commits: Commits) -> Iterator[str]:
+    was, now = str(_commit(before)), str(_commit(after))
+    for sign, count, ends in (("+", commits.on, (was, now)), ("-", commits.back, (now, was))):
+        if count:
+            log = commits_between.listed(root, *ends)
+            yield from (f"{sign} {commit}" for commit in log)
+            if count > len(log):
+                yield f"{sign} … {count - len(log)} more commits"
     if commits.on or commits.back:
         yield _relation(commits)
 
@@ -147,7 +153,7 @@ def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
         commits = _commits(root, before, after)
         names = [f"{(_commit(side) or 'none')[:10]}{_branch(side)}" for side in (before, after)]
         line = f"commit: {names[0]} {ARROW} {names[1]}, the same files{_relation_text(commits, after)}"
-        yield Difference("commit", "commit", line, was, now, tuple(_logs(commits)))
+        yield Difference("commit", "commit", line, was, now, partial(_logs, root, before, after, commits))
 
 
 def _commit(side: Side) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeAlias
@@ -76,8 +76,13 @@ class Difference:
     """Description in one line."""
     was: Compared = None
     now: Compared = None
-    details: tuple[str, ...] = ()
-    """Details, for example a patch."""
+    detailed: Sequence[str] | Callable[[], Iterable[str]] = ()
+    """Details, for example a patch; or a function that finds them, if that takes time."""
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Return the details."""
+        return tuple(self.detailed() if callable(self.detailed) else self.detailed)
 
     @property
     def rank(self) -> int:

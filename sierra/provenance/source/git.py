@@ -33,6 +33,8 @@ ALWAYS = (
 
 NETWORK = ("GIT_SSH", "GIT_SSH_COMMAND", "GIT_SSH_VARIANT", "GIT_ASKPASS", "GIT_SSL_CAINFO", "GIT_SSL_CAPATH", "GIT_SSL_CERT")
 """Variables that control how git reaches other machines."""
+OFFLINE = {"GIT_ALLOW_PROTOCOL": "none", "GIT_NO_LAZY_FETCH": "1"}
+"""Variables that forbid git to fetch what a partial clone lacks, which may start any program."""
 
 
 class Git:
@@ -54,14 +56,16 @@ class Git:
         at_top: bool = False,
         into: Path | None = None,
         network: bool = False,
+        offline: bool = False,
     ) -> bytes:
         """Run git and return its output.
 
         With `index`, git uses that file instead of the user's index. With `into`, that folder is the working tree. With
-        `network`, the user's settings for reaching other machines apply too. If `optional` is true, a failure is not an error
-        and returns no output. The same applies to the exit status `none`.
+        `network`, the user's settings for reaching other machines apply too; with `offline`, git reaches none. If `optional` is
+        true, a failure is not an error and returns no output. The same applies to the exit status `none`.
         """
         variables = environment() | ({name: os.environ[name] for name in NETWORK if name in os.environ} if network else {})
+        variables |= OFFLINE if offline else {}
         if index is not None:
             variables["GIT_INDEX_FILE"] = str(index)
         cwd = self.top if at_top else self.root

@@ -72,7 +72,12 @@ def test_default_figures_import_neither_pandas_nor_seaborn_nor_scipy(root: Path)
 
 
 @pytest.mark.integration
-def test_show_imports_git_for_a_batch_with_a_commit(root: Path) -> None:
-    batch = json.loads(projects.quick(root, "ls", "--json").stdout)[0]
-    assert "git" in imported(root, "show", batch["batch"])
-    assert not imported(root, "show", batch["batch"]) & NEVER
+def test_only_diff_imports_gitpython(root: Path) -> None:
+    first = json.loads(projects.quick(root, "ls", "--json").stdout)[0]["batch"]
+    (root / "sim.py").write_text(projects.SIMULATOR + "\n# as before\n")
+    projects.commit(root, "second")
+    second = projects.run(root, "population_size=1", "--no-figures")[0]["batch"]
+    for words in (("ls",), ("sql", "SELECT 1"), ("show", second), ("why", second), ("run", "population_size=1", "-n")):
+        assert "git" not in imported(root, *words), words
+    assert "commit" in projects.quick(root, "show", second).stdout
+    assert "git" in imported(root, "diff", first, second)

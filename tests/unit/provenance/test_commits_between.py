@@ -37,10 +37,11 @@ def test_commits_between_two_states_are_listed_with_author_date_and_subject(repo
     first, second = committed(repository, "Begin"), committed(repository, "Größer: “ein Test”")
     found = commits_between.between(repository, first, second)
     assert (found.on, found.back, found.base, found.missing) == (1, 0, first, ())
-    [commit] = found.log_on
+    [commit] = commits_between.listed(repository, first, second)
     assert (commit.id, commit.author, commit.subject) == (second, "Ada", "Größer: “ein Test”")
     assert f"{commit.date:%Y-%m-%dT%H:%M:%S}" == git(repository, "log", "-1", "--format=%aI")[:19]
-    assert commits_between.between(repository, second, first).log_back == (commit,)
+    assert commits_between.between(repository, second, first).back == 1
+    assert commits_between.listed(repository, second, first) == ()
 
 
 def test_diverged_histories_have_a_base_and_unrelated_ones_do_not(repository: Path) -> None:
@@ -59,7 +60,8 @@ def test_at_most_20_commits_are_listed_and_all_are_counted(repository: Path) -> 
     for number in range(23):
         last = committed(repository, f"Change {number}")
     found = commits_between.between(repository, first, last)
-    assert (found.on, len(found.log_on), found.log_on[0].subject) == (23, 20, "Change 22")
+    log = commits_between.listed(repository, first, last)
+    assert (found.on, len(log), log[0].subject) == (23, 20, "Change 22")
 
 
 def test_a_commit_is_described_by_its_tag_branches_and_remote(repository: Path) -> None:
@@ -76,7 +78,7 @@ def test_a_commit_is_described_by_its_tag_branches_and_remote(repository: Path) 
 def test_the_history_of_a_repository_with_sha256_is_read(tmp_path: Path) -> None:
     git(tmp_path, "init", "-q", "--object-format=sha256")
     first, second = committed(tmp_path, "Begin"), committed(tmp_path, "Go on")
-    assert [commit.subject for commit in commits_between.between(tmp_path, first, second).log_on] == ["Go on"]
+    assert [commit.subject for commit in commits_between.listed(tmp_path, first, second)] == ["Go on"]
 
 
 def test_commits_are_missing_in_a_folder_without_a_repository(tmp_path: Path) -> None:
@@ -95,7 +97,7 @@ def test_texts_that_are_not_hashes_never_reach_git(repository: Path, commit: str
 def test_git_environment_variables_do_not_redirect_the_history(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = committed(repository, "Begin")
+    first, second = committed(repository, "Begin"), committed(repository, "Go on")
     other = tmp_path / "other"
     other.mkdir()
     git(other, "init", "-q")
@@ -105,6 +107,7 @@ def test_git_environment_variables_do_not_redirect_the_history(
     found = commits_between.known(repository, first)
     assert found is not None
     assert found.commit.subject == "Begin"
+    assert [commit.id for commit in commits_between.listed(repository, first, second)] == [second]
 
 
 def test_programs_that_a_hostile_repository_configures_are_not_executed(repository: Path, tmp_path: Path) -> None:
@@ -145,6 +148,8 @@ def test_programs_that_a_hostile_repository_configures_are_not_executed(reposito
         left.unlink()
     absent = "1" * 40
     assert commits_between.between(repository, first, second).on == 1
+    assert [commit.id for commit in commits_between.listed(repository, first, second)] == [second]
+    assert commits_between.listed(repository, first, absent) == ()
     assert commits_between.between(repository, first, absent).missing == (absent,)
     assert commits_between.known(repository, second) is not None
     assert not list(tmp_path.glob("ran-*"))
