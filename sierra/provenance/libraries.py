@@ -9,10 +9,11 @@ from __future__ import annotations
 import os
 import re
 import struct
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from sierra.util import bounded_program
 
 SYSTEM = re.compile(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
 LOADER = re.compile(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")
@@ -51,18 +52,12 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
         return Loaded({}, doubt=f"its loader {loader} does not belong to the system")
     passed = {name: variables[name] for name in LOADER_VARIABLES if name in variables}
     try:
-        done = subprocess.run(
-            [loader, "--list", resolved],
-            env={**passed, "LC_ALL": "C"},
-            cwd="/",
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=TIMEOUT_S,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
+        done = bounded_program.execute([loader, "--list", resolved], cwd="/", env={**passed, "LC_ALL": "C"}, wall=TIMEOUT_S)
+    except OSError as error:
         return Loaded({}, doubt=f"the loader {loader} does not answer ({type(error).__name__})")
-    return _read(os.fsdecode(done.stdout), os.fsdecode(done.stderr))
+    if done.status is None:
+        return Loaded({}, doubt=f"the loader {loader} does not answer (TimeoutExpired)")
+    return _read(os.fsdecode(done.output), os.fsdecode(done.errors))
 
 
 def _is_systems(loader: str) -> bool:

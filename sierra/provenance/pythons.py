@@ -15,7 +15,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from sierra.errors import Missing
 from sierra.provenance import libraries
 from sierra.provenance.dependency_model import INSTALLED, Programs, normalized
 from sierra.provenance.hash_cache import VENV, HashCache
+from sierra.util import bounded_program
 from sierra.util.hashing import digest
 from sierra.util.json_types import as_object
 
@@ -111,17 +111,11 @@ def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> I
         return Interpreter(path, tuple(_beside(Path(path))))
     with tempfile.TemporaryDirectory(prefix="sierra-") as home:
         try:
-            done = subprocess.run(
-                [path, "-c", ASK],
-                env={**variables, "HOME": home, "TMPDIR": home},
-                cwd=root,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=TIMEOUT_S,
-                check=True,
-            )
-            executable, prefix, base, folders = ast.literal_eval(done.stdout.decode().splitlines()[-1])
-        except (OSError, ValueError, SyntaxError, IndexError, subprocess.SubprocessError):
+            own = {"HOME": home, "TMPDIR": home}
+            ended = bounded_program.execute([path, "-c", ASK], cwd=root, env={**variables, **own}, wall=TIMEOUT_S)
+            answer = ended.output.decode().splitlines()[-1] if ended.status == 0 else ""
+            executable, prefix, base, folders = ast.literal_eval(answer)
+        except (OSError, ValueError, SyntaxError, IndexError):
             return Interpreter(path, tuple(_beside(Path(path))))
     seen = [folder for folder in map(Path, dict.fromkeys(folders)) if folder.is_absolute() and folder.is_dir()]
     installed = [folder for folder in seen if folder.name in ("site-packages", "dist-packages")]

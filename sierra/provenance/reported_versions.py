@@ -10,15 +10,10 @@ hash serves that purpose.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import resource
-import secrets
-import select
-import signal
 import subprocess
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,10 +21,10 @@ from pathlib import Path
 from sierra.config.execution_tables import ProgramsTable
 from sierra.provenance.dependency_model import Kind, Program, Programs, roles
 from sierra.store.layout import user_versions
+from sierra.util import bounded_program
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
 from sierra.util.regular_files import open_regular
-from sierra.worker import worker
 
 TIMEOUT_S = 10.0
 """Seconds that a program may take. Simulators may need so long on a busy machine, and a missing answer is cached too."""
@@ -86,62 +81,21 @@ def _is_script(path: Path) -> bool:
 
 def _version(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
     """Return the first line that a program prints, if it succeeds in time."""
-    mark = secrets.token_hex(16)
     with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
         try:
-            process = subprocess.Popen(
+            ended = bounded_program.execute(
                 argv,
-                env={**variables, "HOME": folder, "TMPDIR": folder, MARK: mark},
                 cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
+                env={**variables, "HOME": folder, "TMPDIR": folder},
+                wall=TIMEOUT_S,
+                most=MAX_OUTPUT,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,
+                limits=LIMITS,
+                mark=MARK,
             )
         except (OSError, ValueError):
             return None
-        try:
-            for kind, most in LIMITS.items() if hasattr(resource, "prlimit") else ():
-                with contextlib.suppress(OSError, ValueError):
-                    resource.prlimit(process.pid, kind, (most, most))
-            return _first_line(_output(process))
-        finally:
-            _end(process, mark)
-
-
-def _output(process: subprocess.Popen[bytes]) -> bytes:
-    """Return all output of a program, or nothing if it is too long, takes too long, or the program fails."""
-    if process.stdout is None:
-        return b""
-    output = b""
-    give_up = time.monotonic() + TIMEOUT_S
-    while time.monotonic() < give_up and len(output) <= MAX_OUTPUT:
-        if select.select([process.stdout], [], [], 0.005)[0]:
-            piece = os.read(process.stdout.fileno(), MAX_OUTPUT)
-            if not piece:
-                break
-            output += piece
-        elif process.poll() is not None:
-            break
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        if len(output) <= MAX_OUTPUT and process.wait(max(0, give_up - time.monotonic())) == 0:
-            return output
-    return b""
-
-
-def _end(process: subprocess.Popen[bytes], mark: str) -> None:
-    """Kill a program and all processes that it has started, even those outside its process group (if /proc shows them)."""
-    give_up = time.monotonic() + TIMEOUT_S
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
-    while (left := worker.marked({f"{MARK}={mark}".encode()})) and time.monotonic() < give_up:
-        for pid in left:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, signal.SIGKILL)
-    if process.stdout is not None:
-        process.stdout.close()
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(TIMEOUT_S)
+    return _first_line(ended.output) if ended.status == 0 else None
 
 
 def _first_line(output: bytes) -> str | None:

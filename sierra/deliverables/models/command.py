@@ -13,12 +13,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import os
-import selectors
-import signal
-import subprocess
 import tempfile
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -29,16 +24,14 @@ from sierra.design import platforms
 from sierra.design.run_values import Declared
 from sierra.errors import SierraError, UsageError
 from sierra.execution import commands
-from sierra.execution.end_processes import ending
 from sierra.provenance import referenced_files
 from sierra.store.samples import Frame
 from sierra.store.store import Store
-from sierra.util import open_files
+from sierra.util import bounded_program
 from sierra.util.fs import inside
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import JsonView
 from sierra.util.text import one_line
-from sierra.worker import worker
 
 EXPERIMENTS = "experiments.csv"
 INPUTS = "inputs"
@@ -116,59 +109,24 @@ def _variables(project: LoadedProject, folder: Path) -> dict[str, str]:
 
 def _printed(argv: Sequence[str], variables: Mapping[str, str], folder: Path, wall: float) -> bytes:
     """Return what a program prints until its end. Raises SierraError if it fails."""
-    with (folder / "stderr").open("w+b") as said:
-        try:
-            process = subprocess.Popen(
-                argv,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=said,
-                cwd=folder,
-                env=dict(variables),
-                start_new_session=True,
-            )
-        except OSError as error:
-            raise SierraError(f"{argv[0]!r} cannot be started: {error.strerror}") from error
-        open_files.restore(process.pid)
-        with process, ending(process):
-            printed, ended = _read(process, wall)
-            if not ended:
-                worker.signal_group(process.pid, signal.SIGKILL)
-                much = len(printed) > MOST
-                raise SierraError(
-                    f"it printed more than {MOST >> 20} MiB" if much else f"it did not end within {wall:g} s (wall)"
-                )
-        if status := process.returncode:
-            why = f"was ended by signal {-status}" if status < 0 else f"ended with exit status {status}"
-            raise SierraError(f"{Path(argv[0]).name} {why}{_last_line(said)}")
-    if not printed.strip():
+    try:
+        ended = bounded_program.execute(argv, cwd=folder, env=variables, wall=wall, most=MOST)
+    except OSError as error:
+        raise SierraError(f"{argv[0]!r} cannot be started: {error.strerror}") from error
+    if ended.status is None:
+        much = len(ended.output) > MOST
+        raise SierraError(f"it printed more than {MOST >> 20} MiB" if much else f"it did not end within {wall:g} s (wall)")
+    if status := ended.status:
+        why = f"was ended by signal {-status}" if status < 0 else f"ended with exit status {status}"
+        raise SierraError(f"{Path(argv[0]).name} {why}{_last_line(ended.errors)}")
+    if not ended.output.strip():
         raise SierraError(f"{Path(argv[0]).name} printed nothing; it should print a table as CSV")
-    return printed
+    return ended.output
 
 
-def _read(process: subprocess.Popen[bytes], wall: float) -> tuple[bytes, bool]:
-    """Return what a process printed, and whether it ended in time without printing more than `MOST` bytes."""
-    end = time.monotonic() + wall
-    printed = bytearray()
-    with selectors.DefaultSelector() as ready, process.stdout or io.BytesIO() as pipe:
-        ready.register(pipe, selectors.EVENT_READ)
-        while len(printed) <= MOST and ready.select(max(0.0, end - time.monotonic())):
-            piece = os.read(pipe.fileno(), 1 << 16)
-            if not piece:
-                break
-            printed += piece
-        else:
-            return bytes(printed), False
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(max(0.0, end - time.monotonic()))
-    return bytes(printed), process.returncode is not None
-
-
-def _last_line(said: io.BufferedRandom) -> str:
+def _last_line(messages: bytes) -> str:
     """Return the last line of a program's messages, after a colon; "" if there is none."""
-    said.seek(0, os.SEEK_END)
-    said.seek(max(0, said.tell() - 4096))
-    lines = [line.strip() for line in said.read().decode("utf-8", "replace").splitlines() if line.strip()]
+    lines = [line.strip() for line in messages.decode("utf-8", "replace").splitlines() if line.strip()]
     return f": {one_line(lines[-1][:SHOWN])}" if lines else ""
 
 

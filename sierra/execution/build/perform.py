@@ -22,7 +22,6 @@ from sierra.errors import Missing, SierraError
 from sierra.execution import build_products, commands
 from sierra.execution.build.recipe import Recipe
 from sierra.execution.build_products import Product
-from sierra.execution.end_processes import ending
 from sierra.execution.sessions import Session
 from sierra.model import Client, Limits, Purpose
 from sierra.provenance import reported_versions
@@ -34,7 +33,7 @@ from sierra.store.objects import Objects
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
-from sierra.util import open_files
+from sierra.util import bounded_program
 from sierra.util.kept_log import kept_of
 from sierra.util.lazy_logger import Log
 from sierra.util.text import one_line
@@ -262,23 +261,13 @@ def _execute(client: Client, folder: Path, output: Path, wall: float | None) -> 
     """Execute a program until it ends, or until its time limit; return its exit status, and why it failed."""
     with disk_errors(output.parent), output.open("ab") as file:
         try:
-            process = subprocess.Popen(
-                client.argv,
-                stdin=subprocess.DEVNULL,
-                stdout=file,
-                stderr=subprocess.STDOUT,
-                cwd=folder,
-                env=dict(client.environment),
-                start_new_session=True,
-            )
+            status = bounded_program.execute(
+                client.argv, cwd=folder, env=client.environment, wall=wall, stdout=file, stderr=subprocess.STDOUT
+            ).status
         except (FileNotFoundError, NotADirectoryError, PermissionError) as error:
             return None, f"{client.argv[0]!r} cannot be started in {folder}: {error.strerror}"
-    open_files.restore(process.pid)
-    with ending(process):
-        try:
-            status = process.wait(wall)
-        except subprocess.TimeoutExpired:
-            return None, f"it was ended after {wall:g} s, the time limit in [build] wall"
+    if status is None:
+        return None, f"it was ended after {wall:g} s, the time limit in [build] wall"
     if status < 0:
         return None, f"{Path(client.argv[0]).name} was ended by signal {-status}"
     return status, f"exit status {status} of {Path(client.argv[0]).name}" if status else None
