@@ -1,27 +1,25 @@
-"""The file of a package: a zip with fixed times, names in order and a manifest, which is read without trust.
+"""A package: a zip with fixed times, names in order and a manifest, or its extracted folder; it is read without trust.
 
 Zip, because every system opens it, and single members can be read. Members whose content is compressed already are stored as
 they are. The manifest comes last, when all hashes are known.
 
-A package may come from anybody: see `Archive` for the checks.
+A package may come from anybody: see `Opened` for the checks.
 """
 
 from __future__ import annotations
 
-import errno
 import hashlib
+import os
 import shutil
-import stat
 import zipfile
-import zlib
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Protocol
 
-from sierra.errors import Damaged, Missing, SierraError, UsageError
-from sierra.packages import members
+from sierra.errors import Damaged, Missing, UsageError
+from sierra.packages import members, reproduce
 from sierra.packages.layout import SIERRA
 from sierra.packages.members import MANIFEST
 from sierra.store.segments import disk_errors
@@ -49,17 +47,15 @@ STORED = (
     ".bundle",
 )
 """Endings of files that are compressed already."""
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 LEVEL = 6
 LARGEST_PLAIN = zipfile.ZIP64_LIMIT - (1 << 20)
 """The largest number of bytes of a member in the plain form of zip, of which versions of Python write the same bytes.
 
 They write other versions into a member in the form for large files. A member may become a little larger when it is compressed.
 """
-LARGEST_MANIFEST = 256 << 20
-"""The largest number of bytes of a manifest that is read."""
 REGULAR = 0o100644
-EXECUTABLE = 0o100755
+CREATED = reproduce.Folder.created
+"""The folder for the results of an evaluator."""
 
 
 class Content(Protocol):
@@ -79,7 +75,8 @@ def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str]
     `executable`: the names of programs. `scratch`: a folder of the same file system for the unfinished file. Raises Damaged for
     names that are not safe, Missing if the disk is full, UsageError if the file exists.
     """
-    members.check_names([*contents, MANIFEST])
+    with refusals(path):
+        reproduce.check_names([*contents, MANIFEST])
     check_new(path)
     programs = frozenset(executable)
     unfinished = scratch / path.name if scratch else unfinished_beside(path)
@@ -125,30 +122,50 @@ def info(name: str, method: int, *, executable: bool = False) -> zipfile.ZipInfo
     """Return the description of a member, which depends on no time and no system."""
     made = zipfile.ZipInfo(name, MADE)
     made.create_system = 3  # Unix, whatever the system is
-    made.external_attr = (EXECUTABLE if executable else REGULAR) << 16
+    made.external_attr = (reproduce.EXECUTABLE if executable else REGULAR) << 16
     made.compress_type = method
     made._compresslevel = LEVEL  # type: ignore[attr-defined]  # the public argument exists for `writestr` only
     return made
 
 
-class Opened(ABC):
-    """A package that is read. The content of a member is checked when it is read: it has the SHA-256 of the manifest."""
+@contextmanager
+def refusals(path: Path) -> Iterator[None]:
+    """Raise Missing or Damaged, with the path of the package, where `reproduce` refuses it."""
+    try:
+        yield
+    except reproduce.Stop as refused:
+        reason = reproduce.clean(refused)
+        kind = Damaged if refused.status == 1 else Missing
+        raise kind(reason if str(path) in reason else f"{path}: {reason}") from refused
 
-    path: Path
-    hashes: Mapping[str, str]
-    """The SHA-256 of all members by name, as the manifest lists them."""
 
-    @abstractmethod
+class Opened:
+    """A package that is read: nothing of it is executed. The checks are those of `reproduce`.
+
+    When it is opened, the list of members is checked: safe names (see `sierra.packages.members`), regular files only, no member
+    twice, exactly the members of the manifest, and, in a zip, methods that SIERRA writes and no password. The content of a
+    member is checked when it is read: no more bytes than a zip says, and the SHA-256 of the manifest.
+    """
+
+    def __init__(self, path: Path, package: reproduce.Zip | _Folder) -> None:
+        """Raises Missing if a file cannot be read, Damaged unless the members are those of the manifest."""
+        self.path = path
+        self._package = package
+        with refusals(path):
+            checked = reproduce.listed(package)
+            for fault in checked.faults:
+                raise reproduce.damaged(fault)
+        self.hashes: Mapping[str, str] = checked.hashes
+        """The SHA-256 of all members by name, as the manifest lists them."""
+
     def size(self, name: str) -> int:
         """Return the number of bytes of a member."""
+        return self._package.size(name)
 
-    @abstractmethod
     def _blocks(self, name: str) -> Iterator[bytes]:
         """Yield the content of a member, whatever the manifest says."""
-
-    @abstractmethod
-    def _is_program(self, name: str) -> bool:
-        """Return whether a member may be executed."""
+        with refusals(self.path):
+            yield from self._package.blocks(name)
 
     @property
     def id(self) -> str:
@@ -204,7 +221,7 @@ class Opened(ABC):
             try:
                 with unfinished.open("xb") as file:
                     file.writelines(self.blocks(name))
-                if self._is_program(name):
+                if self._package.is_program(name):
                     mode = unfinished.stat().st_mode
                     unfinished.chmod(mode | (mode & 0o444) >> 2)  # whoever can read it can execute it
                 _name(unfinished, path)
@@ -214,29 +231,18 @@ class Opened(ABC):
 
 
 class Archive(Opened):
-    """A context manager for a package in a zip. Nothing of it is executed, and nothing is written.
-
-    When it is opened, the list of members is checked: safe names (see `sierra.packages.members`), regular files only, no member
-    twice, exactly the members of the manifest, methods that SIERRA writes, no password. The content of a member is checked when
-    it is read: no more bytes than the list says, and the SHA-256 of the manifest.
-    """
+    """A context manager for a package in a zip."""
 
     def __init__(self, path: Path) -> None:
         """Raises Missing if the file cannot be read, Damaged if it is no package or not a safe one."""
-        self.path = path
         try:
             open_regular(path).close()
-            self._file = zipfile.ZipFile(path)
         except OSError as error:
-            raise self._unreadable(error) from error
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, UnicodeDecodeError) as error:
-            raise Damaged(f"{path} is no package, or not all of it: {_reason(error)}") from error
-        try:
-            self._members = self._checked()
-            self.hashes = self._manifest()
-        except BaseException:
-            self._file.close()
-            raise
+            raise Missing(f"{path}: {error.strerror or error}") from error
+        with refusals(path):
+            package = reproduce.Zip(path)
+        self._file = package.file
+        super().__init__(path, package)
 
     def __enter__(self) -> Archive:
         return self
@@ -244,71 +250,42 @@ class Archive(Opened):
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._file.close()
 
-    def _unreadable(self, error: OSError) -> SierraError:
-        """Return the error to raise: a zip that names a place before its beginning gives EINVAL."""
-        if error.errno == errno.EINVAL:
-            return Damaged(f"{self.path} is no package, or not all of it: it names a place outside the file")
-        return Missing(f"{self.path}: {error.strerror or error}")
 
-    def _checked(self) -> dict[str, zipfile.ZipInfo]:
-        infos = self._file.infolist()
-        members.check_names(info.orig_filename for info in infos)
-        for info in infos:
-            if problem := _problem(info):
-                raise Damaged(f"{self.path}: member {info.orig_filename[:100]!r} {problem}")
-        return {info.orig_filename: info for info in infos}
+class Extracted(Opened):
+    """A context manager for an extracted package, in which nothing is written. Links are not followed."""
 
-    def _manifest(self) -> dict[str, str]:
-        if MANIFEST not in self._members:
-            raise Damaged(f"{self.path} is no package of SIERRA: it has no {MANIFEST}")
-        if self._members[MANIFEST].file_size > LARGEST_MANIFEST:
-            raise Damaged(f"{self.path}: {MANIFEST} is too large")
-        hashes = members.read(b"".join(self._blocks(MANIFEST)))
-        listed = set(hashes)
-        present = set(self._members) - {MANIFEST}
-        if extra := sorted(present - listed):
-            raise Damaged(f"{self.path}: {MANIFEST} does not list the member {extra[0]!r}")
-        if lost := sorted(listed - present):
-            raise Damaged(f"{self.path}: the member {lost[0]!r} of {MANIFEST} is missing")
-        return hashes
+    def __init__(self, path: Path, grows: str = CREATED) -> None:
+        """`grows`: the folder whose files need not be listed. An evaluator works in the folder `reproduction`.
+
+        Raises Missing if a file cannot be read, Damaged unless the files are regular and those of the manifest.
+        """
+        with refusals(path):
+            package = _Folder(path, grows)
+        super().__init__(path, package)
+
+    def __enter__(self) -> Extracted:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+class _Folder(reproduce.Folder):
+    """The files of an extracted package. One that has become a pipe or a device is refused instead of waited for."""
+
+    def __init__(self, path: Path, created: str) -> None:
+        self.created = created
+        super().__init__(path)
 
     def size(self, name: str) -> int:
-        return self._members[name].file_size
+        return (self.path / name).stat().st_size
 
-    def _is_program(self, name: str) -> bool:
-        return self._members[name].external_attr >> 16 == EXECUTABLE
-
-    def _blocks(self, name: str) -> Iterator[bytes]:
-        """Yield the content of a member, not more than its stated size."""
-        left = self._members[name].file_size
+    def blocks(self, name: str) -> Iterator[bytes]:
         try:
-            with self._file.open(self._members[name]) as member:
-                while block := member.read(CHUNK):
-                    left -= len(block)
-                    if left < 0:
-                        raise Damaged(f"{self.path}: member {name!r} is longer than it says")
-                    yield block
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-            raise Damaged(f"{self.path}: member {name!r} is damaged: {_reason(error)}") from error
+            with open_regular(self.path / name) as file:
+                yield from reproduce.pieces(file)
         except OSError as error:
-            raise self._unreadable(error) from error
-        if left:
-            raise Damaged(f"{self.path}: member {name!r} is shorter than it says")
+            raise reproduce.missing(self.path / name, error) from error
 
-
-def _problem(info: zipfile.ZipInfo) -> str:
-    """Return the reason why a member is not accepted; "" if it is."""
-    kind = stat.S_IFMT(info.external_attr >> 16)  # 0: made on a system without kinds of files
-    if info.is_dir() or kind not in (0, stat.S_IFREG):
-        return "is no regular file: links, folders and devices are refused"
-    if info.flag_bits & 0x1:
-        return "needs a password"
-    if info.compress_type not in METHODS:
-        return "is compressed by a method that SIERRA does not write"
-    if info.filename != info.orig_filename:
-        return "has a name with a character that systems treat differently"
-    return ""
-
-
-def _reason(error: BaseException) -> str:
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+    def is_program(self, name: str) -> bool:
+        return os.access(self.path / name, os.X_OK)

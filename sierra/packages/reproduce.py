@@ -21,10 +21,10 @@ With `--execute`, it verifies the package and then reaches the highest level tha
 
 The exit status is then that of these programs: 0 if all is reproduced, 1 if something differs, 3 if something is missing.
 
-A package may come from anybody. The rules are those of `sierra.packages.archive` and `sierra.packages.members`, which tests
-compare with these: safe and different names, regular files only, exactly the members of the manifest, no more bytes than a zip
-states. Like those, they use this Python's Unicode tables: a Python that is older than a character refuses names with it. In an
-extracted package, the folder `reproduction` is for what an evaluator makes: files in it need not be listed.
+A package may come from anybody. SIERRA itself reads packages with these functions (`sierra.packages.archive`): safe and
+different names, regular files only, exactly the members of the manifest, no more bytes than a zip states. They use this
+Python's Unicode tables: a Python that is older than a character refuses names with it. In an extracted package, the folder
+`reproduction` is for what an evaluator makes: files in it need not be listed.
 
 The hashes prove that the files belong together, not who made them. Therefore the program prints the package's id, which its
 authors can publish.
@@ -130,7 +130,7 @@ def clean(text: object) -> str:
     return printable(line if len(line) <= SHOWN else line[:SHOWN] + "...")
 
 
-# Names and the manifest, as in sierra.packages.members
+# Names and the manifest
 
 
 def check_names(names: Iterable[str]) -> None:
@@ -254,6 +254,8 @@ class Zip:
 class Folder:
     """An extracted package. Links are not followed."""
 
+    created = CREATED + "/"
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.sizes: dict[str, int] = {}
@@ -277,7 +279,7 @@ class Folder:
                         folders.append((folder / entry.name, name + "/"))
                     elif entry.is_file(follow_symlinks=False):
                         self.sizes[name] = entry.stat(follow_symlinks=False).st_size
-                    elif not name.startswith(CREATED + "/"):  # below it are virtual environments, which have links
+                    elif not name.startswith(self.created):  # below it are virtual environments, which have links
                         self.irregular.append(f"{name!r} is a link or a device: only files and folders are accepted")
 
     def names(self) -> Iterable[str]:
@@ -337,7 +339,7 @@ def listed(package: Zip | Folder) -> Checked:
 
 def created(package: Zip | Folder, name: str) -> bool:
     """Check whether a file need not be listed, because an evaluator has made it in an extracted package."""
-    return isinstance(package, Folder) and name.startswith(CREATED + "/")
+    return isinstance(package, Folder) and name.startswith(package.created)
 
 
 def verified(checked: Checked, name: str) -> Iterator[bytes]:

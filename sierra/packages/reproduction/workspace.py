@@ -21,10 +21,9 @@ from pathlib import Path
 from sierra.errors import Damaged, Missing, UsageError
 from sierra.execution import recover
 from sierra.execution.observer import Observer
-from sierra.packages.archive import Archive, Opened
+from sierra.packages.archive import CREATED, Archive, Extracted, Opened
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
-from sierra.packages.reading.extracted import CREATED, Extracted
 from sierra.packages.reading.received import records
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.store.segments import FORMAT, FORMER, disk_errors

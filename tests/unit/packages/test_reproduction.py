@@ -252,7 +252,7 @@ def test_an_extracted_package_is_verified_and_stays_as_it_is(package: Path, tmp_
     assert "link or a device" in reproduce(tmp_path, str(folder), "--into", "a", "--yes")[1]["error"]
     (folder / "link").unlink()
     (folder / "project" / "more.txt").write_text("")
-    assert "does not list" in reproduce(tmp_path, str(folder), "--into", "a", "--yes")[1]["error"]
+    assert "is not listed in" in reproduce(tmp_path, str(folder), "--into", "a", "--yes")[1]["error"]
     (folder / "project" / "more.txt").unlink()
     (folder / "project" / "sim.py").write_text("print()")
     code, said = reproduce(tmp_path, str(folder), "--into", "a", "--yes")
