@@ -10,7 +10,7 @@ import os
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -237,19 +237,8 @@ class Project:
         from sierra.execution import targets as of_query
 
         of_query.check_names(targets)
-        plans = [
-            self.plan(
-                *query,
-                runs=runs,
-                controller=controller,
-                scenario=scenario,
-                sets=sets,
-                target=name,
-                engine=engine,
-                observer=observer,
-            )
-            for name in targets
-        ]
+        plan = partial(self.plan, *query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        plans = [plan(target=name, engine=engine, observer=observer) for name in targets]
         of_query.check_pairs(plans)
         return plans
 
