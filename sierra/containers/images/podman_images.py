@@ -241,9 +241,9 @@ def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
     with process:
         if builds and _end(started, process.pid):
             _wait(process)
-        _signal(process.pid, signal.SIGTERM)
+        worker.signal_group(process.pid, signal.SIGTERM)
         _wait(process)
-        _signal(process.pid, signal.SIGKILL)
+        worker.signal_group(process.pid, signal.SIGKILL)
     give_up = time.monotonic() + TIMEOUT_S
     while _end(started | _births(worker.marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
         time.sleep(0.01)
@@ -252,11 +252,6 @@ def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
 def _wait(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(TIMEOUT_S)
-
-
-def _signal(group: int, number: signal.Signals) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(group, number)
 
 
 def _end(started: Mapping[int, int | None], group: int) -> bool:
