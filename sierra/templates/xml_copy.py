@@ -291,9 +291,7 @@ class XmlCopy:
         original = self._originals.get(place.element)
         if raw is not None or original is None:
             return raw or ""
-        mark = self._scan.marks[original]
-        span = (mark.inner, mark.text_end) if place.kind == "text" else (mark.end, mark.tail_end)
-        return self.view.source.text[span[0] : span[1]]
+        return self._scan.raw(Place(original, place.kind))
 
     def _new(self, element: Element, outer: Prefixes) -> str:
         """Return an added element, without declarations of namespaces that its place has."""
