@@ -95,14 +95,15 @@ def _followed(process: subprocess.Popen[bytes], end: float, most: int, *, to_eof
             if pipe is not None:
                 pipes.register(pipe, selectors.EVENT_READ, printed)
         while pipes.get_map() and len(output) <= most and time.monotonic() < end:
-            ready = pipes.select(min(LOOK_S, end - time.monotonic()))
+            has_ended = not to_eof and process.poll() is not None  # before looking, because it may print and end meanwhile
+            ready = pipes.select(0 if has_ended else min(LOOK_S, end - time.monotonic()))
             for key, _ in ready:
                 piece = os.read(key.fd, KEPT)
                 key.data.extend(piece)
                 if not piece:
                     pipes.unregister(key.fileobj)
             del errors[:-KEPT]
-            if not (ready or to_eof or process.poll() is None):
+            if has_ended and not ready:
                 break
         exceeded = len(output) > most or (to_eof and bool(pipes.get_map()))
     if not exceeded:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import selectors
 import signal
 import subprocess
 import sys
@@ -85,6 +86,19 @@ def test_marked_processes_end_with_their_program_even_outside_its_group(tmp_path
     ended = shell(f"(setsid sleep 6{marker} &); sleep 6{marker} & echo 1", tmp_path, wall=60.0, mark="SIERRA_MARKED")
     assert ended == Ended(0, b"1\n", b"")
     assert not is_running(marker)
+
+
+def test_output_just_before_the_end_is_read_even_if_this_process_has_to_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Late(selectors.DefaultSelector):
+        def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+            ready = super().select(timeout)
+            time.sleep(0 if ready else 0.5)
+            return ready
+
+    monkeypatch.setattr(bounded_program.selectors, "DefaultSelector", Late)
+    assert shell("sleep 0.2; echo 1", tmp_path, mark="SIERRA_MARKED") == Ended(0, b"1\n", b"")
 
 
 def test_limits_of_the_kernel_are_set(tmp_path: Path) -> None:
