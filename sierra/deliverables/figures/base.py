@@ -6,15 +6,15 @@ and labels of one figure, and returns a matplotlib figure. SIERRA then adds titl
 files.
 
 A kind's module must not import matplotlib, seaborn or pandas when it is imported, because its options are read for every
-command. It imports them in `draw`.
+command. It imports them in `draw`; a `DrawnKind` imports the functions that draw it in `drawn_by`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import Table
@@ -85,18 +85,35 @@ class Explorable(Protocol):
         """Return the same data as charts, one for each panel. Raises UsageError if `draw` would."""
 
 
-class PlainKind:
-    """The parts of a kind that has no options and adds nothing to the small print."""
+@dataclass(frozen=True, slots=True)
+class DrawnBy:
+    """The functions that draw a kind of figure, and that return notes for its small print."""
+
+    draw: Callable[[Drawing], matplotlib.figure.Figure]
+    notes: tuple[Callable[[Drawing], Sequence[str]], ...] = ()
+
+
+Own = TypeVar("Own", bound=Table)
+
+
+class DrawnKind(Generic[Own]):
+    """A kind that is drawn by functions of other modules, with options of the type `Own`."""
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, options: Table) -> None:
-        del options
+    def __init__(self, options: Own) -> None:
+        self.options = options
+
+    def drawn_by(self) -> DrawnBy:
+        """Import and return the functions that draw this kind."""
+        raise NotImplementedError
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
-        del drawing
-        return ()
+        return [note for notes in self.drawn_by().notes for note in notes(drawing)]
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        return self.drawn_by().draw(drawing)
 
 
 def made_by(kind: str) -> tuple[str, ...]:

@@ -38,6 +38,11 @@ def heatmap(drawing: Drawing) -> Figure:
     return figure
 
 
+def without_models(drawing: Drawing) -> list[str]:
+    """Return a note on models that are not drawn."""
+    return ["models are not drawn beside facets"] if drawing.models and drawing.figure.facet else []
+
+
 def _of_facets(drawing: Drawing) -> tuple[Figure, list[Axes], list[style.Floats], tuple[Axis, ...]]:
     within = facets.panels(drawing)
     axes = within.panels[0].drawing.axes

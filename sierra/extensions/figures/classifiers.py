@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from functools import partial
+from typing import ClassVar
 
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import STATISTICAL, PlainKind, Request
+from sierra.config.plugin_registry import NoOptions
+from sierra.deliverables.figures.base import STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.sql_names import identifier, quote
 
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
-
 CURVE = frozenset({"series", "facet", "palette", "labels", "xlim", "ylim"})
 
 
-class Confusion(PlainKind):
+class Confusion(DrawnKind[NoOptions]):
     """The share of each true category that was predicted as each category, from two columns: the truth and the prediction."""
 
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
@@ -36,15 +32,10 @@ class Confusion(PlainKind):
         shows = "mean over runs of each run's part of a row, ± half of its 95 % CI"
         return Needs(rows={"counts": statement, "all": ALL}, columns=2, numeric=False, shows=shows)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import classifiers_drawing
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.classifiers_drawing import confusion, notes_on_confusion
 
-        return classifiers_drawing.notes_on_confusion(drawing)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.classifiers_drawing import confusion
-
-        return confusion(drawing)
+        return DrawnBy(confusion, (notes_on_confusion,))
 
 
 class CurveOptions(Table):
@@ -55,46 +46,38 @@ class CurveOptions(Table):
     )
 
 
-class Roc:
+class Roc(DrawnKind[CurveOptions]):
     """True-positive rate over false-positive rate, from two columns: the truth and the score."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = CurveOptions
     uses: ClassVar[frozenset[str]] = CURVE
 
-    def __init__(self, options: CurveOptions) -> None:
-        self._positive = (options.positive,) if options.positive is not None else ("1", "true")
-
     def needs(self, request: Request) -> Needs:
         truth, score = _two(request, "the truth and the score")
+        positive = ("1", "true") if self.options.positive is None else (self.options.positive,)
         return Needs(
-            rows=_scores(f"{identifier(truth)}::VARCHAR IN ({', '.join(map(quote, self._positive))})", score),
+            rows=_scores(f"{identifier(truth)}::VARCHAR IN ({', '.join(map(quote, positive))})", score),
             columns=2,
             numeric=False,
             shows="mean of the curves of the runs, 95 % CI of the mean at each place",
         )
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import classifiers_drawing
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.classifiers_drawing import notes_on_curves, roc
 
-        return classifiers_drawing.notes_on_curves(drawing)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.classifiers_drawing import roc
-
-        return roc(drawing)
+        return DrawnBy(roc, (notes_on_curves,))
 
 
 class Pr(Roc):
     """Precision over recall, from two columns: the truth and the score."""
 
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.classifiers_drawing import precision_recall
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.classifiers_drawing import notes_on_curves, precision_recall
 
-        return precision_recall(drawing)
+        return DrawnBy(precision_recall, (notes_on_curves,))
 
 
-class RiskCoverage(PlainKind):
+class RiskCoverage(DrawnKind[NoOptions]):
     """The mean loss of the part of the rows with the highest confidence, from two columns: the loss and the confidence."""
 
     uses: ClassVar[frozenset[str]] = CURVE
@@ -109,15 +92,10 @@ class RiskCoverage(PlainKind):
         shows = "mean of the curves of the runs, 95 % CI of the mean at each place"
         return Needs(rows={"scores": statement, "all": ALL}, columns=2, shows=shows)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import classifiers_drawing
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.classifiers_drawing import left_out_rows, risk_coverage
 
-        return classifiers_drawing.left_out_rows(drawing, drawing.rows["scores"])
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.classifiers_drawing import risk_coverage
-
-        return risk_coverage(drawing)
+        return DrawnBy(risk_coverage, (partial(left_out_rows, table="scores"),))
 
 
 ALL = "SELECT count(*) AS count FROM data"

@@ -140,7 +140,7 @@ def notes_on_confusion(drawing: Drawing) -> list[str]:
         center, half = mean_of([np.array(accuracy(run)) for run in _runs(parts[ordinal])])
         notes.append(f"{float(center):.3f}" + (f" ± {float(half):.3f}" if np.isfinite(half) else ""))
     shown = ", ".join(notes[:6]) + (" …" if len(notes) > 6 else "")
-    return [f"accuracy {shown}", *left_out_rows(drawing, drawing.rows["counts"])]
+    return [f"accuracy {shown}", *left_out_rows(drawing, "counts")]
 
 
 def notes_on_curves(drawing: Drawing) -> list[str]:
@@ -151,12 +151,12 @@ def notes_on_curves(drawing: Drawing) -> list[str]:
     if none == len(runs):
         raise SierraError("no run has positive and negative rows; the key `positive` says which value is positive")
     absent = [f"{none} of {len(runs)} runs without positive or negative rows left out"] if none else []
-    return [*absent, *left_out_rows(drawing, drawing.rows["scores"])]
+    return [*absent, *left_out_rows(drawing, "scores")]
 
 
-def left_out_rows(drawing: Drawing, table: pa.Table) -> list[str]:
+def left_out_rows(drawing: Drawing, table: str) -> list[str]:
     """Return a note on the rows without a value."""
-    missing = drawing.rows["all"].column("count")[0].as_py() - int(numpy_of(table.column("count")).sum())
+    missing = drawing.rows["all"].column("count")[0].as_py() - int(numpy_of(drawing.rows[table].column("count")).sum())
     return [f"{missing} rows without a value left out"] if missing else []
 
 

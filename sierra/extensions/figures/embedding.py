@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from functools import partial
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from sierra.config.field_types import Positive, Table
-from sierra.deliverables.figures.base import PLOT, Request
+from sierra.deliverables.figures.base import PLOT, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
-
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
 
 
 class EmbeddingOptions(Table):
@@ -29,16 +24,12 @@ class EmbeddingOptions(Table):
     )
 
 
-class Embedding:
+class Embedding(DrawnKind[EmbeddingOptions]):
     """Each run as a mark in a plane, by several standardised columns: principal components or t-SNE."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = EmbeddingOptions
     libraries: ClassVar[tuple[str, ...]] = ("scikit-learn",)
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_x", "log_y"}
-
-    def __init__(self, options: EmbeddingOptions) -> None:
-        self._options = options
 
     def needs(self, request: Request) -> Needs:
         if len(request.columns) < 2:
@@ -46,19 +37,7 @@ class Embedding:
         shows = "each mark a run, standardised columns"
         return Needs(("median",), runs=True, columns=None, shows=shows)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import embedding_drawing
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.embedding_drawing import embedding, notes
 
-        return embedding_drawing.notes(drawing, self._perplexity(drawing))
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.embedding_drawing import embedding
-
-        return embedding(drawing, self._perplexity(drawing))
-
-    def _perplexity(self, drawing: Drawing) -> float | None:
-        """Return the perplexity of t-SNE for this number of runs; None for principal components."""
-        if self._options.method == "pca" or drawing.runs is None:
-            return None
-        others: int = drawing.runs.num_rows - 1
-        return min(self._options.perplexity, max(1.0, others / 3))
+        return DrawnBy(partial(embedding, options=self.options), (partial(notes, options=self.options),))

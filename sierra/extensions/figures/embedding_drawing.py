@@ -16,6 +16,7 @@ from sierra.util.text import few
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
+    from sierra.extensions.figures.embedding import EmbeddingOptions
 
 FEWEST = 3
 """The smallest number of runs; fewer always lie on a line."""
@@ -24,8 +25,9 @@ MOST = 5000
 EXTRA = "pip install 'sierra-experiments[embedding]'"
 
 
-def notes(drawing: Drawing, perplexity: float | None) -> list[str]:
+def notes(drawing: Drawing, options: EmbeddingOptions) -> list[str]:
     """Return notes on the method, and on the columns and runs that are not in the figure."""
+    perplexity = _perplexity(drawing, options)
     columns = list(drawing.tables)
     used = methods.varying(_values(drawing))
     constant = [name for place, name in enumerate(columns) if place not in used]
@@ -37,8 +39,9 @@ def notes(drawing: Drawing, perplexity: float | None) -> list[str]:
     ]
 
 
-def embedding(drawing: Drawing, perplexity: float | None) -> Figure:
+def embedding(drawing: Drawing, options: EmbeddingOptions) -> Figure:
     """Draw each run as a mark. All panels share one plane."""
+    perplexity = _perplexity(drawing, options)
     values = _values(drawing)
     table = methods.standardised(values[:, methods.varying(values)])
     if perplexity is None:
@@ -58,6 +61,14 @@ def embedding(drawing: Drawing, perplexity: float | None) -> Figure:
     style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
     style.legend(within.figure, within.plots, within.groups, style.names(within.groups.values), style.lines(looks))
     return within.figure
+
+
+def _perplexity(drawing: Drawing, options: EmbeddingOptions) -> float | None:
+    """Return the perplexity of t-SNE for this number of runs; None for principal components."""
+    if options.method == "pca" or drawing.runs is None:
+        return None
+    others: int = drawing.runs.num_rows - 1
+    return min(options.perplexity, max(1.0, others / 3))
 
 
 def _values(drawing: Drawing) -> Floats:

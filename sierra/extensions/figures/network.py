@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from functools import partial
+from typing import ClassVar, Literal
 
 from pydantic import Field, NonNegativeInt, model_validator
 
 from sierra.config.field_types import Finite, Table
-from sierra.deliverables.figures.base import Request
+from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.rounded_times import at_time
 from sierra.store.sql_names import identifier, node_name
-
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
 
 
 class NetworkOptions(Table):
@@ -44,23 +39,19 @@ class NetworkOptions(Table):
         return self
 
 
-class Network:
+class Network(DrawnKind[NetworkOptions]):
     """A network for each experiment, from two or three columns: source, target, weight; a row without a target is a node."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = NetworkOptions
     libraries: ClassVar[tuple[str, ...]] = ("networkx",)
     uses: ClassVar[frozenset[str]] = frozenset()
-
-    def __init__(self, options: NetworkOptions) -> None:
-        self._options = options
 
     def needs(self, request: Request) -> Needs:
         if len(request.columns) not in (2, 3):
             raise UsageError(f"a network needs two or three columns, source, target and weight, not {len(request.columns)}")
         source, target, *_ = map(node_name, request.columns)
         weight = f"{identifier(request.columns[2])}::DOUBLE" if len(request.columns) == 3 else "1.0"
-        x, y = (f"{identifier(name)}::DOUBLE" for name in self._options.place) if self._options.place else ("NULL", "NULL")
+        x, y = (f"{identifier(name)}::DOUBLE" for name in self.options.place) if self.options.place else ("NULL", "NULL")
         rows = f"""\
 WITH rows AS (
   SELECT "# experiment" AS experiment, run, {source} AS source, {target} AS target, {weight} AS weight, {x} AS x, {y} AS y
@@ -69,25 +60,20 @@ WITH rows AS (
         return Needs(
             rows={"edges": rows + self._edges(), "nodes": rows + NODES, "counts": rows + COUNTS},
             columns=None,
-            others=self._options.place,
+            others=self.options.place,
             numeric=False,
             shows=self._shows(weighted=len(request.columns) == 3),
         )
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import network_drawing
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.network_drawing import network, notes
 
-        return network_drawing.notes(drawing, self._options)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.network_drawing import network
-
-        return network(drawing, self._options)
+        return DrawnBy(partial(network, options=self.options), (partial(notes, options=self.options),))
 
     def _chosen(self) -> str:
         """Return the relation of the rows that the options choose."""
-        of_run = "true" if self._options.run is None else f'"# number" = {self._options.run}'
-        match self._options.at:
+        of_run = "true" if self.options.run is None else f'"# number" = {self.options.run}'
+        match self.options.at:
             case None:
                 return f"data WHERE {of_run}"
             case "last":
@@ -98,10 +84,10 @@ WITH rows AS (
 
     def _edges(self) -> str:
         """Return the statement of the edges, with the mean weight over the runs that wrote any row."""
-        ends = "source, target" if self._options.directed else "least(source, target) AS one, greatest(source, target) AS other"
+        ends = "source, target" if self.options.directed else "least(source, target) AS one, greatest(source, target) AS other"
         runs = 'SELECT "# experiment" AS experiment, count(DISTINCT run) AS runs FROM data'
-        if self._options.run is not None:
-            runs += f' WHERE "# number" = {self._options.run}'
+        if self.options.run is not None:
+            runs += f' WHERE "# number" = {self.options.run}'
         return f"""\
 , edges(experiment, run, source, target, weight) AS (
   SELECT experiment, run, {ends}, list_avg(list_sort(list(weight))) FROM rows
@@ -112,8 +98,8 @@ FROM edges JOIN ({runs} GROUP BY ALL) USING (experiment) GROUP BY ALL ORDER BY A
 
     def _shows(self, *, weighted: bool) -> str:
         of_runs = "mean weight over the runs" if weighted else "part of the runs with the edge"
-        width = of_runs if self._options.run is None else f"weight in run {self._options.run}" if weighted else ""
-        return f"width: {width}" if width else f"edges in run {self._options.run}"
+        width = of_runs if self.options.run is None else f"weight in run {self.options.run}" if weighted else ""
+        return f"width: {width}" if width else f"edges in run {self.options.run}"
 
 
 NODES = """

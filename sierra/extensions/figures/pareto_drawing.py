@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -15,7 +16,13 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
 
 
-def pareto(drawing: Drawing, better: tuple[str, str]) -> Figure:
+def notes(drawing: Drawing, better: Sequence[str]) -> list[str]:
+    """Return a note on the line."""
+    first, second = drawing.tables
+    return [f"line: front of the experiments, where {better[0]} {first} and {better[1]} {second} are better"]
+
+
+def pareto(drawing: Drawing, better: Sequence[str]) -> Figure:
     """Draw each experiment with its intervals, and the front as steps."""
     within = facets.panels(drawing, over_first=False)
     looks: list[Look] = [Look(marker="o") | look for look in style.looks(within.groups)]
@@ -38,7 +45,7 @@ def pareto(drawing: Drawing, better: tuple[str, str]) -> Figure:
     return within.figure
 
 
-def _front(x: Floats, y: Floats, better: tuple[str, str]) -> list[int]:
+def _front(x: Floats, y: Floats, better: Sequence[str]) -> list[int]:
     """Return the places of the experiments that no other one dominates, by ascending x."""
     signs = [1 if one == "high" else -1 for one in better]
     points = np.column_stack((x * signs[0], y * signs[1]))

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from functools import partial
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import Request
+from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.model import Axis
 from sierra.stats import words
 from sierra.stats.needs import Needs
-
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
-    from sierra.extensions.figures.block_ranks import Ranking
 
 
 class CriticalDifferenceOptions(Table):
@@ -37,45 +32,29 @@ class CriticalDifferenceOptions(Table):
     )
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(0.05, description="significance level")
 
+    def within(self, axes: Sequence[Axis]) -> Literal["experiments", "seeds"]:
+        """Return what groups are ranked within."""
+        if self.blocks != "auto":
+            return self.blocks
+        return "experiments" if len(axes) > 1 else "seeds"
 
-class CriticalDifference:
+
+class CriticalDifference(DrawnKind[CriticalDifferenceOptions]):
     """The mean ranks of groups, which are the values of one variable; bars join groups that were not shown to differ."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = CriticalDifferenceOptions
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "labels"})
-
-    def __init__(self, options: CriticalDifferenceOptions) -> None:
-        self._options = options
 
     def needs(self, request: Request) -> Needs:
         if not request.axes or len(request.axes[0].values) < 2:
             raise UsageError("a critical_difference figure needs a variable (x) with two values or more: its groups")
-        if self._options.blocks == "experiments" and len(request.axes) < 2:
+        if self.options.blocks == "experiments" and len(request.axes) < 2:
             raise UsageError('blocks = "experiments" needs a second variable, but this batch has one; use blocks = "seeds"')
         center = request.figure.center
-        of = f"the {words.named(center)} of the runs" if self.within(request.axes) == "experiments" else "runs"
+        of = f"the {words.named(center)} of the runs" if self.options.within(request.axes) == "experiments" else "runs"
         return Needs(chosen=(center,), runs=True, seeds=True, shows=f"mean ranks of {of}")
 
-    def within(self, axes: Sequence[Axis]) -> Literal["experiments", "seeds"]:
-        """Return what groups are ranked within."""
-        if self._options.blocks != "auto":
-            return self._options.blocks
-        return "experiments" if len(axes) > 1 else "seeds"
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.ranks_drawing import diagram, notes
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import ranks_drawing
-
-        return ranks_drawing.notes(self._ranked(drawing))
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures import ranks_drawing
-
-        return ranks_drawing.diagram(self._ranked(drawing), drawing)
-
-    def _ranked(self, drawing: Drawing) -> Ranking:
-        from sierra.extensions.figures import ranks_drawing
-
-        options = self._options
-        blocks = ranks_drawing.blocks(drawing, self.within(drawing.axes))
-        return ranks_drawing.ranked(drawing, blocks, options.test, options.alpha, best_is_high=options.better == "high")
+        return DrawnBy(partial(diagram, options=self.options), (partial(notes, options=self.options),))

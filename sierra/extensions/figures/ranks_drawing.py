@@ -12,12 +12,13 @@ from matplotlib.ticker import MaxNLocator
 
 from sierra.deliverables.figures import bands, style
 from sierra.errors import UsageError
-from sierra.extensions.figures.block_ranks import Ranking, Test, ranking
+from sierra.extensions.figures.block_ranks import Ranking, ranking
 from sierra.stats.words import of_run
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
+    from sierra.extensions.figures.ranks import CriticalDifferenceOptions
 
 MOST = 20
 """The largest number of groups."""
@@ -51,9 +52,9 @@ def blocks(drawing: Drawing, within: Literal["experiments", "seeds"]) -> Blocks:
     return found
 
 
-def ranked(drawing: Drawing, found: Blocks, test: Test, alpha: float, *, best_is_high: bool) -> Ranking:
+def ranked(drawing: Drawing, options: CriticalDifferenceOptions) -> Ranking:
     """Return the ranking over the blocks in which all groups have a value. Raises UsageError for fewer than two of them."""
-    axis = drawing.axes[0]
+    found, axis = blocks(drawing, options.within(drawing.axes)), drawing.axes[0]
     names = dict(zip(axis.values, style.names(axis.values, 20), strict=True))
     if len(names) > MOST:
         raise UsageError(f"ranks of {len(names)} groups cannot be read; at most {MOST} are possible; use where")
@@ -65,12 +66,13 @@ def ranked(drawing: Drawing, found: Blocks, test: Test, alpha: float, *, best_is
             f"ranks need two blocks or more in which each group has a value, but there {'is one' if complete else 'is none'}"
         )
     values = np.array([[block[value] for value in names] for block in complete], dtype=float)
-    result = ranking(list(names.values()), values, test, alpha, best_is_high=best_is_high)
+    result = ranking(list(names.values()), values, options.test, options.alpha, best_is_high=options.better == "high")
     return replace(result, left_out=len(found) - len(complete))
 
 
-def notes(found: Ranking) -> list[str]:
+def notes(drawing: Drawing, options: CriticalDifferenceOptions) -> list[str]:
     """Return notes on the blocks, the tests, and all that the bars do not say."""
+    found = ranked(drawing, options)
     tests = f"Friedman p = {style.number(found.p, 2)}" if found.p is not None else ""
     pairs = "Wilcoxon's signed-rank test, Holm" if found.critical is None else f"Nemenyi CD = {style.number(found.critical, 3)}"
     shown = ", ".join(filter(None, (counted(found.blocks, "block"), tests, pairs, f"α = {found.alpha:g}")))
@@ -85,8 +87,9 @@ def notes(found: Ranking) -> list[str]:
     ]
 
 
-def diagram(found: Ranking, drawing: Drawing) -> Figure:
+def diagram(drawing: Drawing, options: CriticalDifferenceOptions) -> Figure:
     """Draw the ranks, and for Nemenyi's test the critical difference. The best groups are on the left."""
+    found = ranked(drawing, options)
     count = len(found.groups)
     left = -(-count // 2)
     below = 0.7 + BAR * len(found.bars)

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from sierra.deliverables.figures.base import STATISTICAL, PlainKind, Request
+from sierra.config.plugin_registry import NoOptions
+from sierra.deliverables.figures.base import STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.stats.needs import Needs
 
-if TYPE_CHECKING:
-    import matplotlib.figure
 
-    from sierra.deliverables.figures.drawing import Drawing
-
-
-class Ridge(PlainKind):
+class Ridge(DrawnKind[NoOptions]):
     """The density of the runs of each experiment, one above the other."""
 
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
@@ -23,13 +18,8 @@ class Ridge(PlainKind):
     def needs(self, request: Request) -> Needs:
         return Needs(("median",), runs=True, shows="density of the runs, line: median, each tick a run")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import sampled_runs
-        from sierra.extensions.figures.ridge_drawing import without_density
+        from sierra.extensions.figures.ridge_drawing import ridge, without_density
 
-        return [*without_density(drawing), *sampled_runs.notes(drawing)]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.ridge_drawing import ridge
-
-        return ridge(drawing)
+        return DrawnBy(ridge, (without_density, sampled_runs.notes))

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from sierra.deliverables.figures.base import PLOT, PlainKind, Request
+from sierra.config.plugin_registry import NoOptions
+from sierra.deliverables.figures.base import PLOT, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.sql_names import identifier
 
-if TYPE_CHECKING:
-    import matplotlib.figure
 
-    from sierra.deliverables.figures.drawing import Drawing
-
-
-class Survival(PlainKind):
+class Survival(DrawnKind[NoOptions]):
     """The Kaplan-Meier curve of each experiment; a run that never reaches the threshold is censored at its last time."""
 
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_x", "log_y"}
@@ -38,12 +33,7 @@ class Survival(PlainKind):
         shows = "Kaplan-Meier curves, 95 % CI at each time (log-log), | censored"
         return Needs(rows={"times": f"WITH samples AS ({samples})\n{times}", "counts": counts}, single=True, shows=shows)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.extensions.figures import survival_drawing
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.survival_drawing import notes, survival
 
-        return survival_drawing.notes(drawing)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.extensions.figures.survival_drawing import survival
-
-        return survival(drawing)
+        return DrawnBy(survival, (notes,))

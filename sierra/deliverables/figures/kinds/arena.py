@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from functools import partial
+from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field, NonNegativeInt
 
 from sierra.config.field_types import Finite, Positive, Table
-from sierra.deliverables.figures.base import Request
+from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.rounded_times import at_time
 from sierra.store.sql_names import identifier
-
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
 
 MOST = 100_000
 """The largest number of points that are drawn; of more, every k-th of each path."""
@@ -32,23 +27,19 @@ class TrajectoriesOptions(Table):
     run: NonNegativeInt = Field(0, description="number of the run that is shown, the same for all experiments")
 
 
-class Trajectories:
+class Trajectories(DrawnKind[TrajectoriesOptions]):
     """The paths over two columns, x and y, of one run of each experiment: circles at the starts, squares at the ends."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = TrajectoriesOptions
     uses: ClassVar[frozenset[str]] = SPACE | {"palette"}
 
-    def __init__(self, options: TrajectoriesOptions) -> None:
-        self._options = options
-
     def needs(self, request: Request) -> Needs:
         x, y = (f"{identifier(name)}::DOUBLE" for name in _two(request))
-        robot = f"{identifier(self._options.robot)}::VARCHAR" if self._options.robot else "''"
+        robot = f"{identifier(self.options.robot)}::VARCHAR" if self.options.robot else "''"
         statement = f"""\
 WITH points AS (
   SELECT "# experiment" AS experiment, {robot} AS robot, "# t" AS t, "# place" AS place, {x} AS x, {y} AS y
-  FROM data WHERE "# number" = {self._options.run}
+  FROM data WHERE "# number" = {self.options.run}
 ), numbered AS (
   SELECT *, row_number() OVER (PARTITION BY experiment, robot ORDER BY t, place) - 1 AS step,
     count(*) OVER (PARTITION BY experiment, robot) AS steps, 1 + (count(*) OVER () - 1) // {MOST} AS every
@@ -56,20 +47,15 @@ WITH points AS (
 )
 SELECT experiment, robot, t, x, y, every FROM numbered WHERE step % every = 0 OR step = steps - 1
 ORDER BY experiment, robot, t, place"""
-        others = (self._options.robot,) if self._options.robot else ()
+        others = (self.options.robot,) if self.options.robot else ()
         return Needs(
-            rows={"paths": statement}, columns=2, others=others, shows=f"paths in run {self._options.run}, ○ start, □ end"
+            rows={"paths": statement}, columns=2, others=others, shows=f"paths in run {self.options.run}, ○ start, □ end"
         )
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import arena
 
-        return arena.notes_on_paths(drawing, self._options.run)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.arena import trajectories
-
-        return trajectories(drawing)
+        return DrawnBy(arena.trajectories, (partial(arena.notes_on_paths, run=self.options.run),))
 
 
 class DensityOptions(Table):
@@ -78,15 +64,11 @@ class DensityOptions(Table):
     bins: int = Field(40, ge=2, le=500, description="number of cells along the longer side; cells are squares")
 
 
-class Density:
+class Density(DrawnKind[DensityOptions]):
     """The part of all rows of an experiment in each cell of two columns, x and y."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = DensityOptions
     uses: ClassVar[frozenset[str]] = SPACE | {"log_y"}
-
-    def __init__(self, options: DensityOptions) -> None:
-        self._bins = options.bins
 
     def needs(self, request: Request) -> Needs:
         x, y = (f"{identifier(name)}::DOUBLE" for name in _two(request))
@@ -95,7 +77,7 @@ class Density:
 WITH points AS (SELECT "# experiment" AS experiment, {x} AS x, {y} AS y FROM data),
 finite AS (SELECT * FROM points WHERE isfinite(x) AND isfinite(y)),
 ends AS (SELECT {", ".join(ends)} FROM finite),
-sized AS (SELECT *, coalesce(nullif(greatest(x1 - x0, y1 - y0), 0), 1.0) / {self._bins} AS cell FROM ends)
+sized AS (SELECT *, coalesce(nullif(greatest(x1 - x0, y1 - y0), 0), 1.0) / {self.options.bins} AS cell FROM ends)
 SELECT experiment, least(floor((x - x0) / cell), ceil((x1 - x0) / cell) - 1)::INTEGER AS i,
   least(floor((y - y0) / cell), ceil((y1 - y0) / cell) - 1)::INTEGER AS j, count(*) AS count,
   any_value(x0) AS x0, any_value(y0) AS y0, any_value(x1) AS x1, any_value(y1) AS y1, any_value(cell) AS cell
@@ -103,15 +85,10 @@ FROM finite, sized WHERE x BETWEEN x0 AND x1 AND y BETWEEN y0 AND y1 GROUP BY AL
         counts = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({x}) AND isfinite({y})) AS finite FROM data"
         return Needs(rows={"cells": statement, "counts": counts}, columns=2, shows="part of all rows in each cell")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import arena
 
-        return arena.notes_on_cells(drawing)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.arena import density
-
-        return density(drawing)
+        return DrawnBy(arena.density, (arena.notes_on_cells,))
 
 
 class MatrixOptions(Table):
@@ -124,26 +101,22 @@ class MatrixOptions(Table):
     aspect: Positive = Field(1.0, description="height of a cell as a multiple of its width")
 
 
-class Matrix:
+class Matrix(DrawnKind[MatrixOptions]):
     """A matrix that runs write as rows of three columns (row, column, value), as colours."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = MatrixOptions
     uses: ClassVar[frozenset[str]] = frozenset({"facet", "log_y", "labels"})
-
-    def __init__(self, options: MatrixOptions) -> None:
-        self._options = options
 
     def needs(self, request: Request) -> Needs:
         if len(request.columns) != 3:
             raise UsageError("a matrix needs three columns: of the number of the row, of the column, and of the value")
         row, place, value = (f"{identifier(name)}::DOUBLE" for name in request.columns)
         chosen = ["true"]
-        if self._options.run is not None:
-            chosen.append(f'"# number" = {self._options.run}')
-        if self._options.at:
-            chosen.append(f"({' OR '.join(map(at_time, self._options.at))})")
-        several = len(self._options.at) > 1
+        if self.options.run is not None:
+            chosen.append(f'"# number" = {self.options.run}')
+        if self.options.at:
+            chosen.append(f"({' OR '.join(map(at_time, self.options.at))})")
+        several = len(self.options.at) > 1
         t = ', "# t" AS t' if several else ""
         statement = f"""\
 WITH cells AS (
@@ -153,19 +126,15 @@ WITH cells AS (
 SELECT experiment{", t" if several else ""}, i, j, list_avg(list_sort(list(value))) AS value, count(*) AS n
 FROM cells GROUP BY ALL ORDER BY ALL"""
         bad = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({value})) AS finite FROM data WHERE {' AND '.join(chosen)}"
-        what = "mean of the runs" if self._options.run is None else f"run {self._options.run}"
-        when = f"at {', '.join(f'{time:g}' for time in self._options.at)}" if self._options.at else "mean of the rows"
+        what = "mean of the runs" if self.options.run is None else f"run {self.options.run}"
+        when = f"at {', '.join(f'{time:g}' for time in self.options.at)}" if self.options.at else "mean of the rows"
         return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}, {when}")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import arena
 
-        return arena.notes_on_matrix(drawing, self._options.at)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.arena import matrix
-
-        return matrix(drawing, self._options.aspect)
+        notes = partial(arena.notes_on_matrix, times=self.options.at)
+        return DrawnBy(partial(arena.matrix, aspect=self.options.aspect), (notes,))
 
 
 def _ends(name: str, limits: tuple[float, float] | None) -> str:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from functools import partial
+from typing import ClassVar
 
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, Request
+from sierra.deliverables.figures.base import PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.stats.needs import Needs
-
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
 
 
 class EcdfOptions(Table):
@@ -25,30 +20,22 @@ class EcdfOptions(Table):
     )
 
 
-class Ecdf:
+class Ecdf(DrawnKind[EcdfOptions]):
     """The part of the runs that is at most a value, as a step curve for each experiment."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = EcdfOptions
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_y"}
 
-    def __init__(self, options: EcdfOptions) -> None:
-        self._interval = options.interval
-
     def needs(self, request: Request) -> Needs:
-        shows = "part of the runs" + (", 95 % band of Dvoretzky, Kiefer and Wolfowitz" if self._interval else "")
+        shows = "part of the runs" + (", 95 % band of Dvoretzky, Kiefer and Wolfowitz" if self.options.interval else "")
         return Needs(("median",), runs=True, shows=shows)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import distributions, sampled_runs
 
-        return [*distributions.not_above_0(drawing), *sampled_runs.notes(drawing)]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.distributions import ecdf
-
-        return ecdf(drawing, interval=self._interval)
+        draw = partial(distributions.ecdf, interval=self.options.interval)
+        return DrawnBy(draw, (distributions.not_above_0, sampled_runs.notes))
 
 
 class HistogramOptions(Table):
@@ -58,26 +45,19 @@ class HistogramOptions(Table):
     density: bool = Field(False, description="show densities instead of numbers of runs")
 
 
-class Histogram:
+class Histogram(DrawnKind[HistogramOptions]):
     """The number of runs in each of several ranges of a value, as an outline for each experiment."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = HistogramOptions
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_x", "log_y"}
 
-    def __init__(self, options: HistogramOptions) -> None:
-        self._options = options
-
     def needs(self, request: Request) -> Needs:
         return Needs(("median",), runs=True, shows="histogram of the runs")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import distributions
 
-        return [f"{len(distributions.edges(drawing, self._options.bins)) - 1} bins"]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.distributions import histogram
-
-        return histogram(drawing, self._options.bins, density=self._options.density)
+        bins = self.options.bins
+        draw = partial(distributions.histogram, bins=bins, density=self.options.density)
+        return DrawnBy(draw, (lambda drawing: [f"{len(distributions.edges(drawing, bins)) - 1} bins"],))

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
+from sierra.config.plugin_registry import NoOptions
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import CENTER, MODELS, PLOT, PlainKind, Request
+from sierra.deliverables.figures.base import CENTER, MODELS, PLOT, DrawnBy, DrawnKind, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
-    import matplotlib.figure
-
     from sierra.deliverables.figures.drawing import Drawing
     from sierra.deliverables.html import Chart
 
@@ -19,7 +18,7 @@ MOST_PANELS = 9
 """The largest number of experiments that stacked areas over time have a panel each for."""
 
 
-class Timeseries(PlainKind):
+class Timeseries(DrawnKind[NoOptions]):
     """Lines over time, each with its band."""
 
     uses: ClassVar[frozenset[str]] = CENTER | frozenset({"times", "series", "facet", MODELS}) | PLOT
@@ -27,15 +26,10 @@ class Timeseries(PlainKind):
     def needs(self, request: Request) -> Needs:
         return bands.needs(request.figure, over="time")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import axis_limits, thinning
+    def drawn_by(self) -> DrawnBy:
+        from sierra.deliverables.figures import axis_limits, thinning, timeseries
 
-        return [*axis_limits.notes(drawing), *thinning.notes(drawing)]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.timeseries import timeseries
-
-        return timeseries(drawing)
+        return DrawnBy(timeseries.timeseries, (axis_limits.notes, thinning.notes))
 
     def charts(self, drawing: Drawing) -> Sequence[Chart]:
         from sierra.deliverables.figures.interactive import over_time
@@ -43,7 +37,7 @@ class Timeseries(PlainKind):
         return over_time(drawing)
 
 
-class Stacked(PlainKind):
+class Stacked(DrawnKind[NoOptions]):
     """Stacked areas of several columns: over time in a panel for each experiment, else over the first variable."""
 
     uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "x", "facet"}) | PLOT - {"log_y"}
@@ -52,12 +46,7 @@ class Stacked(PlainKind):
         timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)
         return bands.center_only(request.figure, over="time" if timed else "experiments", columns=None)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import thinning
+    def drawn_by(self) -> DrawnBy:
+        from sierra.deliverables.figures import thinning, timeseries
 
-        return thinning.notes(drawing)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.timeseries import stacked
-
-        return stacked(drawing)
+        return DrawnBy(timeseries.stacked, (thinning.notes,))

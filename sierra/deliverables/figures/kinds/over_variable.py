@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
+from sierra.config.plugin_registry import NoOptions
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import CENTER, MODELS, PLOT, STATISTICAL, PlainKind, Request
+from sierra.deliverables.figures.base import CENTER, MODELS, PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
-    import matplotlib.figure
-
     from sierra.deliverables.figures.drawing import Drawing
     from sierra.deliverables.html import Chart
 
@@ -22,7 +22,7 @@ SIDE_BY_SIDE = PLOT - NO_LOG_X - {"log_y"}
 BOX = ("median", "whiskers")
 
 
-class Summary(PlainKind):
+class Summary(DrawnKind[NoOptions]):
     """Points with intervals over the first variable, with a series for each combination of the others."""
 
     uses: ClassVar[frozenset[str]] = CENTER | frozenset({"measure", "x", "series", "facet", MODELS}) | PLOT
@@ -30,15 +30,10 @@ class Summary(PlainKind):
     def needs(self, request: Request) -> Needs:
         return bands.needs(request.figure, some="hollow")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import axis_limits
+    def drawn_by(self) -> DrawnBy:
+        from sierra.deliverables.figures import axis_limits, summary
 
-        return axis_limits.notes(drawing)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.summary import summary
-
-        return summary(drawing)
+        return DrawnBy(summary.summary, (axis_limits.notes,))
 
     def charts(self, drawing: Drawing) -> Sequence[Chart]:
         from sierra.deliverables.figures.interactive import over_variable
@@ -46,7 +41,7 @@ class Summary(PlainKind):
         return over_variable(drawing)
 
 
-class Box(PlainKind):
+class Box(DrawnKind[NoOptions]):
     """Boxes over the first variable: median, quartiles, whiskers, and the runs beyond them."""
 
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
@@ -55,15 +50,10 @@ class Box(PlainKind):
     def needs(self, request: Request) -> Needs:
         return Needs(BOX, runs=True, shows="median, quartiles, whiskers to at most 1.5 IQR")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import axis_limits, sampled_runs
+    def drawn_by(self) -> DrawnBy:
+        from sierra.deliverables.figures import axis_limits, sampled_runs, side_by_side
 
-        return [*axis_limits.left_out_runs(drawing), *sampled_runs.notes(drawing)]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.side_by_side import box
-
-        return box(drawing)
+        return DrawnBy(side_by_side.box, (axis_limits.left_out_runs, sampled_runs.notes))
 
 
 class Violin(Box):
@@ -75,10 +65,10 @@ class Violin(Box):
     def notes(self, drawing: Drawing) -> Sequence[str]:
         return [*super().notes(drawing), *(["densities of the logarithms"] if drawing.figure.log_y else [])]
 
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures.side_by_side import violin
 
-        return violin(drawing)
+        return replace(super().drawn_by(), draw=violin)
 
 
 class Strip(Box):
@@ -87,13 +77,13 @@ class Strip(Box):
     def needs(self, request: Request) -> Needs:
         return Needs(("median",), runs=True, shows="each mark a run, line: median")
 
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures.side_by_side import strip
 
-        return strip(drawing)
+        return replace(super().drawn_by(), draw=strip)
 
 
-class Bar(PlainKind):
+class Bar(DrawnKind[NoOptions]):
     """Bars over the first variable, with intervals; side by side for the values of the others."""
 
     uses: ClassVar[frozenset[str]] = CENTER | frozenset({"measure", "x", "series", "facet", MODELS}) | SIDE_BY_SIDE
@@ -101,13 +91,13 @@ class Bar(PlainKind):
     def needs(self, request: Request) -> Needs:
         return bands.needs(request.figure)
 
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures.summary import bar
 
-        return bar(drawing)
+        return DrawnBy(bar)
 
 
-class Heatmap(PlainKind):
+class Heatmap(DrawnKind[NoOptions]):
     """A map of colours over two variables."""
 
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "facet", "log_y", "labels", MODELS})
@@ -121,13 +111,7 @@ class Heatmap(PlainKind):
             )
         return bands.center_only(request.figure, none="hatched")
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import axis_limits
+    def drawn_by(self) -> DrawnBy:
+        from sierra.deliverables.figures import axis_limits, heatmap
 
-        without = ["models are not drawn beside facets"] if drawing.models and drawing.figure.facet else []
-        return [*axis_limits.left_out_centers(drawing), *without]
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.heatmap import heatmap
-
-        return heatmap(drawing)
+        return DrawnBy(heatmap.heatmap, (axis_limits.left_out_centers, heatmap.without_models))

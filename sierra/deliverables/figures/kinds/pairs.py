@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from functools import partial
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, Request
+from sierra.deliverables.figures.base import PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.stats.needs import Needs
-
-if TYPE_CHECKING:
-    import matplotlib.figure
-
-    from sierra.deliverables.figures.drawing import Drawing
 
 
 class ScatterOptions(Table):
@@ -27,27 +22,19 @@ class ScatterOptions(Table):
     )
 
 
-class Scatter:
+class Scatter(DrawnKind[ScatterOptions]):
     """Each run as a mark at its values of two columns, with fitted curves and their 95 % intervals."""
 
-    contract = 1
     Options: ClassVar[type[Table]] = ScatterOptions
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT
 
-    def __init__(self, options: ScatterOptions) -> None:
-        self._fit = options.fit
-
     def needs(self, request: Request) -> Needs:
-        shows = "each mark a run" + (f", {self._fit} fit with the 95 % interval of its mean" if self._fit != "none" else "")
+        fit = self.options.fit
+        shows = "each mark a run" + (f", {fit} fit with the 95 % interval of its mean" if fit != "none" else "")
         return Needs(("median",), runs=True, columns=2, shows=shows)
 
-    def notes(self, drawing: Drawing) -> Sequence[str]:
+    def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import pairs
 
-        return pairs.notes(drawing, self._fit)
-
-    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.pairs import scatter
-
-        return scatter(drawing, self._fit)
+        return DrawnBy(partial(pairs.scatter, fit=self.options.fit), (partial(pairs.notes, fit=self.options.fit),))
