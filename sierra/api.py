@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
+    from sierra.deliverables.check import Checked, ShownDeliverable
     from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
     from sierra.deliverables.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
-    from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.report.files import Written
     from sierra.deliverables.sample_size import RunsNeeded
     from sierra.deliverables.studies.study import Outcome as StudyOutcome

@@ -18,7 +18,7 @@ from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.deliverables.record import Checked
+    from sierra.deliverables.check import Checked
 
 
 PREFIX = re.compile(r"[0-9a-f]{1,64}")

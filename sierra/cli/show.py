@@ -15,7 +15,7 @@ from sierra.cli.output import cell, fields, fitting, members, print_json, readab
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
-    from sierra.deliverables.record import ShownDeliverable
+    from sierra.deliverables.check import ShownDeliverable
     from sierra.deliverables.studies.study import Outcome
     from sierra.execution.shown_records import Failed, FirmwareOfBatch, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known

@@ -91,7 +91,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         },
         "options": {"package --no-videos": "command:left_out"},
         "tables": {"videos": "table:TABLE", "capture": "rendered_runs:TABLE"},
-        "deliverables": {"video": "deliverable:Videos"},
+        "deliverables": {"video": "deliverable:VIDEOS"},
     },
 }
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.

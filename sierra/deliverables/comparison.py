@@ -20,7 +20,7 @@ from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_ti
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Value
-from sierra.stats.comparison.model import Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
+from sierra.stats.comparison.model import VERSION, Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
 from sierra.stats.words import of_run
 from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.sql_names import column_names
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 KIND = "comparison"
 """The kind of the records of comparisons, among deliverables."""
+AGAIN = "draw it again with: sierra compare"
 MOST = 20
 """The largest number of groups that are compared each with each."""
 
@@ -393,7 +394,7 @@ def again(project: LoadedProject, store: Store, row: DeliverableRow) -> Compared
 
     Raises SierraError for one that another version of the method made.
     """
-    if other := other_version(row):
+    if other := other_version(row, VERSION, AGAIN):
         raise SierraError(f"{other}; its recorded figure is {few(row.files, 1)}")
     with parsing(row.name):
         definition = json.loads(row.definition)

@@ -23,6 +23,7 @@ from sierra.deliverables.table_columns import plain_table, side_by_side
 from sierra.deliverables.table_of_statistics import BATCH
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.store.data_hash import data_hash
+from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.fs import fitting, write_whole
 from sierra.util.json_types import JsonView
@@ -106,10 +107,10 @@ def make(project: LoadedProject, store: Store, name: str, declared: TableForPape
     return Made(name, declared, batches, table, data, sql)
 
 
-def content(project: LoadedProject, store: Store, name: str, definition: str, batches: Sequence[str]) -> Content:
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     """Return the content of a recorded table by its definition and the data that the store has now."""
-    with parsing(name):
-        recorded = json.loads(definition)
-        declared = options(TableForPaper, recorded["table"], f"table {name}, as it was recorded")
-        labelled = dict(zip(recorded["labels"], batches, strict=True))
-    return make(project, store, name, declared, labelled).content()
+    with parsing(row.name):
+        recorded = json.loads(row.definition)
+        declared = options(TableForPaper, recorded["table"], f"table {row.name}, as it was recorded")
+        labelled = dict(zip(recorded["labels"], row.batches, strict=True))
+    return make(project, store, row.name, declared, labelled).content()

@@ -1,12 +1,15 @@
-"""The kinds of deliverables that extensions add."""
+"""The contract of kinds of deliverables, and those that extensions add."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from sierra.config import extensions
 from sierra.config.field_types import Table
 from sierra.config.project_file import KEYS
+from sierra.util.json_types import JsonView
 
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject, Project
@@ -15,19 +18,27 @@ if TYPE_CHECKING:
     from sierra.store.store import Store
 
 
-class DeliverableKind(Protocol):
+def as_written(declared: Table) -> dict[str, JsonView]:
+    """Return the keys of a declaration that are written in `sierra.toml`."""
+    return declared.model_dump(mode="json", exclude_unset=True, by_alias=True)
+
+
+@dataclass(frozen=True, slots=True)
+class DeliverableKind:
     """A kind of deliverables, under the name that records have. Its commands make and record them."""
 
-    table: ClassVar[str]
-    """The key of `sierra.toml` with their declarations, by name."""
-    declaration: ClassVar[type[Table]]
+    table: str
+    """The key of `sierra.toml` with their declarations, by name; "" for a kind without declarations."""
+    declaration: type[Table] | None
     """The model of a declaration. If it has a key `table`, that is an output which needs no default figure."""
-    remedy: ClassVar[str]
+    remedy: str
     """The advice for a deliverable that does not follow from the store any more, such as `make it again with: …`."""
-
-    @staticmethod
-    def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
-        """Return the content that a recorded deliverable has now, by its definition and the data that the store has now."""
+    content: Callable[[LoadedProject, Store, DeliverableRow], Content]
+    """Returns the content that a recorded deliverable has now, by its definition and the data that the store has now."""
+    version: int = 1
+    """The version of the method that computes them; definitions have it as `version`."""
+    recorded: Callable[[Any], Mapping[str, JsonView]] = as_written
+    """Returns a declaration as definitions have it, under the name of the kind."""
 
 
 def find(kind: str) -> DeliverableKind | None:

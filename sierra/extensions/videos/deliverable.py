@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from sierra.deliverables.kinds import DeliverableKind
 from sierra.extensions.videos.table import Video
 
 if TYPE_CHECKING:
@@ -15,15 +16,10 @@ if TYPE_CHECKING:
 KIND = "video"
 
 
-class Videos:
-    """See `sierra.deliverables.kinds.DeliverableKind`."""
+def _content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+    from sierra.extensions.videos.render import content
 
-    table = "videos"
-    declaration = Video
-    remedy = "make it again with: sierra video"
+    return content(project, store, row)
 
-    @staticmethod
-    def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
-        from sierra.extensions.videos.render import content
 
-        return content(project, store, row)
+VIDEOS = DeliverableKind("videos", Video, "make it again with: sierra video", _content)

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import product
 
-from sierra.deliverables.check import check
-from sierra.deliverables.record import Checked
+from sierra.deliverables.check import Checked, check
 from sierra.deliverables.report.results import REPORT
 from sierra.errors import Missing
 from sierra.packages.layout import drawn
