@@ -6,7 +6,6 @@ corrected for all tests of the report. The caption says that each interval is of
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from sierra.stats.comparison.model import Effect, Omnibus, Pair
 from sierra.stats.comparison.wording import number, p_value
 from sierra.stats.rounding import Rounded, rounded
 from sierra.stats.words import of_run
+from sierra.util.html_elements import element
 
 SUFFIXES = {"latex": ".pdf", "markdown": ".png", "html": ".svg"}
 """The files of figures that each format can show."""
@@ -113,15 +113,13 @@ def _latex_picture(path: str, caption: str, label: str) -> str:
 
 
 def _html_picture(path: str, caption: str, label: str) -> str:
-    shown = html.escape(caption)
-    image = f'<img src="{html.escape(path)}" alt="{shown}">'
-    return f'<figure id="{html.escape(label)}">{image}<figcaption>{shown}</figcaption></figure>\n'
+    return element("figure", element("img", src=path, alt=caption), element("figcaption", caption), id=label) + "\n"
 
 
 PARAGRAPHS: Mapping[str, Callable[[str], str]] = {
     "latex": lambda text: escaped(text) + "\n",
     "markdown": lambda text: as_markdown(text) + "\n",
-    "html": lambda text: f"<p>{html.escape(text)}</p>\n",
+    "html": lambda text: element("p", text) + "\n",
 }
 PICTURES: Mapping[str, Callable[[str, str, str], str]] = {
     "latex": _latex_picture,

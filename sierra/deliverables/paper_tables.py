@@ -7,7 +7,6 @@ below a table has n, the kinds of intervals, and what is not in the numbers. The
 from __future__ import annotations
 
 import csv as csv_module
-import html
 import io
 import json
 import re
@@ -21,6 +20,7 @@ from sierra.execution import targets
 from sierra.model import Value
 from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
+from sierra.util.html_elements import element, joined
 from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:
@@ -308,15 +308,14 @@ def csv(table: PaperTable) -> str:
 
 def page(table: PaperTable) -> str:
     """Return the table as an element of HTML."""
-    width = len(table.headers)
-    heads = "".join(f"<th>{html.escape(header)}</th>" for header in table.headers)
-    rows = ["<tr>" + "".join(f"<td>{html.escape(as_text(cell))}</td>" for cell in row) + "</tr>" for row in table.rows]
-    name = f' id="{html.escape(table.label)}"' if table.label else ""
-    caption = [f"<caption>{html.escape(table.caption)}</caption>"] if table.caption else []
-    foot = f'<tfoot><tr><td colspan="{width}">{html.escape(table.note)}</td></tr></tfoot>'
-    return "\n".join(
-        [f"<table{name}>", *caption, f"<thead><tr>{heads}</tr></thead>", "<tbody>", *rows, "</tbody>", foot, "</table>", ""]
+    rows = (element("tr", *(element("td", as_text(cell)) for cell in row)) for row in table.rows)
+    parts = (
+        element("caption", table.caption) if table.caption else None,
+        element("thead", element("tr", *(element("th", header) for header in table.headers))),
+        element("tbody", joined(("", *rows, ""), "\n")),
+        element("tfoot", element("tr", element("td", table.note, colspan=len(table.headers)))),
     )
+    return element("table", joined(("", *parts, ""), "\n"), id=table.label or None) + "\n"
 
 
 FORMATS: Mapping[str, Callable[[PaperTable], str]] = {"latex": latex, "markdown": markdown, "html": page}

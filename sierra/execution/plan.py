@@ -23,7 +23,6 @@ from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.templates.base import Files
-from sierra.util import html
 from sierra.util.hashing import short
 
 
@@ -75,6 +74,8 @@ class Plan:
         return self.project.config.target if self.source else self.request.target  # a recorded batch has the recorded one
 
     def _repr_html_(self) -> str:
+        from sierra.util import html
+
         batch = self.batch
         axes = tuple(axis.name for axis in batch.axes)
         rows = ((*experiment.values.values(), len(experiment.runs)) for experiment in batch.experiments)

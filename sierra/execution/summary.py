@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.model import Value
-from sierra.util import html
 from sierra.util.hashing import short
 
 if TYPE_CHECKING:
@@ -78,6 +77,8 @@ class Summary:
     """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""
 
     def _repr_html_(self) -> str:
+        from sierra.util import html
+
         names = ("runs", "succeeded", "failed")
         axes = list(self.counts[0].values) if self.counts else []
         rows = ([*one.values.values(), one.runs, one.succeeded, one.failed] for one in self.counts)

@@ -17,7 +17,6 @@ from sierra.stats.equivalence import Tested
 from sierra.store.recorded_files import ChosenExecution
 from sierra.store.row_types import EquivalenceRow, VerdictRow
 from sierra.store.store import Found
-from sierra.util import html
 from sierra.util.hashing import short
 
 Tolerances = Mapping[str, Mapping[str, Tolerance]]
@@ -82,6 +81,8 @@ class Replay:
     """The sessions of the compared executions: its own, and those of earlier replays whose executions count."""
 
     def _repr_html_(self) -> str:
+        from sierra.util import html
+
         axes = tuple(self.experiments[0].values) if self.experiments else ()
         rows = ((*one.values.values(), len(one.runs), one.verdict) for one in self.experiments)
         title = f"replay of {self.found.kind} {short(self.found.id)}: {self.verdict}"

@@ -6,7 +6,6 @@ import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from sierra.errors import Missing
-from sierra.util import html
 from sierra.util.arrow_columns import rows_of
 
 if TYPE_CHECKING:
@@ -64,6 +63,8 @@ class Result:
         return f"Result of {self.arrow.num_rows} rows: {', '.join(self.arrow.column_names)}"
 
     def _repr_html_(self) -> str:
+        from sierra.util import html
+
         rows = (tuple(row.values()) for row in rows_of(self.arrow.slice(0, html.ROWS)))
         count = "1 row" if len(self) == 1 else f"{len(self)} rows"
         return html.page(count, self.arrow.column_names, rows, total=len(self))

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from sierra.deliverables.html.escaping import Data, text
+from sierra.deliverables.html.escaping import Data
 from sierra.deliverables.html.tables import Cell, Table, exact
+from sierra.util.html_elements import Markup, element
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +61,13 @@ class Chart:
     """Whether points are joined by lines."""
 
 
-def element(chart: Chart, place: int, heading: str = "h3") -> str:
-    """Return the place of a chart as an element of HTML; `place` is its number in the section."""
+def chart_element(chart: Chart, place: int, heading: str = "h3") -> Markup:
+    """Return the place of a chart; `place` is its number in the section."""
     about = f"{chart.title or chart.y.label}: {chart.y.label} over {chart.x.label}, {len(chart.series)} series. "
     keys = "Arrow keys move the cursor, + and - zoom, 0 shows everything."
-    title = f'<{heading} dir="auto">{text(chart.title)}</{heading}>' if chart.title else ""
-    return (
-        f'<div class="chart" data-chart="{place}">{title}'
-        f'<div class="plot" tabindex="0" role="group" aria-label="{text(about + keys)}"></div></div>'
-    )
+    title = element(heading, chart.title, dir="auto") if chart.title else None
+    plot = element("div", class_="plot", tabindex=0, role="group", aria_label=about + keys)
+    return element("div", title, plot, class_="chart", data_chart=place)
 
 
 def as_data(chart: Chart, tables: Sequence[Table]) -> Data:

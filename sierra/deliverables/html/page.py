@@ -8,7 +8,8 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from sierra.deliverables.html.escaping import steering, text
+from sierra.deliverables.html.escaping import steering
+from sierra.util.html_elements import element
 
 ASSETS = Path(__file__).with_name("assets")
 ASKS = "; frame-src 'self'; media-src 'self'; connect-src 'self'"
@@ -37,16 +38,15 @@ def page(
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src {images}; "
         f"base-uri 'none'; form-action 'none'{ASKS if asks else PLAYS if plays else ''}"
     )
-    facts = [f'<meta name="{text(name)}" content="{text(content)}">' for name, content in (metadata or {}).items()]
     lines = (
         "<!DOCTYPE html>",
         '<html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<meta name="color-scheme" content="light dark">',
-        *facts,
+        *(element("meta", name=name, content=content) for name, content in (metadata or {}).items()),
         *(['<link rel="icon" href="data:,">'] if asks else []),
-        f"<title>{text(title)}</title>",
+        element("title", title),
         f"<style>{style}</style></head><body>",
         *sections,
         f"<script>{script}</script></body></html>",

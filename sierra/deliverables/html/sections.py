@@ -6,11 +6,11 @@ import base64
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from sierra.deliverables.html import charts as chart_elements
-from sierra.deliverables.html import tables as table_elements
-from sierra.deliverables.html.charts import Chart
-from sierra.deliverables.html.escaping import Data, data, text
-from sierra.deliverables.html.tables import Table
+from sierra.deliverables.html import charts, tables
+from sierra.deliverables.html.charts import Chart, chart_element
+from sierra.deliverables.html.escaping import Data, data
+from sierra.deliverables.html.tables import Table, table_element
+from sierra.util.html_elements import Markup, element, joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,29 +28,25 @@ class Content:
     """Facts about where the numbers come from, by name."""
 
 
-def section(content: Content) -> str:
+def section(content: Content) -> Markup:
     """Return a section as an element of HTML."""
-    return "\n".join(_lines(content))
+    return element("section", joined(_lines(content), "\n"))
 
 
-def _lines(content: Content) -> Iterator[str]:
-    yield f'<section><h2 dir="auto">{text(content.title)}</h2>'
+def _lines(content: Content) -> Iterator[Markup]:
+    yield element("h2", content.title, dir="auto")
     if content.picture:
-        yield _picture(content.picture, ". ".join((content.title, *content.notes)))
+        image = element("img", alt=". ".join((content.title, *content.notes)), src=svg_address(content.picture))
+        yield element("p", image, class_="picture")
     if content.charts:
-        yield "<noscript><p>The charts need JavaScript. Their numbers are below.</p></noscript>"
-        yield '<div class="charts">'
-        yield from (chart_elements.element(chart, place) for place, chart in enumerate(content.charts))
-        yield "</div>"
-    yield from (f'<p class="note" dir="auto">{text(note)}</p>' for note in content.notes)
-    yield from (table_elements.element(table, place) for place, table in enumerate(content.tables))
+        yield element("noscript", element("p", "The charts need JavaScript. Their numbers are below."))
+        shown = (chart_element(chart, place) for place, chart in enumerate(content.charts))
+        yield element("div", joined(("", *shown, ""), "\n"), class_="charts")
+    yield from (element("p", note, class_="note", dir="auto") for note in content.notes)
+    yield from (table_element(table, place) for place, table in enumerate(content.tables))
     if content.sql or content.origin:
-        yield from _origin(content)
-    yield f'<script type="application/json">{data(as_data(content))}</script></section>'
-
-
-def _picture(svg: bytes, description: str) -> str:
-    return f'<p class="picture"><img alt="{text(description)}" src="{svg_address(svg)}"></p>'
+        yield _origin(content)
+    yield data_element(content)
 
 
 def svg_address(svg: bytes) -> str:
@@ -58,19 +54,18 @@ def svg_address(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"
 
 
-def _origin(content: Content) -> Iterator[str]:
-    yield "<details><summary>Where these numbers come from</summary><dl>"
-    for name, fact in content.origin.items():
-        yield f"<dt>{text(name)}</dt><dd>{text(fact)}</dd>"
-    yield "</dl>"
-    if content.sql:
-        yield f'<pre class="scroll" tabindex="0" role="group" aria-label="SQL">{text(content.sql)}</pre>'
-    yield "</details>"
+def _origin(content: Content) -> Markup:
+    facts = (joined((element("dt", name), element("dd", fact))) for name, fact in content.origin.items())
+    summary = element("summary", "Where these numbers come from")
+    known = joined((summary, element("dl", joined(("", *facts, ""), "\n"))))
+    sql = element("pre", content.sql, class_="scroll", tabindex=0, role="group", aria_label="SQL") if content.sql else None
+    return element("details", joined((known, sql, ""), "\n"))
 
 
-def as_data(content: Content) -> Data:
-    """Return the tables and charts as data for scripts."""
-    return {
-        "tables": [table_elements.as_data(table) for table in content.tables],
-        "charts": [chart_elements.as_data(chart, content.tables) for chart in content.charts],
+def data_element(content: Content) -> Markup:
+    """Return the tables and charts as an element with data for scripts."""
+    found: Data = {
+        "tables": [tables.as_data(table) for table in content.tables],
+        "charts": [charts.as_data(chart, content.tables) for chart in content.charts],
     }
+    return element("script", Markup(data(found)), type="application/json")

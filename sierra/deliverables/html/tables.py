@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from sierra.deliverables.html.escaping import Data, text
+from sierra.deliverables.html.escaping import Data
 from sierra.util.arrow_columns import values_of
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:
@@ -48,9 +49,21 @@ def _cell(value: object) -> Cell:
     return value if value is None or isinstance(value, str | int | float) else str(value)
 
 
-def element(table: Table, place: int) -> str:
-    """Return a table with a button that copies it, as an element of HTML; `place` is its number in the section."""
-    return "\n".join(_lines(table, place))
+def table_element(table: Table, place: int) -> Markup:
+    """Return a table with a button that copies it; `place` is its number in the section."""
+    shown = f"the first {SHOWN} of {table.rows:,} rows are shown, the CSV has all" if table.rows > SHOWN else ""
+    note = "; ".join(filter(None, (table.note, shown)))
+    digits = [digits_apart(column[:SHOWN]) for column in table.columns]
+    rows = (element("tr", *map(_cell_element, row, digits)) for row in zip(*(c[:SHOWN] for c in table.columns), strict=True))
+    head = element("thead", element("tr", *map(_head_element, table.headers, table.columns)))
+    inner = element("table", joined(("", head, element("tbody", joined(("", *rows, ""), "\n"))), "\n"))
+    button = element("button", "Copy as CSV", type="button", data_csv=place)
+    lines = (
+        element("summary", f"Data: {table.name}" if table.name else "Data"),
+        element("p", button, " ", element("span", role="status"), f" {note}"),
+        element("div", inner, class_="scroll", tabindex=0, role="region", aria_label=f"Data {table.name}".strip()),
+    )
+    return element("details", joined(lines, "\n"))
 
 
 def as_data(table: Table) -> Data:
@@ -58,30 +71,15 @@ def as_data(table: Table) -> Data:
     return {"headers": table.headers, "columns": [list(map(exact, column)) for column in table.columns]}
 
 
-def _lines(table: Table, place: int) -> Iterator[str]:
-    shown = f"the first {SHOWN} of {table.rows:,} rows are shown, the CSV has all" if table.rows > SHOWN else ""
-    note = "; ".join(filter(None, (table.note, shown)))
-    yield "<details><summary>Data" + (f": {text(table.name)}" if table.name else "") + "</summary>"
-    yield f'<p><button type="button" data-csv="{place}">Copy as CSV</button> <span role="status"></span> {text(note)}</p>'
-    yield f'<div class="scroll" tabindex="0" role="region" aria-label="{text(f"Data {table.name}".strip())}"><table>'
-    heads = zip(table.headers, table.columns, strict=True)
-    yield f"<thead><tr>{''.join(_head_element(header, column) for header, column in heads)}</tr></thead>"
-    yield "<tbody>"
-    digits = [digits_apart(column[:SHOWN]) for column in table.columns]
-    for row in zip(*(column[:SHOWN] for column in table.columns), strict=True):
-        yield "<tr>" + "".join(map(_cell_element, row, digits)) + "</tr>"
-    yield "</tbody></table></div></details>"
+def _head_element(header: str, column: Sequence[Cell]) -> Markup:
+    kind = None if any(isinstance(value, str) for value in column[:SHOWN]) else "number"
+    return element("th", header, scope="col", dir="auto", class_=kind)
 
 
-def _head_element(header: str, column: Sequence[Cell]) -> str:
-    kind = "" if any(isinstance(value, str) for value in column[:SHOWN]) else ' class="number"'
-    return f'<th scope="col" dir="auto"{kind}>{text(header)}</th>'
-
-
-def _cell_element(value: Cell, digits: int) -> str:
+def _cell_element(value: Cell, digits: int) -> Markup:
     if isinstance(value, str):
-        return f'<td dir="auto">{text(value)}</td>'
-    return f'<td class="number">{_number(value, digits)}</td>'
+        return element("td", value, dir="auto")
+    return element("td", _number(value, digits), class_="number")
 
 
 def _number(value: int | float | None, digits: int) -> str:

@@ -9,10 +9,10 @@ from sierra.config.claim_table import Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import evaluate
 from sierra.deliverables.claims.model import Evaluated, Verdict
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report.parts import Place, Section, auto, badge, code, details, facts, note, sql
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import counted, few
 
 KINDS = {Verdict.holds: "good", Verdict.does_not_hold: "bad", Verdict.cannot_tell: "unclear"}

@@ -12,13 +12,13 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables import comparison, comparison_figure
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.comparison_text import paper_table
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report.parts import Place, Section, auto, code, details, note, picture
 from sierra.deliverables.report.results import paper_table as as_element
 from sierra.errors import DamagedFile, Missing, SierraError, UsageError
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, element, joined
 
 RECORDED = """
 SELECT * FROM deliverables WHERE kind = 'comparison' AND list_has_any(batches, $batches)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.paper_tables import plain
 from sierra.deliverables.report.batch_state import STATES, BatchState
 from sierra.deliverables.report.parts import Section, details, note, sql, table
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import counted
 
 SEEDS = """

@@ -6,11 +6,11 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from sierra.deliverables.html.elements import Markup, Node, element, joined
 from sierra.deliverables.report import robots
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, Section, badge, details, facts, filled_table, note, sql, table
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, Node, element, joined
 from sierra.util.text import few, size
 
 HOSTS = """

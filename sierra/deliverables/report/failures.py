@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from sierra.deliverables.html.elements import Markup, Node, element, joined
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, Section, auto, note, sql, table
 from sierra.execution.show_record import FAILURES
 from sierra.execution.shown_records import Failed
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, Node, element, joined
 from sierra.util.text import counted
 
 LAST = """

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables.comparison import Compared
-from sierra.deliverables.html.elements import Markup, Node, element, joined
 from sierra.deliverables.report import (
     batch_state,
     claims,
@@ -34,6 +33,7 @@ from sierra.execution import list_batches
 from sierra.execution.list_batches import ListedBatch
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, Node, element, joined
 
 AT_MOST = 50
 """The largest number of batches that a report of all batches shows in full; of more, it only has the list."""

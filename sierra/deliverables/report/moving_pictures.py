@@ -13,12 +13,12 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ValidationError
 
-from sierra.deliverables.html.elements import Markup, element
 from sierra.deliverables.report.parts import auto, details
 from sierra.errors import Damaged
 from sierra.store.row_types import DeliverableRow
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
+from sierra.util.html_elements import Markup, element
 
 FORMATS = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}
 """The types of the formats that a page can have, in the order in which they are preferred."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from sierra.deliverables import html
 from sierra.deliverables.claims.model import Verdict
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report import question
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.claims import KINDS, Claims
 from sierra.deliverables.report.parts import Place, Section, auto, section
 from sierra.deliverables.report.reproduce import Received
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import counted
 from sierra.util.version import __version__
 

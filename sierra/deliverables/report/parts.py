@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sierra.deliverables.html.elements import Markup, Node, element, joined
 from sierra.deliverables.html.sections import svg_address
+from sierra.util.html_elements import Markup, Node, element, joined
 
 CODE = re.compile(r"\$b\b")
 

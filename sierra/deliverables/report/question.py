@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.paper_tables import plain
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Section, auto, facts, filled_table
 from sierra.model import Value
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import counted, few
 
 SHOWN = 12

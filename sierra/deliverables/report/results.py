@@ -11,12 +11,9 @@ from sierra.deliverables.declared_tables import Made
 from sierra.deliverables.figures.base import made_by
 from sierra.deliverables.figures.drawing import Drawing, explorable
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.html import charts as chart_elements
-from sierra.deliverables.html import tables as table_elements
-from sierra.deliverables.html.charts import Chart
-from sierra.deliverables.html.elements import Markup, element, joined
-from sierra.deliverables.html.escaping import data
-from sierra.deliverables.html.sections import Content, as_data
+from sierra.deliverables.html.charts import Chart, chart_element
+from sierra.deliverables.html.sections import Content, data_element
+from sierra.deliverables.html.tables import table_element
 from sierra.deliverables.record import origin_of
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.moving_pictures import Films
@@ -26,6 +23,7 @@ from sierra.store import deliverable_records
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import digits_apart, few, short_number
 
 WIDTH = re.compile(rb'<svg\b[^>]*? width="([0-9.]+)pt"')
@@ -95,8 +93,8 @@ def figure_section(found: Figures, place: Place) -> Section:
 
 def _figure(content: Content, place: Place, number: int) -> Markup:
     name = f"{place.prefix}figure-{number}"
-    tables = [Markup(table_elements.element(one, k)) for k, one in enumerate(content.tables)]
-    charts = [Markup(chart_elements.element(one, k, place.innermost)) for k, one in enumerate(content.charts)]
+    tables = [table_element(one, k) for k, one in enumerate(content.tables)]
+    charts = [chart_element(one, k, place.innermost) for k, one in enumerate(content.charts)]
     return element(
         "section",
         auto(content.title, place.inner, id=name),
@@ -104,7 +102,7 @@ def _figure(content: Content, place: Place, number: int) -> Markup:
         _explorer(charts) if charts else None,
         *tables,
         sql(content.sql) if content.sql else None,
-        element("script", Markup(data(as_data(content))), type="application/json"),
+        data_element(content),
         class_="figure wide" if _width(content.picture) > WIDE else "figure",
         aria_labelledby=name,
     )

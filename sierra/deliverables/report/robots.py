@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from sierra.deliverables.html.elements import Markup, element
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, filled_table, note, sql, table
+from sierra.util.html_elements import Markup, element
 from sierra.util.text import digits_apart, short_number
 
 ROBOTS = """

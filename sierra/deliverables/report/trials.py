@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Section, facts, filled_table, note, sql
 from sierra.util.hashing import short
+from sierra.util.html_elements import Markup, element, joined
 from sierra.util.text import counted, few
 
 TRIALS = """

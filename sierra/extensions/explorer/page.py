@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sierra.deliverables import html
-from sierra.deliverables.html.escaping import text
+from sierra.util.html_elements import text
 
 BODY = Path(__file__).with_name("explorer.html")
 

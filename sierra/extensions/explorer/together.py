@@ -11,13 +11,13 @@ from sierra.config.validate import options
 from sierra.deliverables import comparison, overlay
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.html.escaping import text
 from sierra.deliverables.report import comparisons
 from sierra.deliverables.report.parts import Place
 from sierra.errors import UsageError
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.html_elements import element
 from sierra.util.json_types import JsonView
 
 
@@ -53,7 +53,7 @@ def compared(project: LoadedProject, store: Store, name: str, groups: Mapping[st
     asked = options(Comparison, {**keys, "groups": ()}, "comparison")
     found = comparison.compare(project, store, name, groups, asked)
     section = comparisons.section([found], (), Place())
-    return f"<section><h2>{text(section.title)}</h2>{section.body}</section>" if section else ""
+    return element("section", element("h2", section.title), section.body) if section else ""
 
 
 def _words(groups: Mapping[str, str]) -> list[str]:

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
-from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from sierra.deliverables.html.page import ASSETS
 from sierra.deliverables.record import origin_of
 from sierra.errors import UsageError
 from sierra.model import Axis
-from tests.support.characters import MIXED, SHOWN
 from tests.unit.deliverables.test_figures import BATCH, NAMES, SIZES, SQL, drawing, svg, table
 
 TITLE = "</title></script><script>alert(1)</script><b>\"'&amp; `x`"
@@ -171,20 +169,6 @@ def test_data_within_a_script_can_hold_any_text(text: str) -> None:
     assert json.loads(written) == {"a": text}
     assert not set("<>&") & set(written)
     written.encode()
-
-
-def test_text_shows_characters_that_control_as_escapes() -> None:
-    assert escaping.text("a\0b\u202ec\ud800 <'\">\n") == "a\\x00b\\u202ec\\ud800 &lt;&#x27;&quot;&gt;\n"
-    assert escaping.text(MIXED) == SHOWN
-
-
-@pytest.mark.parametrize(
-    "text", ["SELECT\t1,\r\n\t'a\xa0b'", "\u0645\u06cc\u200c\u062e", "क्\u200dष", "א\u200f\u200e", "a\u200bb\u3000"]
-)
-def test_text_of_any_script_can_be_copied(text: str) -> None:
-    written = escaping.text(text)
-    assert unescape(written) == text
-    assert "\r" not in written, "a parser of HTML makes a line feed of it"
 
 
 def test_a_table_keeps_every_digit_and_says_what_it_lacks() -> None:

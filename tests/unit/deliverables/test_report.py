@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.deliverables.html.elements import Markup, element, joined
 from sierra.deliverables.report import files, make
 from sierra.execution import list_batches
 from tests import projects, stores
@@ -104,16 +103,6 @@ def page(project: tuple[Path, str], tmp_path_factory: pytest.TempPathFactory) ->
     file = tmp_path_factory.mktemp("page") / "report.html"
     found, notes = reported_by(project[0], to=file)
     return found, notes, file.read_bytes()
-
-
-def test_elements_escape_every_text_and_keep_what_is_markup_already() -> None:
-    inner = element("b", "<i>", title='"x" \u202e')
-    assert inner == '<b title="&quot;x&quot; \\u202e">&lt;i&gt;</b>'
-    assert element("p", inner, " & ", None, class_="a", hidden=True, id=None, aria_label="l", tabindex=0) == (
-        f'<p class="a" hidden aria-label="l" tabindex="0">{inner} &amp; </p>'
-    )
-    assert element("br") == "<br>"
-    assert isinstance(joined((inner, "<")), Markup)
 
 
 @pytest.mark.integration

@@ -5,14 +5,15 @@ element("p", "a < b ", element("b", name), class_="note", aria_label=name)
 
 from __future__ import annotations
 
+import html
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from sierra.deliverables.html.escaping import text
+from sierra.util.text import visible
 
 
 class Markup(str):
-    """A text that is HTML already. Only `element`, `joined` and the other modules of this package make one."""
+    """A text that is HTML already. Only `element`, `joined`, and functions that escape make one."""
 
     __slots__ = ()
 
@@ -21,7 +22,16 @@ Node: TypeAlias = Markup | str | None
 """Content of an element: a `str` that is not `Markup` is escaped; None is nothing."""
 Attribute: TypeAlias = str | int | bool | None
 """The value of an attribute; True for one without a value, False or None for one that is not there."""
-VOID = frozenset({"br", "img"})
+VOID = frozenset({"br", "img", "meta"})
+
+
+def text(content: str) -> str:
+    """Return a text for an element or a quoted attribute.
+
+    Characters that control are shown as escapes: see `sierra.util.text.visible`. All others stay as they are, so that names in
+    any script, and SQL, can be copied.
+    """
+    return html.escape(visible(content)).replace("\r", "&#13;")
 
 
 def element(tag: str, *content: Node, **attributes: Attribute) -> Markup:
@@ -31,9 +41,9 @@ def element(tag: str, *content: Node, **attributes: Attribute) -> Markup:
     return Markup(f"<{tag}{given}>{end}")
 
 
-def joined(content: Iterable[Node]) -> Markup:
-    """Return nodes after each other."""
-    return Markup("".join(one if isinstance(one, Markup) else text(one) for one in content if one is not None))
+def joined(content: Iterable[Node], between: str = "") -> Markup:
+    """Return nodes after each other, with white space between them."""
+    return Markup(between.join(one if isinstance(one, Markup) else text(one) for one in content if one is not None))
 
 
 def _attribute(name: str, value: Attribute) -> str:
