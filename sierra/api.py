@@ -1128,10 +1128,9 @@ class Project:
         [2, 2]
         """
         from sierra.deliverables import run_statistics
-        from sierra.store.public_result import Result
 
         batch = self.batch(prefix)
-        return Result(
+        return run_statistics.StatisticsResult(
             run_statistics.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times, statistics)
         )
 
@@ -1145,9 +1144,10 @@ class Project:
         >>> print(project.paper_table(found, "markdown").splitlines()[0])
         | population size | coverage |
         """
-        from sierra.deliverables import paper_tables
+        from sierra.deliverables import paper_tables, run_statistics
 
-        return paper_tables.text(self._loaded, self.store, statistics.arrow, format, caption, label)
+        found = statistics.statistics if isinstance(statistics, run_statistics.StatisticsResult) else None
+        return paper_tables.text(self._loaded, self.store, found, format, caption, label)
 
     def compare(
         self,

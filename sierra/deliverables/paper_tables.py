@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import csv as csv_module
 import io
-import json
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.config.project_file import LoadedProject, Project
 from sierra.errors import UsageError
 from sierra.execution import targets
-from sierra.model import Value
 from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
 from sierra.util.html_elements import element, joined
@@ -26,6 +24,7 @@ from sierra.util.text import digits_apart, short_number
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.deliverables.run_statistics import Statistics
     from sierra.store.store import Store
 
 LABEL = re.compile(r"[A-Za-z0-9:._-]+")
@@ -78,23 +77,22 @@ class PaperTable:
     """The places of the columns that hold text, and not numbers."""
 
 
-def text(project: LoadedProject, store: Store, statistics: pa.Table, format: str, caption: str = "", label: str = "") -> str:
-    """Return the text of a table of statistics, as `render.statistics` returns them, in one of `FORMATS`. Raises UsageError."""
+def text(
+    project: LoadedProject, store: Store, found: Statistics | None, format: str, caption: str = "", label: str = ""
+) -> str:
+    """Return the text of a table of statistics in one of `FORMATS`. Raises UsageError."""
     check_format(format, label)
-    metadata = statistics.schema.metadata or {}
-    about = json.loads(metadata.get(b"sierra:statistics", b"{}"))
-    if not about.get("statistics") or "remaining" in statistics.column_names:
+    if found is None or not found.chosen or "remaining" in found.table.column_names:
         raise UsageError(
             "a table for papers needs chosen statistics, one row for each experiment or time; name them, as in mean"
         )
-    config = targets.of_batch(project, store, metadata[b"sierra:batch"].decode()).config
-    axes = [f"axis {place}" for place in range(len(about["axes"]))]
-    rest = [name[:-1] if name[:-1] in about["axes"] else name for name in statistics.column_names[1 + len(axes) :]]
-    named = statistics.rename_columns(["experiment", *axes, *rest])
-    headers = _headers(config, about, axes) | _of_statistics(config, about)
-    shown = {name: header for name, header in headers.items() if name in named.column_names}
-    notes = metadata.get(b"sierra:note", b"").decode()
-    return FORMATS[format](paper_table(named, about["statistics"], shown, notes, caption=caption, label=label))
+    config = targets.of_batch(project, store, found.batch).config
+    axes = [f"axis {place}" for place in range(len(found.axes))]
+    headers = dict(zip(axes, axis_headers(config, found), strict=True))
+    headers |= {"t": _header(found.time, _unit(config, found, found.time))} | statistic_headers(config, found)
+    table = found.with_axes(axes)
+    shown = {name: header for name, header in headers.items() if name in table.column_names}
+    return FORMATS[format](paper_table(table, found.chosen, shown, "; ".join(found.notes), caption=caption, label=label))
 
 
 def check_format(format: str, label: str) -> None:
@@ -105,79 +103,41 @@ def check_format(format: str, label: str) -> None:
         raise UsageError(f"unknown format of a table {format!r}; known are {', '.join(FORMATS)}")
 
 
-def cells_of(statistics: pa.Table) -> tuple[list[str], dict[int, dict[str, Value]]]:
-    """Return the variables of a table of statistics, and their values by the position of the experiment."""
-    axes = _about(statistics)["axes"]
-    columns = [statistics.column(1 + place).to_pylist() for place in range(len(axes))]
-    ordinals = statistics.column(0).to_pylist()
-    return axes, {k: dict(zip(axes, values, strict=True)) for k, *values in zip(ordinals, *columns, strict=True)}
+def axis_headers(config: Project, found: Statistics) -> list[str]:
+    """Return the headers of the variables."""
+    headers = []
+    for name in found.axes:
+        variable = config.variables.get(name)
+        headers.append(_header((variable and variable.label) or name, variable.unit if variable else ""))
+    return headers
 
 
-def axis_headers(config: Project, statistics: pa.Table) -> dict[str, str]:
-    """Return the headers of the variables, by name."""
-    about = _about(statistics)
-    headers = _headers(config, about, about["axes"])
-    return {name: headers[name] for name in about["axes"]}
-
-
-def statistic_headers(config: Project, statistics: pa.Table) -> dict[str, str]:
-    """Return the headers of the statistics, by name."""
-    return _of_statistics(config, _about(statistics))
+def statistic_headers(config: Project, found: Statistics) -> dict[str, str]:
+    """Return the headers of the chosen statistics, by name; one alone is named by its column only."""
+    what, unit = found.column, _unit(config, found, found.column)
+    if found.threshold is not None:
+        reached = f"{found.column} ≥ {found.threshold:.12g}"
+        what, unit = f"time until {reached}{f' {unit}' if unit else ''}", _unit(config, found, found.time)
+    alone = len(found.chosen) == 1
+    return {name: _header(what if alone and name in PLAIN else f"{name} {what}", unit) for name in found.chosen}
 
 
 Estimates: TypeAlias = dict[int, tuple[float | None, float | None, float | None, int]]
 
 
-def estimates_of(statistics: pa.Table, name: str, axes: int, ordinals: Container[int]) -> tuple[Estimates, list[str]]:
+def estimates_of(found: Statistics, name: str, ordinals: Container[int]) -> tuple[Estimates, list[str]]:
     """Return value, low, high and n of a statistic by the position of the experiment, and the methods of its intervals."""
-    rest = statistics.rename_columns([*map(str, range(1 + axes)), *_own_names(statistics)[1 + axes :]])
-    columns = [rest.column(column).to_pylist() for column in ("0", name, f"{name}_low", f"{name}_high", "n")]
+    columns = [found.table.column(column).to_pylist() for column in ("experiment", name, f"{name}_low", f"{name}_high", "n")]
     if name in survival.STATISTICS:  # these count the runs that never reached the threshold too
-        columns[-1] = [n + never for n, never in zip(columns[-1], rest.column("never").to_pylist(), strict=True)]
-    methods = rest.column(f"{name}_interval").to_pylist()
+        columns[-1] = [n + never for n, never in zip(columns[-1], found.table.column("never").to_pylist(), strict=True)]
+    methods = found.table.column(f"{name}_interval").to_pylist()
     rows = [row for row in zip(*columns, methods, strict=True) if row[0] in ordinals]
     return {row[0]: row[1:5] for row in rows}, list(dict.fromkeys(row[5] for row in rows if row[5]))
 
 
-def notes_and_sql(statistics: pa.Table) -> tuple[str, str]:
-    """Return the notes and the SQL of a table of statistics."""
-    metadata = statistics.schema.metadata or {}
-    return metadata.get(b"sierra:note", b"").decode(), metadata.get(b"sierra:sql", b"").decode()
-
-
-def _about(statistics: pa.Table) -> dict[str, Any]:
-    about: dict[str, Any] = json.loads((statistics.schema.metadata or {})[b"sierra:statistics"])
-    return about
-
-
-def _own_names(statistics: pa.Table) -> list[str]:
-    """Return the names of columns without the `_` that columns get which have the name of a variable."""
-    axes = _about(statistics)["axes"]
-    return [name[:-1] if name[:-1] in axes else name for name in statistics.column_names]
-
-
-def _headers(config: Project, about: Mapping[str, Any], axes: Sequence[str]) -> dict[str, str]:
-    """Return the headers of the variables and of the time."""
-    headers = {}
-    for column, name in zip(axes, about["axes"], strict=True):
-        variable = config.variables.get(name)
-        headers[column] = _header(variable.label if variable and variable.label else name, variable.unit if variable else "")
-    return headers | {"t": _header(about["time"], _unit(config, about, about["time"]))}
-
-
-def _of_statistics(config: Project, about: Mapping[str, Any]) -> dict[str, str]:
-    """Return the headers of the statistics; one alone is named by its column only."""
-    what, unit = about["column"], _unit(config, about, about["column"])
-    if about["threshold"] is not None:
-        reached = f"{about['column']} ≥ {about['threshold']:.12g}"
-        what, unit = f"time until {reached}{f' {unit}' if unit else ''}", _unit(config, about, about["time"])
-    names = about["statistics"]
-    return {name: _header(what if len(names) == 1 and name in PLAIN else f"{name} {what}", unit) for name in names}
-
-
-def _unit(config: Project, about: Mapping[str, Any], column: str) -> str:
-    declared = config.declared(about["output"])
-    return "ns" if column in about.get("durations", ()) else declared.units.get(column, "") if declared else ""
+def _unit(config: Project, found: Statistics, column: str) -> str:
+    declared = config.declared(found.output)
+    return "ns" if column in found.durations else declared.units.get(column, "") if declared else ""
 
 
 def _header(name: str, unit: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -18,6 +17,7 @@ from sierra.stats import aggregate as stats
 from sierra.stats import survival
 from sierra.stats.comparison.model import RunValue
 from sierra.stats.selection import Selection
+from sierra.store.public_result import Result
 from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
@@ -34,6 +34,55 @@ AUTO = "auto"
 """Stands for `final`, and for `mean` in tables of events, whose last rows say nothing about the others."""
 
 
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Statistics of one column over the runs of a batch."""
+
+    batch: str
+    output: str
+    column: str
+    time: str
+    """The name of the time column; `row` for an output without one."""
+    threshold: float | None
+    chosen: tuple[str, ...]
+    """The names of the statistics that were chosen; empty: the usual ones."""
+    table: pa.Table
+    """The columns `experiment`, perhaps `t`, and those of the statistics, with a row for each experiment or time."""
+    cells: Mapping[int, Mapping[str, Value]]
+    """The values of the axes for each experiment, by its position in the batch."""
+    axes: tuple[str, ...]
+    durations: Container[str]
+    """The columns that are durations, whose unit is ns."""
+    notes: tuple[str, ...]
+    """The notes for the reader."""
+    sql: str
+
+    def with_axes(self, names: Sequence[str]) -> pa.Table:
+        """Return the table with the values of the axes after `experiment`, as columns with these names."""
+        import pyarrow as pa
+
+        table, ordinals = self.table, self.table.column(0).to_pylist()
+        for place, (name, axis) in enumerate(zip(names, self.axes, strict=True), 1):
+            table = table.add_column(place, name, pa.array([self.cells[ordinal][axis] for ordinal in ordinals]))
+        return table
+
+
+class StatisticsResult(Result):
+    """Statistics for users of SIERRA from Python, with the values of the axes.
+
+    If an axis has the name of another column, that column gets a `_` after its name, as outputs' columns do in SQL. The
+    schema's metadata hold the statement (`sierra:sql`) and notes for the reader (`sierra:note`).
+    """
+
+    def __init__(self, statistics: Statistics) -> None:
+        names = column_names(statistics.table.column_names, taken=statistics.axes)
+        table = replace(statistics, table=statistics.table.rename_columns(names)).with_axes(statistics.axes)
+        super().__init__(
+            table.replace_schema_metadata({"sierra:sql": statistics.sql, "sierra:note": "; ".join(statistics.notes)})
+        )
+        self.statistics = statistics
+
+
 def statistics(
     project: LoadedProject,
     store: Store,
@@ -46,15 +95,11 @@ def statistics(
     chosen: Sequence[str] = (),
     among: Callable[[Frame], Container[int]] | None = None,
     where: str = "",
-) -> pa.Table:
-    """Return statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
+) -> Statistics:
+    """Return statistics of one column, as `sierra.api.Project.statistics` does.
 
     `among` returns the positions of the experiments that the notes count, if a reader sees only these. `where` is an SQL
-    condition on the rows that count.
-
-    The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
-    that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
-    (`sierra:sql`) and notes for the reader (`sierra:note`). Raises NotFound, UsageError.
+    condition on the rows that count. Raises NotFound, UsageError.
     """
     _check_reduction("final" if measure == AUTO else measure, threshold, times)
     of_times = [name for name in chosen if name in survival.STATISTICS] if chosen else list(survival.STATISTICS)
@@ -101,24 +146,20 @@ def statistics(
             *stats.left_out([] if "remaining" in table.column_names else [shown], coverage, planned, threshold),
             *notes,
         ]
-        text = "\n\n".join(filter(None, (frame.statements(output), text)))
-        about = {
-            "axes": [axis.name for axis in frame.axes()],
-            "statistics": list(dict.fromkeys(chosen)),
-            "output": output,
-            "column": column,
-            "time": gallery.time(gallery.output(figure)) or "row",
-            "threshold": threshold,
-        }
-        if durations := frame.durations(output):
-            about["durations"] = durations
-        metadata = {
-            "sierra:batch": batch,
-            "sierra:sql": text,
-            "sierra:note": "; ".join(notes),
-            "sierra:statistics": json.dumps(about, ensure_ascii=False),
-        }
-        return _with_axes(table, frame).replace_schema_metadata(metadata)
+        return Statistics(
+            batch=batch,
+            output=output,
+            column=column,
+            time=gallery.time(gallery.output(figure)) or "row",
+            threshold=threshold,
+            chosen=tuple(dict.fromkeys(chosen)),
+            table=table,
+            cells=frame.cells(),
+            axes=tuple(axis.name for axis in frame.axes()),
+            durations=frame.durations(output),
+            notes=tuple(notes),
+            sql="\n\n".join(filter(None, (frame.statements(output), text))),
+        )
 
 
 def of_tables(
@@ -300,16 +341,3 @@ def _check_reduction(measure: str | None, threshold: float | None, times: str | 
         raise UsageError(
             f"times {times!r} needs statistics at each time, but a measure ({measure!r}) gives one value for all times"
         )
-
-
-def _with_axes(table: pa.Table, frame: Frame) -> pa.Table:
-    """Return the statistics with the values of the axes after `experiment`."""
-    import pyarrow as pa
-
-    axes, cells = frame.axes(), frame.cells()
-    table = table.rename_columns(column_names(table.column_names, taken=[axis.name for axis in axes]))
-    ordinals = table.column(0).to_pylist()
-    for place, axis in enumerate(axes):
-        values = [cells[ordinal][axis.name] for ordinal in ordinals]
-        table = table.add_column(1 + place, axis.name, pa.array(values))
-    return table

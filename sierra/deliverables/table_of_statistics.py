@@ -93,22 +93,23 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     def rows(frame: Frame) -> frozenset[int]:
         return _experiments(declared, [axis.name for axis in frame.axes()], frame.cells())
 
-    tables = {
+    found = {
         column: statistics(project, store, batch, output, column, measure, declared.threshold, None, declared.statistics, rows)
         for column in columns
     }
     config = targets.of_batch(project, store, batch).config
-    first = next(iter(tables.values()))
-    axes, cells = paper_tables.cells_of(first)
-    chosen = _experiments(declared, axes, cells)
-    headers, values, methods = dict(paper_tables.axis_headers(config, first)), {}, {}
-    for column, table in tables.items():
-        for statistic, header in paper_tables.statistic_headers(config, table).items():
+    first = next(iter(found.values()))
+    cells = {ordinal: first.cells[ordinal] for ordinal in first.table.column("experiment").to_pylist()}
+    chosen = _experiments(declared, first.axes, cells)
+    headers, values, methods = dict(zip(first.axes, paper_tables.axis_headers(config, first), strict=True)), {}, {}
+    for column, one in found.items():
+        for statistic, header in paper_tables.statistic_headers(config, one).items():
             called = column if declared.statistics == paper_tables.PLAIN else f"{statistic} {column}"
             headers[called] = header
-            values[called], methods[called] = paper_tables.estimates_of(table, statistic, len(axes), chosen)
-    notes, sql = zip(*(paper_tables.notes_and_sql(table) for table in tables.values()), strict=True)
-    return _Estimates(tuple(axes), {k: v for k, v in cells.items() if k in chosen}, values, headers, methods, notes, sql)
+            values[called], methods[called] = paper_tables.estimates_of(one, statistic, chosen)
+    notes = tuple("; ".join(one.notes) for one in found.values())
+    rows_shown = {ordinal: values for ordinal, values in cells.items() if ordinal in chosen}
+    return _Estimates(first.axes, rows_shown, values, headers, methods, notes, tuple(one.sql for one in found.values()))
 
 
 def _experiments(declared: TableForPaper, axes: Sequence[str], cells: Mapping[int, Mapping[str, Value]]) -> frozenset[int]:

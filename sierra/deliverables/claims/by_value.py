@@ -35,7 +35,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
     counted = [run for run in chosen.values[ordinal] if run.reached or value.statistic in CENSORED]
     if (too_many := lost(claim, len(counted), planned)) is not None:
         return too_many
-    table = statistics(
+    found = statistics(
         project,
         store,
         batch,
@@ -48,8 +48,8 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
         where=value.where,
     )
     each = {} if value.statistic in CENSORED else {str(run.seed): run.value + runs.offset for run in counted}
-    notes = tuple(filter(None, paper_tables.notes_and_sql(table)[0].split("; ")))
-    estimates, _ = paper_tables.estimates_of(table, value.statistic, len(runs.axes), {ordinal})
+    notes = tuple(filter(None, "; ".join(found.notes).split("; ")))
+    estimates, _ = paper_tables.estimates_of(found, value.statistic, {ordinal})
     estimate, low, high, n = estimates[ordinal]
     unit = f" {runs.unit}" if runs.unit not in ("", "1") else ""
     margin = distance(value.margin, value.expected)

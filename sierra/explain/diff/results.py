@@ -32,7 +32,7 @@ from sierra.util.hashing import short
 from sierra.util.text import counted, digits_apart, few, short_number
 
 if TYPE_CHECKING:
-    import pyarrow as pa
+    pass
 
 LOOKED_AT = 5
 """Number of runs with changed results whose outputs are compared."""
@@ -268,19 +268,14 @@ def _is_time(column: str, declared: str | None) -> bool:
 
 def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
     """Return the statistics of a column by the experiment's place."""
-    table = run_statistics.statistics(project, store, side.batch.batch, output, column, "final")
-    names = _names(table, "experiment", "n", "mean", "sd", "low", "high", "interval")
+    table = run_statistics.statistics(project, store, side.batch.batch, output, column, "final").table
+    names = ("experiment", "n", "mean", "sd", "low", "high", "interval")
     rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
     return {
         place: Mean(n, mean, sd or 0.0, (low, high) if interval == "Wilson" else None)
         for place, n, mean, sd, low, high, interval in rows
         if n and mean is not None
     }
-
-
-def _names(table: pa.Table, *names: str) -> list[str]:
-    """Return the names of columns of statistics, which end with `_` if an axis has the name."""
-    return [f"{name}_" if f"{name}_" in table.column_names else name for name in names]
 
 
 def _apart(

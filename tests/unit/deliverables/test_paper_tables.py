@@ -168,3 +168,15 @@ def test_the_stats_command_writes_tables_for_papers(simulate: Callable[..., Any]
         opened.paper_table(opened.statistics(None, "swarm", "v_x"))
     with pytest.raises(UsageError, match="unknown format of a table 'docx'; known are latex, markdown, html"):
         opened.paper_table(opened.statistics(None, "swarm", "v_x", statistics=["mean"]), "docx")
+
+
+@pytest.mark.integration
+def test_a_table_has_the_number_of_runs_also_beside_a_variable_named_n_in_capitals(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    config = project.folder / "sierra.toml"
+    config.write_text(config.read_text().replace('size = "', 'N = "'))
+    assert project.quick("run", "N=3,5", "--runs", "2", "--no-figures").returncode == 0
+    lines = project.quick("stats", "swarm", "v", "--format", "markdown").stdout.splitlines()
+    assert lines[0] == "| N | v |"
+    assert [line.split("|")[1].strip() for line in lines[2:4]] == ["3", "5"]
+    assert lines[-1].startswith("n = 2; ")
