@@ -101,9 +101,14 @@ def _lines(one: Evaluated | Changed) -> tuple[str, ...]:
     return (one.says, one.text, *one.notes, str(one.ground))
 
 
-def _show(found: Sequence[Evaluated | Changed]) -> None:
-    rows = [(one.name, str(one.verdict), readable(one.text), one.n, str(one.ground)) for one in found]
+def print_table(found: Sequence[Evaluated | Changed], grounds: Sequence[str]) -> None:
+    """Print a line for each claim; `grounds` say what each rests on."""
+    rows = [(one.name, str(one.verdict), readable(one.text), one.n, ground) for one, ground in zip(found, grounds, strict=True)]
     table(("claim", "verdict", "numbers", "n", "ground"), rows, right=("n",))
+
+
+def _show(found: Sequence[Evaluated | Changed]) -> None:
+    print_table(found, [str(one.ground) for one in found])
     for one in found:
         for line in one.notes:
             note(f"{one.name}: {line}")

@@ -24,48 +24,22 @@ def print_programs(programs: Sequence[RecordedProgram]) -> None:
     print("\nprograms:")
     table(
         ("name", "version", "sha256", "path"),
-        [(readable(one.name), _version(one.version or ""), one.sha256[:10], readable(one.path)) for one in others],
+        [(readable(one.name), readable(one.short_version)[:LONGEST], one.sha256[:10], readable(one.path)) for one in others],
     )
     if libraries:
         print(f"libraries: {few(libraries, SHOWN)}")
-
-
-def _version(version: str) -> str:
-    lines = version.splitlines()
-    return f"{len(lines)} distributions" if lines[1:] else readable("".join(lines))[:LONGEST]
 
 
 def print_image(image: ShownImage, reach: Sequence[str]) -> None:
     """Print the image in which runs executed, and the host resources that they could access."""
 
     print("\nimage:")
-    fields({name: readable(str(value)) for name, value in _image(image, reach) if value not in (None, "")}, "  ")
+    fields({name: readable(value) for name, value in image.facts(reach).items() if value}, "  ")
     lines = ((image.row and image.row.recipe) or "").splitlines()
     for line in lines[:SHOWN]:
         print(f"    {_cut(readable(line.expandtabs()))}")
     if len(lines) > SHOWN:
         print(f"    … {len(lines) - SHOWN} more lines (--json has them all)")
-
-
-def _image(image: ShownImage, reach: Sequence[str]) -> Iterator[tuple[str, object]]:
-    from sierra.containers import images
-
-    row = image.row
-    yield "name", row.name if row else "not recorded"
-    yield "id", image.image
-    yield "host access", ", ".join(reach) or "none"
-    if row:
-        counts = [f"{len(lines)} of {manager}" for manager, lines in image.packages.items()]
-        if row.variants:
-            ids = (one.partition("=") for one in row.variants)
-            yield "images", ", ".join(f"{processor} {images.short(identity)}" for processor, _, identity in ids)
-            return
-        yield "kind", row.kind
-        yield "architecture", row.architecture
-        yield "packages", ", ".join(counts) or "none found by a package manager"
-        yield "created", row.created
-        yield "size", size(row.size)
-        yield "recipe", f"{len(row.recipe.splitlines())} lines" if row.recipe else ""
 
 
 MODES = {"run": "one for each run", "worker": "one for all runs of a slot (weaker isolation)"}

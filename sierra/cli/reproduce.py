@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli.arguments import AsJson, Jobs, Yes
-from sierra.cli.output import note, print_json, readable, table
+from sierra.cli.output import note, print_json, readable
 from sierra.cli.progress import Display, watching
 from sierra.errors import Missing, UsageError
 from sierra.util.text import one_line
@@ -152,6 +152,7 @@ def _agree(yes: bool, quiet: bool, display: _LateProgress) -> Callable[[Statemen
 
 
 def _show(done: Reproduction) -> None:
+    from sierra.cli.claims import print_table
     from sierra.packages.reproduction.report import executed
 
     for one in done.batches:
@@ -159,10 +160,6 @@ def _show(done: Reproduction) -> None:
     for line in done.left_out:
         print(readable(line))
     if done.claims:
-        rows = [
-            (one.name, str(one.verdict), readable(one.text), one.n, f"{one.ground} ({executed(done, one.batches)})")
-            for one in done.claims
-        ]
-        table(("claim", "verdict", "numbers", "n", "ground"), rows, right=("n",))
+        print_table(done.claims, [f"{one.ground} ({executed(done, one.batches)})" for one in done.claims])
     print(one_line(done.verdict))
     print(f"report: {done.folder / 'reproduction.md'}")

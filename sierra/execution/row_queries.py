@@ -22,6 +22,12 @@ class RecordedProgram(NamedTuple):
     path: str
     sha256: str
 
+    @property
+    def short_version(self) -> str:
+        """The version in one line; of several distributions, their number."""
+        lines = (self.version or "").splitlines()
+        return f"{len(lines)} distributions" if len(lines) > 1 else "".join(lines)
+
     def program(self) -> Program:
         kind = next((one for one in Kind if one == self.kind), Kind.PROGRAM)
         return Program(self.name, self.path, self.sha256, kind, self.version)

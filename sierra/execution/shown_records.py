@@ -28,6 +28,7 @@ from sierra.store.row_types import (
 )
 from sierra.store.sql_result import SqlValue
 from sierra.util.json_types import Json
+from sierra.util.text import size
 
 if TYPE_CHECKING:
     from sierra.provenance.commits_between import Known
@@ -185,6 +186,28 @@ class ShownImage:
 
     def as_dict(self) -> Record:
         return {**self.row._asdict(), **self.decoded, "packages": self.packages} if self.row else {"image": self.image}
+
+    def facts(self, host_access: Sequence[str]) -> dict[str, str]:
+        """Return facts for people by name; empty ones are not known."""
+        from sierra.containers import images
+
+        row, access = self.row, ", ".join(host_access) or "none"
+        known = {"name": row.name or "" if row else "not recorded", "id": self.image, "host access": access}
+        if row is None:
+            return known
+        if row.variants:
+            ids = (one.partition("=") for one in row.variants)
+            return {**known, "images": ", ".join(f"{processor} {images.short(identity)}" for processor, _, identity in ids)}
+        counts = ", ".join(f"{len(lines)} of {manager}" for manager, lines in self.packages.items())
+        return {
+            **known,
+            "kind": row.kind,
+            "architecture": row.architecture or "",
+            "packages": counts or "none found by a package manager",
+            "created": str(row.created or ""),
+            "size": size(row.size),
+            "recipe": f"{len(row.recipe.splitlines())} lines" if row.recipe else "",
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,35 +133,19 @@ def _image(state: BatchState, place: Place) -> Iterator[Markup]:
     if image is None:
         return
     yield element(place.inner, "Container")
-    row = image.row
     isolations = [
         f"{one.row.version or one.row.engine}, network {one.row.network}" for one in state.shown.isolations if one.row
     ]
-    packages = ", ".join(f"{len(lines)} of {manager}" for manager, lines in image.packages.items())
-    yield facts(
-        {
-            "image": row.name if row else "not recorded",
-            "content": element("code", image.image),
-            "kind": row and row.kind,
-            "processor": row
-            and (few([one.partition("=")[0] for one in row.variants], 4) if row.variants else row.architecture),
-            "packages": packages,
-            "isolation": few(list(dict.fromkeys(isolations)), 4),
-            "access to the host": ", ".join(state.shown.spec.host_access) or "none",
-        }
-    )
+    known: dict[str, Node] = {**image.facts(state.shown.spec.host_access)}
+    known |= {"id": element("code", image.image), "isolation": few(list(dict.fromkeys(isolations)), 4)}
+    yield facts(known)
 
 
 def _programs(state: BatchState) -> Iterator[Markup]:
     programs = state.shown.programs
     if not programs:
         return
-    rows = [(one.name, one.kind, _version(one.version), short(one.sha256 or "")) for one in programs[:SHOWN]]
+    rows = [(one.name, one.kind, one.short_version[:120], short(one.sha256 or "")) for one in programs[:SHOWN]]
     more = note(f"The first {SHOWN} of {len(programs):,} are listed.") if len(programs) > SHOWN else None
     inner = table(("name", "kind", "version", "SHA-256"), rows, "Programs and libraries outside of the source and the image")
     yield details("Programs and libraries", inner, more)
-
-
-def _version(version: str | None) -> str:
-    lines = (version or "").splitlines()
-    return f"{len(lines)} distributions" if len(lines) > 1 else "".join(lines)[:120]
