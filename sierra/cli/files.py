@@ -19,7 +19,7 @@ from sierra.util.text import counted, verb
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.store.export_recorded_files import Listing, Outcome
-    from sierra.store.recorded_files import ChosenExecution, Recorded
+    from sierra.store.recorded_files import ChosenExecution
 
 SPOOLED = 64 << 20
 SHOWN_FAILURES = 20
@@ -57,7 +57,7 @@ def files(
     FOLDER/EXPERIMENT/NUMBER/: the run's input/, output/, stdout and stderr; existing files are not overwritten. The files of a
     run are those of its effective execution; if there is none, those of its last execution.
 
-    Files that became tables are written as CSV from the recorded rows: the values are the same, the bytes may differ.
+    The bytes of a file that became a table may have been dropped (raw = false, sierra gc --raw); sierra sql has its rows.
 
     \b
     Examples:
@@ -107,17 +107,11 @@ def _print_one(opened: Project, listed: Listing) -> None:
         if file.taken.which == "last" and file.kind != "input":
             note(f"{readable(file.path)} is from {_execution(file.taken)}")
         if not identical:
-            note(f"{readable(file.path)}: {_other(file)}")
+            note(f"{readable(file.path)}: {file.remark}")
         spooled.seek(0)
         sys.stdout.flush()
         shutil.copyfileobj(spooled, sys.stdout.buffer)
         sys.stdout.buffer.flush()
-
-
-def _other(file: Recorded) -> str:
-    return (
-        "written from the recorded table; the bytes differ from the file that the run wrote" if file.from_rows else file.remark
-    )
 
 
 def _doubt(opened: Project, folder: Path) -> None:
@@ -166,7 +160,7 @@ def _doubtful(runs: Iterable[ChosenExecution]) -> Iterable[str]:
 def _print_outcomes(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
     """Print the files that were written, and the failures. Exit with code 1 if there are failures."""
 
-    failures = [outcome for outcome in outcomes if outcome.failure]
+    failures = [outcome for outcome in outcomes if outcome.failure and not outcome.file.is_dropped]
     if as_json:
         print_json({"folder": str(folder), **_as_json(listed, {id(outcome.file): outcome for outcome in outcomes})})
     else:
@@ -181,16 +175,12 @@ def _print_outcomes(listed: Listing, outcomes: Sequence[Outcome], folder: Path, 
 
 def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None:
     written = [outcome for outcome in outcomes if not outcome.failure]
-    tables = [outcome for outcome in written if outcome.file.kind == "table"]
-    identical = sum(outcome.identical for outcome in tables)
+    dropped = sum(outcome.file.is_dropped for outcome in outcomes)
     cut = sum(outcome.file.kind == "log" and not outcome.identical for outcome in written)
     runs = counted(len({outcome.file.taken for outcome in written}), "run")
     print(f"{counted(len(written), 'file')} of {runs} written to {folder}")
-    if tables:
-        other = len(tables) - identical
-        rest = "" if not other else f"; {other} {verb(other, 'has', 'have')} the same values in different bytes"
-        found = f"{identical} of {counted(len(tables), 'table')} {verb(identical, 'is', 'are')}"
-        print(f"{found} byte-identical to the files that the runs wrote{rest}")
+    if dropped:
+        print(f"{counted(dropped, 'table')} not written: the store has only {verb(dropped, 'its', 'their')} rows (sierra sql)")
     if cut:
         print(f"{counted(cut, 'log')} shortened when recorded: only the beginning and the end are written")
     for line in _doubtful(listed.runs):

@@ -1,7 +1,7 @@
 """Export of recorded files into a folder; existing files are never overwritten.
 
     FOLDER/<experiment>/<number>/input/<name>     input files
-    FOLDER/<experiment>/<number>/output/<path>    output files; a table without the suffix .csv or .tsv gets the suffix .csv
+    FOLDER/<experiment>/<number>/output/<path>    output files
     FOLDER/<experiment>/<number>/stdout, stderr   logs
 
 <experiment> is the first ten digits of the experiment's id. <number> is the number of the run in the experiment. Names come
@@ -36,7 +36,6 @@ from sierra.store.recorded_files import (
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
-AS_THEY_ARE = (".csv", ".tsv")
 NAMED_AT_MOST = 8
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
@@ -59,7 +58,7 @@ class Outcome:
     path: str
     """The path relative to the folder."""
     identical: bool
-    """True if the bytes are exactly the run's: a table may have been rebuilt from its rows, and a log may have been cut."""
+    """True if the bytes are exactly the run's: a log may have been cut."""
     failure: str | None = None
     """The reason why the file was not written."""
 
@@ -110,6 +109,9 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
             failed = doubtful = False
             for one in contents(snapshot, listed.files):
                 path = target_path(one.file)
+                if one.file.is_dropped:
+                    yield Outcome(one.file, path, identical=False, failure=one.file.remark)
+                    continue
                 failure = None
                 try:
                     with _Whole(root, path) as target:
@@ -131,10 +133,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
 
 def target_path(file: Recorded) -> str:
     """Return the path of an exported file, relative to the folder."""
-    name = file.path
-    if file.from_rows and not name.lower().endswith(AS_THEY_ARE):
-        name += AS_THEY_ARE[0]
-    return f"{short(file.taken.experiment)}/{file.taken.number}/{name}"
+    return f"{short(file.taken.experiment)}/{file.taken.number}/{file.path}"
 
 
 def _chosen(files: Sequence[Recorded], patterns: Sequence[str]) -> Iterator[Recorded]:

@@ -1,9 +1,7 @@
 """Recorded files of runs: their list, and their bytes, streamed and verified.
 
 The store has input files, logs and outputs byte for byte, as objects. An exception is an output that became a table: its
-bytes may be missing (`[store] raw = false`, `sierra gc --raw`, or a record of an older SIERRA). Then the file is rebuilt from
-its rows as CSV, with the original names of the columns and each value as recorded (a float with the fewest digits that
-reproduce it). The result often equals the run's file byte for byte; its SHA-256 shows if it does.
+bytes may be missing (`[store] raw = false`, `sierra gc --raw`, or a record of an older SIERRA). Its rows are in the store.
 
 Memory use grows with the number of requested files, not with their sizes.
 """
@@ -11,24 +9,16 @@ Memory use grows with the number of requested files, not with their sizes.
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from hashlib import sha256
-from itertools import groupby
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
-from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import Segment
-from sierra.store.sql_names import column_names, identifier, stored_names
-from sierra.store.sql_result import RawRow
 from sierra.store.store import Found, Snapshot
-from sierra.store.table_layout import TableLayout
-from sierra.store.type_inference import BESIDE, is_number, text_beside
-from sierra.store.verified_files import is_sound, verify
+from sierra.store.verified_files import verify
 from sierra.store.views import KEPT_OBJECTS, ORDER
 from sierra.util.text import natural
 
@@ -38,8 +28,6 @@ if TYPE_CHECKING:
 
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"
-LINES = 1 << 16
-"""The number of lines of a table that are in memory at a time."""
 BATCH = 4 << 20
 """The bytes of objects that are in memory at a time; an object that is larger is alone."""
 UNREADABLE = (OSError, ValueError)
@@ -81,16 +69,16 @@ class Recorded:
     rows: int | None
 
     @property
-    def from_rows(self) -> bool:
-        """True if the file can only be rebuilt from the rows of its table."""
+    def is_dropped(self) -> bool:
+        """True if the store has the rows of the file, and was told not to keep its bytes."""
         return self.kind == "table" and self.kept is None
 
     @property
     def remark(self) -> str:
         """A short note on anything unusual; otherwise empty."""
         match self.kind:
-            case "table" if self.kept is None:
-                return "written from the table; bytes may differ"
+            case _ if self.is_dropped:
+                return f"not in the store, which has its rows: table {self.output}"
             case _ if self.kept is None:
                 return "not in the store"
             case "log" if self.kept != self.bytes:
@@ -235,24 +223,19 @@ class Content:
         self.identical: bool | None = None
         """True if these are exactly the bytes that the run had; known when `pieces` ends."""
         self.pieces = pieces(self)
-        """The bytes in order. Raises Damaged if they differ from the record; for a table, only at the end."""
+        """The bytes in order. Raises Damaged if they differ from the record."""
 
 
 def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
     """Yield the contents of these files, each once, in the order of the store."""
     those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
-    objects = [file for file in files if not file.from_rows]
-    yield from _objects(snapshot.holding({file.sha256 for file in objects if file.sha256}), those, objects)
-    yield from _tables(snapshot, those, [file for file in files if file.from_rows])
+    yield from _objects(snapshot.holding({file.sha256 for file in files if file.sha256}), those, files)
 
 
 def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     """Return the segments that contain these judgements."""
     snapshot.add_table("asked", execution=judgements)
     return snapshot.recording("SELECT execution FROM asked")
-
-
-# Objects: they are first located by their digests, then read in the order of the file.
 
 
 def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
@@ -304,7 +287,7 @@ class _Groups:
     def pieces(self, content: Content) -> Iterator[bytes]:
         """Yield the bytes of one object. The whole object is verified by its hash before the first byte is yielded."""
         file = content.file
-        if file.sha256 is None:
+        if file.sha256 is None or file.is_dropped:
             raise Damaged(file.remark)
         parts = self._parts.get(file.sha256)
         if parts is None:
@@ -355,97 +338,6 @@ class _Groups:
         self._group, self._column = group, batch.column(0)
 
 
-# Tables: each file of a segment is read once, in its order, and split where the rows of another file begin.
-
-
-Key = tuple[str, str]
-"""A judgement and, if its execution wrote several files of one table, the file."""
-
-
-def _tables(snapshot: Snapshot, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
-    """Yield these files. If several have the same rows (a run in two experiments), read each in a separate pass."""
-    if not files:
-        return
-    executions = {file.taken.judgement for file in files if file.taken.judgement}
-    snapshot.add_table("asked", execution=executions)
-    snapshot.run("SET threads = 1")
-    snapshot.run("SET TimeZone = 'UTC'")
-    snapshot.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
-    while files:
-        mine = {_key(file): file for file in reversed(files)}
-        files = [file for file in files if mine[_key(file)] is not file]
-        yield from _once(snapshot, holding, mine)
-
-
-def _once(snapshot: Snapshot, holding: Sequence[Segment], files: dict[tuple[str, Key], Recorded]) -> Iterator[Content]:
-    outputs = {output for output, _ in files}
-    for segment in holding:
-        for name, path in segment.outputs():
-            if name in outputs:
-                part = _Part(snapshot, path)
-                for key, chunks in groupby(part.chunks(), lambda chunk: chunk[0]):
-                    file = files.pop((name, key), None)
-                    if file is not None:
-                        yield Content(file, partial(_csv, chunks=chunks, names=part.names, is_sound=part.is_sound))
-    for file in files.values():
-        yield Content(file, partial(_csv, chunks=iter(()), names=(), is_sound=lambda: True))
-
-
-def _key(file: Recorded) -> tuple[str, Key]:
-    """Return the table and the key of the rows that make up this file."""
-    name = file.path.removeprefix(OUTPUT_FOLDER) if TableLayout.load(file.form).file is None else ""
-    return file.output or "", (file.taken.judgement or "", name)
-
-
-class _Part:
-    """A file of a segment that has the rows of one table."""
-
-    def __init__(self, snapshot: Snapshot, path: str) -> None:
-        import duckdb
-
-        self._snapshot = snapshot
-        self._path = path
-        described: list[RawRow] = []
-        with contextlib.suppress(duckdb.Error, Damaged):
-            described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path], check=False)}")
-        own = ("run", "execution", "file")
-        self._columns = [(row[0], row[1]) for row in described if row[0] not in own and not row[0].startswith(BESIDE)]
-        self._texts = {row[0].removeprefix(BESIDE) for row in described if row[0].startswith(BESIDE)}
-        """The columns with the texts of their numbers beside them."""
-        self._many = any(row[0] == "file" for row in described)
-        self._sound: bool | None = None
-        self.names = tuple(name for name, _ in self._columns)
-
-    def chunks(self) -> Iterator[tuple[Key, int, bytes]]:
-        """Yield lines in order: their key, their number, and their text, with a line feed before each line.
-
-        Ends early if the rest of the file cannot be read.
-        """
-        import duckdb
-
-        if not self._columns:
-            return
-        written = ((text_beside(name) if name in self._texts else name, kind) for name, kind in self._columns)
-        cells = ", ".join(_cell(f"o.{identifier(name)}", kind) for name, kind in written)
-        one = len(self._columns) == 1
-        line = f"coalesce(nullif(concat_ws(chr(44), {cells}), ''), '\"\"')" if one else f"concat_ws(chr(44), {cells})"
-        statement = (
-            f"SELECT o.execution || '/' || {'o.file' if self._many else repr('')} AS key, {line} AS line "
-            f"FROM {read_parquet([self._path], check=False)} o SEMI JOIN asked USING (execution)"
-        )
-        with contextlib.suppress(duckdb.Error, Damaged, *UNREADABLE):
-            for batch in self._snapshot.connection.sql(statement).to_arrow_reader(LINES):
-                for execution, name, begin, count in runs_of_keys(batch.column(0)):
-                    lines = batch.column(1).slice(begin, count).to_pylist()
-                    yield (execution, name), count, "".join(f"\n{line}" for line in lines).encode()
-
-    def is_sound(self) -> bool:
-        """Check that the file's hash is the one in its segment's MANIFEST."""
-        if self._sound is None:
-            self._sound = is_sound(self._path)
-        return self._sound
-
-
 def runs_of_keys(keys: pa.Array) -> Iterator[tuple[str, str, int, int]]:
     """Yield each run of equal keys `execution/file`: the execution, the file, the place of the first, and their number."""
     import pyarrow.compute as pc
@@ -455,48 +347,3 @@ def runs_of_keys(keys: pa.Array) -> Iterator[tuple[str, str, int, int]]:
         execution, _, file = key.partition("/")
         yield execution, file, begin, end - begin
         begin = end
-
-
-def _csv(
-    content: Content, *, chunks: Iterator[tuple[Key, int, bytes]], names: Sequence[str], is_sound: Callable[[], bool]
-) -> Iterator[bytes]:
-    """Yield a table's rows as the text of a CSV file. Raises Damaged at the end if they are not the recorded rows."""
-    file = content.file
-    form = TableLayout.load(file.form)
-    own = tuple(form.columns)
-    header = own if tuple(names) in (stored_names(own), column_names(own)) or not names else names
-    found, count = sha256(), 0
-
-    def pieces() -> Iterator[bytes]:
-        nonlocal count
-        yield ",".join(_quoted(name) for name in header).encode()
-        for _, lines, text in chunks:
-            count += lines
-            yield text
-        if header and form.ended:
-            yield b"\n"
-
-    for piece in pieces():
-        found.update(piece)
-        yield piece
-    content.identical = found.hexdigest() == file.sha256
-    if count != file.rows:
-        raise Damaged(f"only {count} of its {file.rows} rows can be read in table {file.output!r}")
-    if not content.identical and not is_sound():
-        raise Damaged(f"the segment that contains its rows (table {file.output!r}) differs from the record")
-
-
-def _cell(value: str, kind: str) -> str:
-    """Return the SQL expression for a value as a CSV field."""
-    text = f"{value}::VARCHAR"
-    if re.fullmatch(r"BOOLEAN|DATE|TIME|TIMESTAMP.*", kind) or is_number(kind):
-        return f"coalesce({text}, '')"
-    return (
-        f"CASE WHEN {value} IS NULL THEN '' WHEN {text} = '' OR regexp_matches({text}, '[\",\\r\\n]') "
-        f"THEN '\"' || replace({text}, '\"', '\"\"') || '\"' ELSE {text} END"
-    )
-
-
-def _quoted(name: str) -> str:
-    special = not name or any(c in name for c in '",\r\n')
-    return '"' + name.replace('"', '""') + '"' if special else name

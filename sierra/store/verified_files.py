@@ -95,11 +95,6 @@ def verify(files: Iterable[str]) -> None:
         raise
 
 
-def is_sound(path: str) -> bool:
-    """Check that a file of a segment has the bytes that were recorded, for a caller that reports it."""
-    return are_sound([path])
-
-
 def are_sound(files: Iterable[str]) -> bool:
     """Check that files of segments have the bytes that were recorded, for a caller that can do without those that have not."""
     try:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import random
 import subprocess
@@ -19,7 +17,7 @@ from sierra.store import recorded_files
 from sierra.store.objects import Objects
 from sierra.store.recorded_files import ChosenExecution, Content
 from sierra.store.store import Store
-from tests import projects, stores
+from tests import projects
 from tests.projects import make, quick
 
 SIMULATOR = """\
@@ -45,8 +43,8 @@ if os.environ.get("GREAT"):
         for part in range(20):
             file.write(bytes([part]) * (1 << 20))
 """
-CONFIG = projects.CONFIG + "[store]\nraw = false\n"
-"""Most tests are about tables that are stored only as rows."""
+DROPPED = projects.CONFIG + "[store]\nraw = false\n"
+"""Tables are stored only as rows."""
 HOSTILE = "deep/er/a \n'bé"
 INPUT, STDOUT = "input/input.xml", "stdout"
 
@@ -54,7 +52,7 @@ INPUT, STDOUT = "input/input.xml", "stdout"
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a project with a batch of two experiments of two runs; tests only read it."""
-    folder = make(tmp_path_factory.mktemp("files") / "project", CONFIG, simulator=SIMULATOR)
+    folder = make(tmp_path_factory.mktemp("files") / "project", simulator=SIMULATOR)
     assert quick(folder, "run", "noise=0:1:2", "--no-figures").returncode == 0
     return folder
 
@@ -105,7 +103,7 @@ def test_files_of_a_run_are_listed_with_kind_size_and_hash(project: Path) -> Non
     }
     hostile = files["output/" + HOSTILE]
     assert (hostile["bytes"], hostile["sha256"]) == (256, hashlib.sha256(bytes(range(256))).hexdigest())
-    assert files["output/swarm.csv"]["remark"] == "written from the table; bytes may differ"
+    assert not any(file["remark"] for file in files.values())
     assert {(file["number"], file["which"], file["status"]) for file in files.values()} == {(0, "counts", "ok")}
     said = quick(project, "files", run[:12]).stdout
     assert ", the effective one" in said
@@ -138,43 +136,31 @@ def test_one_file_is_written_to_standard_output_byte_for_byte(project: Path) -> 
     assert f'seed="{run["seed"]}"' in quick(project, "files", run["run"], "input.xml").stdout
 
 
-def test_a_table_is_exported_byte_for_byte_if_its_values_allow_it(project: Path) -> None:
+def test_a_file_that_became_a_table_is_exported_byte_for_byte(project: Path) -> None:
     run = first_run(project)
     ended = quick(project, "files", run["run"], "swarm.csv")
     expected = "tick,run,Cover age\n" + "".join(f"{tick},{tick / 3!r},{run['seed']}\n" for tick in range(50))
     assert (ended.stdout, ended.stderr) == (expected, "")
 
 
-def test_an_exported_table_with_other_bytes_has_the_same_values_and_a_note(project: Path) -> None:
-    run = first_run(project)["run"]
-    ended = quick(project, "files", run, "odd.csv")
-    assert ended.stdout == "a,b\n1.5,x\n2.25,\n"
-    assert (
-        "note: output/odd.csv: written from the recorded table; the bytes differ from the file that the run wrote"
-        in ended.stderr
-    )
-    said = quick(project, "files", run, "said.jsonl").stdout
-    assert said == 'text,n\n"a ""quoted"", one",1\n"",\n'
-    assert next(csv.reader(io.StringIO(said.partition("\n")[2]))) == ['a "quoted", one', "1"]
-
-
 @pytest.mark.integration
-def test_a_table_whose_bytes_are_stored_is_exported_byte_for_byte(tmp_path: Path) -> None:
-    folder = make(tmp_path / "project", simulator=SIMULATOR)
+def test_a_table_whose_bytes_were_dropped_is_listed_and_not_exported(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", DROPPED, simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
-    assert quick(folder, "files", run, "odd.csv").stdout == "a,b\n1.50,x\n2.25,\n"
-    files = {file["path"]: file for file in listed(folder, run)}
-    assert {path for path, file in files.items() if file["kind"] == "table" and not file["remark"]} == {
-        "output/swarm.csv",
-        "output/odd.csv",
-        "output/said.jsonl",
-    }
-    ended = quick(folder, "files", run, "*.jsonl", "--to", str(tmp_path / "out"))
+    remark = "not in the store, which has its rows: table swarm"
+    files = {file["path"]: file["remark"] for file in listed(folder, run)}
+    assert files["output/swarm.csv"] == remark
+    assert {path for path, said in files.items() if not said} == {INPUT, STDOUT, "stderr", "output/empty", "output/" + HOSTILE}
+    refused(quick(folder, "files", run, "swarm.csv"), 1, f"output/swarm.csv: {remark}")
+    ended = quick(folder, "files", run, "--to", str(tmp_path / "out"))
     assert (ended.returncode, ended.stderr) == (0, "")
-    [(name, content)] = written(tmp_path / "out").items()
-    assert name.endswith("/said.jsonl")
-    assert hashlib.sha256(content).hexdigest() == files["output/said.jsonl"]["sha256"]
+    assert "5 files of 1 run" in ended.stdout
+    assert "3 tables not written: the store has only their rows (sierra sql)" in ended.stdout
+    assert len(written(tmp_path / "out")) == 5
+    told = json.loads(quick(folder, "files", run, "swarm.csv", "--to", str(tmp_path / "other"), "--json").stdout)
+    [file] = told["runs"][0]["files"]
+    assert (file["written"], file["failure"], file["identical"]) == (None, remark, None)
 
 
 @pytest.mark.nightly
@@ -205,16 +191,10 @@ def test_a_batch_is_exported_into_folders_by_experiment_and_number(project: Path
     ended = quick(project, "files", batch_of(project), "--to", str(tmp_path / "new" / "out"))
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "32 files of 4 runs" in ended.stdout
-    assert (
-        "4 of 12 tables are byte-identical to the files that the runs wrote; 8 have the same values in different bytes"
-        in ended.stdout
-    )
     found = written(tmp_path / "new" / "out")
     for file in listed(project, batch_of(project)):
-        name = file["path"] + (".csv" if file["path"].endswith(".jsonl") else "")
-        content = found.pop(f"{file['experiment'][:10]}/{file['number']}/{name}")
-        same = file["kind"] != "table" or file["path"] == "output/swarm.csv"
-        assert (hashlib.sha256(content).hexdigest() == file["sha256"]) is same
+        content = found.pop(f"{file['experiment'][:10]}/{file['number']}/{file['path']}")
+        assert hashlib.sha256(content).hexdigest() == file["sha256"]
     assert found == {}
 
 
@@ -225,23 +205,18 @@ def test_all_files_of_one_table_and_of_a_run_in_two_experiments_are_exported(tmp
         "import pathlib\n"
         "for part in range(3):\n"
         "    pathlib.Path(f'part-{part}.csv').write_text(f'file,n\\na,{part}\\n' * 1 + f'b,{part}\\n' * part)\n"
-        "import pyarrow as pa, pyarrow.parquet as pq, datetime\n"
-        "table = {'t': [datetime.datetime(2020, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)], 'l': [[1, 2]], 'f': [0.1]}\n"
-        "pq.write_table(pa.table(table), 'typed.parquet')\n"
     )
-    config = CONFIG.replace("python3", "{python}") + '[outputs.parts]\nfile = "part-*.csv"\n[scenarios.a]\n[scenarios.b]\n'
+    config = projects.CONFIG + '[outputs.parts]\nfile = "part-*.csv"\n[scenarios.a]\n[scenarios.b]\n'
     folder = make(tmp_path / "project", config, simulator=simulator)
     assert quick(folder, "run", "scenario=a,b", "--runs", "1", "--no-figures").returncode == 0
     assert len(rows(folder, "FROM executions")) == 1
     ended = quick(folder, "files", batch_of(folder), "output/*", "--to", str(tmp_path / "out"))
-    assert "8 files of 2 runs" in ended.stdout
-    assert "6 of 8 tables are byte-identical" in ended.stdout
+    assert "6 files of 2 runs" in ended.stdout
     experiments = {path.name for path in (tmp_path / "out").iterdir()}
     assert len(experiments) == 2
     for experiment in experiments:
         output = tmp_path / "out" / experiment / "0" / "output"
         assert [(output / f"part-{part}.csv").read_text().count("\n") for part in range(3)] == [2, 3, 4]
-        assert (output / "typed.parquet.csv").read_text() == 't,l,f\n2020-01-02 03:04:05+00,"[1, 2]",0.1\n'
 
 
 def test_only_files_that_match_the_patterns_are_exported(project: Path, tmp_path: Path) -> None:
@@ -343,35 +318,12 @@ def test_a_damaged_file_is_reported_and_all_others_are_exported(tmp_path: Path) 
     refused(quick(folder, "files", run, STDOUT), 1, "stdout: its content in the store differs from the record")
 
 
-@pytest.mark.integration
-def test_a_table_that_differs_from_the_record_is_not_exported(tmp_path: Path) -> None:
-    folder = make(tmp_path / "project", CONFIG, simulator=SIMULATOR)
-    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
-    for path in stores.files(folder, "output.swarm"):
-        table = pq.read_table(path)
-        changed = [value + (place == 3) for place, value in enumerate(table["run_"].to_pylist())]
-        pq.write_table(table.set_column(table.schema.get_field_index("run_"), "run_", [changed]), path)
-    for path in stores.files(folder, "output.odd"):
-        pq.write_table(pq.read_table(path).slice(1), path)
-    ended = quick(folder, "files", batch_of(folder), "*.csv", "--to", str(tmp_path / "out"))
-    assert ended.returncode == 1
-    assert ended.stderr.count("(table 'swarm') differs from the record") == 1  # the other run's rows are still its own
-    assert ended.stderr.count("1 of its 2 rows can be read in table 'odd'") == 1
-    assert not any(name.endswith("odd.csv") for name in written(tmp_path / "out"))
-    assert len(written(tmp_path / "out")) == 1
-
-
 @pytest.mark.nightly
 @pytest.mark.integration
 def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> None:
-    folder = make(tmp_path / "project", CONFIG)
+    folder = make(tmp_path / "project")
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
-    for path in stores.files(folder, "output.swarm"):
-        path.write_bytes(b"nothing")
-    ended = quick(folder, "files", run, "--to", str(tmp_path / "out"))
-    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
-    assert "0 of its 5 rows can be read in table 'swarm'" in ended.stderr
     for path in folder.glob(".sierra/segments/*/artifacts.parquet"):
         path.write_bytes(b"nothing")
     refused(quick(folder, "files", run), 1, "artifacts.parquet has other bytes than SIERRA wrote", "run sierra fsck")
@@ -399,7 +351,7 @@ def test_files_of_a_failed_run_come_from_its_last_execution(tmp_path: Path) -> N
 @pytest.mark.integration
 def test_large_files_and_truncated_logs_are_exported(tmp_path: Path) -> None:
     simulator = SIMULATOR + "print('x' * 3_000_000)\n"
-    folder = make(tmp_path / "project", CONFIG + '[environment]\nset = { GREAT = "1" }\n', simulator=simulator)
+    folder = make(tmp_path / "project", projects.CONFIG + '[environment]\nset = { GREAT = "1" }\n', simulator=simulator)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     ended = quick(folder, "files", batch_of(folder), "great", STDOUT, "--to", str(tmp_path / "out"))
     assert ended.returncode == 0
