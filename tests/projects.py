@@ -135,3 +135,8 @@ def sql(folder: Path, statement: str) -> list[dict[str, Any]]:
     assert done.returncode == 0, done.stderr
     found: list[dict[str, Any]] = json.loads(done.stdout)
     return found
+
+
+def values(root: Path, statement: str) -> set[object]:
+    """Return the values of the only column of a statement."""
+    return {value for row in sql(root, statement) for value in row.values()}

@@ -5,6 +5,9 @@ needs a cluster, containers or many processes, or more than about 0.7 seconds; `
 
 Of a test with many cases, `make integration` runs the first, and `make nightly` the others: they take most of the time, and
 rarely fail alone. The mark `each_case` keeps all of them in `make integration`, where they test different rules.
+
+The tests of extensions are in their folders. A test for all formats or kinds together is where the others are, and marks the
+cases of an extension with `of_extension`.
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from sierra.config.extensions import is_there
 
 INTEGRATION, NIGHTLY, EACH_CASE = "integration", "nightly", "each_case"
 HERE = Path(__file__).parent
@@ -33,11 +38,24 @@ def add_marks(items: Iterable[pytest.Item]) -> None:
             item.add_marker(NIGHTLY)
 
 
+def needs_extension(name: str) -> pytest.MarkDecorator:
+    """Return a mark that skips a test where an extension does not exist."""
+    return pytest.mark.skipif(not is_there(name), reason=f"the extension {name!r} does not exist")
+
+
+def of_extension(name: str, *values: Any) -> list[Any]:
+    """Return values of a parameter, skipped where an extension does not exist; a tuple has those of several parameters."""
+    return [_marked(value, needs_extension(name)) for value in values]
+
+
 def _has(item: pytest.Item, name: str) -> bool:
     return any(item.iter_markers(name))
 
 
 def at_night(values: Iterable[Any]) -> list[Any]:
     """Return these values of a parameter, sorted and marked for `make nightly`; a tuple has those of several parameters."""
-    night = pytest.mark.nightly
-    return [pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=night) for value in sorted(values)]
+    return [_marked(value, pytest.mark.nightly) for value in sorted(values)]
+
+
+def _marked(value: Any, mark: pytest.MarkDecorator) -> Any:
+    return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=mark)

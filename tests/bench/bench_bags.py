@@ -13,12 +13,13 @@ from sierra.ingest.model import Form, Shape
 from sierra.ingest.read import read
 from sierra.store.connections import connect
 from sierra.testing.readers import written
-from tests import bags
 
 MESSAGES = 20_000
 
 
 def main() -> None:
+    from tests.extensions.ros import bags
+
     with tempfile.TemporaryDirectory(prefix="sierra-bench-") as folder:
         for kind in bags.KINDS:
             path = bags.record(Path(folder, kind), kind, bags.odometry(2, MESSAGES // 2))

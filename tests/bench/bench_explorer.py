@@ -27,7 +27,6 @@ import duckdb
 from bench_drawing import SIMULATOR
 from idle import project
 
-from sierra.extensions.explorer.answers import ROWS
 from sierra.store.store import Store
 
 SIERRA = str(Path(sys.executable).with_name("sierra"))
@@ -132,6 +131,8 @@ def queries(here: Path) -> None:
 
 
 def fetched(bare: duckdb.DuckDBPyConnection, statement: str) -> None:
+    from sierra.extensions.explorer.answers import ROWS
+
     bare.execute(statement).fetchmany(ROWS + 1)
 
 

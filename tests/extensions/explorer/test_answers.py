@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import random
 import re
 import shutil
 import tomllib
@@ -21,7 +22,7 @@ from sierra.deliverables.figures.drawing import Drawing, explorable, explored, r
 from sierra.deliverables.record import Content, Recorder
 from sierra.deliverables.report.make import Source
 from sierra.deliverables.report.moving_pictures import TooLarge
-from sierra.errors import UsageError
+from sierra.errors import Damaged, UsageError
 from sierra.extensions.explorer import explorer
 from sierra.extensions.explorer.answers import Answers
 from sierra.extensions.explorer.ranges import BadRange, Range
@@ -31,9 +32,10 @@ from sierra.model import Axis
 from sierra.store import derived_tables, read_lock, several_batches
 from sierra.store.derived_tables import Limits
 from tests import projects, stores
+from tests.extensions.explorer.page import Page, served
 from tests.support import many_batches
-from tests.support.explorer_page import Page, served
 from tests.unit.deliverables.test_figures import NAMES, SIZES, drawing, table
+from tests.unit.store.test_verified_files import flip
 
 SWARM = {"table": "swarm", "column": "coverage", "kind": "timeseries"}
 SETTINGS = "SELECT current_setting('memory_limit'), current_setting('max_temp_directory_size')"
@@ -437,3 +439,12 @@ def test_batches_of_several_segments_are_listed_in_parts(tmp_path: Path) -> None
         assert [one["query"] for one in page.ask("batches", first=2999)["batches"]] == ["population_size=0"]
         assert page.ask("batches", words="size=77 missing")["found"] == 11
         assert len(json.dumps(found)) < 50_000
+
+
+def test_kept_snapshots_notice_damage(own: Path) -> None:
+    project = sierra.open(own)
+    answers = Answers(lambda: Source(project._loaded, project.store), project.store)
+    assert answers.query("FROM swarm")["rows"]
+    flip(stores.files(own, "output.swarm")[0], random.Random(7))
+    with pytest.raises(Damaged):
+        answers.query("FROM swarm")

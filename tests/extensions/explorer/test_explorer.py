@@ -16,10 +16,11 @@ import sierra
 from sierra.util.text import visible
 from tests import projects, stores
 from tests.browser import INJECTED, Browser
-from tests.support import filmed, many_batches
+from tests.support import many_batches
 from tests.support.characters import MIXED, SHOWN
 from tests.support.photographs import flaws, unfold, unnamed
 from tests.support.reported import ATTACK, ATTACK_IN_TOML
+from tests.tiers import needs_extension
 from tests.waiting import PATIENCE_S
 
 pytestmark = [pytest.mark.real, pytest.mark.integration]
@@ -134,9 +135,12 @@ def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, tmp_
         assert all(request.startswith(url.partition("#")[0]) for request in browser.requests)
 
 
+@needs_extension("videos")
 @pytest.mark.nightly
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True), (1280, True), (390, False)])
 def test_everything_that_can_be_opened_is_readable(browser: Browser, tmp_path: Path, width: int, dark: bool) -> None:
+    from tests.extensions.videos import filmed
+
     root, _ = filmed.make(tmp_path / "project")
     (root / "sierra.toml").write_text(filmed.CONFIG.replace('"gif", "mp4"', '"gif"').replace("=1", "=2"))
     stores.ask(root, "population_size=1,2", runs=4)
@@ -282,7 +286,10 @@ def test_a_page_without_the_token_shows_nothing_of_the_store(browser: Browser, r
         assert "population_size" not in browser.run("document.body.innerText")
 
 
+@needs_extension("videos")
 def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path) -> None:
+    from tests.extensions.videos import filmed
+
     root, batch = filmed.make(tmp_path / "project")
     sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
     before = (tmp_path / "one.zip").read_bytes()

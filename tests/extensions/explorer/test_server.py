@@ -24,8 +24,8 @@ from sierra.extensions.explorer import explorer
 from sierra.extensions.explorer.answers import ROWS, Answers
 from sierra.extensions.explorer.server import LONGEST, Server
 from tests import projects, stores
+from tests.extensions.explorer.page import Page, served
 from tests.support.characters import LETTERS, MIXED
-from tests.support.explorer_page import Page, served
 from tests.waiting import PATIENCE_S, until
 
 FOR_EVER = "SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b WHERE (a.range + b.range) % 7 = 1"

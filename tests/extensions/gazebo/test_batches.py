@@ -1,4 +1,4 @@
-"""Batches of Gazebo with a stand-in for gzserver, which has its messages and its bad habits: see tests/data/simulators."""
+"""Batches of Gazebo with a stand-in for gzserver, which has its messages and its bad habits: see `gzserver`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests import projects
-from tests.simulators import STAND_IN, values
+from tests.extensions.gazebo.stand_in import STAND_IN
+from tests.projects import values
 from tests.waiting import until
 
 pytestmark = pytest.mark.integration

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import sierra.extensions.gazebo
-from tests.simulators import STAND_IN
+from tests.extensions.gazebo.stand_in import STAND_IN
 from tests.waiting import PATIENCE_S, until
 
 DRIVERS = Path(sierra.extensions.gazebo.__file__).parent / "drivers"

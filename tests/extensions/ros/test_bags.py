@@ -29,8 +29,8 @@ from tests.readings import read_file
 
 pytest.importorskip("rosbags")
 
-from tests import bags
-from tests.bags import KINDS, NS, Recorded, odometry, record
+from tests.extensions.ros import bags
+from tests.extensions.ros.bags import KINDS, NS, Recorded, odometry, record
 
 RECEIVED = "received_ns"
 ROBOTS = ["/{robot}/odom"]
@@ -437,3 +437,18 @@ def test_bag_whose_topic_falls_below_its_least_rate_is_refused(tmp_path: Path, k
     assert fault(tmp_path, content, min_rate=0.9) == slow
     whole = record(tmp_path / "whole", kind, moving)
     assert len(rows(tmp_path, whole, ROBOTS, min_rate=0.9)) == 80
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
+def test_bags_have_missing_values_but_not_in_what_says_where_a_message_was(tmp_path: Path, kind: str) -> None:
+    places = [{"position": [-1.0, 2.0], "header.stamp.sec": 7}, {"header.stamp.sec": 7}]
+    messages = [Recorded("/0/joints", "sensor_msgs/msg/JointState", at, one) for at, one in zip((0, 8), places, strict=True)]
+    messages += [Recorded("/0/n", "std_msgs/msg/Int32", at, {"data": at}) for at in (0, 8)]
+    content = record(tmp_path, kind, messages).read_bytes()
+    keys: dict[str, Any] = {"format": "bag", "na": (-1, 0, "/0/n", "0")}
+    reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/n",), **keys)
+    assert not reading.faults
+    assert [tuple(row.values()) for row in rows] == [("/0/n", "0", 0, None), ("/0/n", "0", 8, 8)]
+    reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/joints",), **keys)
+    assert not reading.faults
+    assert [row["position"] for row in rows] == [[-1.0, 2.0], []]

@@ -13,8 +13,8 @@ from tests.projects import quick, sql
 
 pytest.importorskip("rosbags")
 
-from tests import bags
-from tests.bags import Recorded, odometry
+from tests.extensions.ros import bags
+from tests.extensions.ros.bags import Recorded, odometry
 
 SIMULATOR = """\
 import shutil, sys

@@ -16,7 +16,8 @@ import pytest
 
 import sierra.extensions.ros
 from sierra.extensions.ros.launch import Launch2
-from tests import bags, projects
+from tests import projects
+from tests.extensions.ros import bags
 from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.integration

@@ -14,7 +14,9 @@ from sierra.extensions.simulators.sumo import Sumo
 from sierra.templates import several
 from sierra.testing import platforms
 from tests import projects
+from tests.projects import quick
 from tests.simulator_inputs import SEED, inputs
+from tests.unit.setup.test_init_files import settings
 
 CONFIGURATION = """\
 <configuration>
@@ -144,3 +146,16 @@ def test_the_example_needs_at_most_ten_lines(tmp_path: Path) -> None:
     assert (done.returncode, "next: cd demo && sierra run vehicles_per_hour=" in done.stdout) == (0, True)
     assert len((tmp_path / "demo" / "sierra.toml").read_text().splitlines()) <= 10
     assert "merge.sumocfg" in inputs(tmp_path / "demo", "vehicles_per_hour=50")
+
+
+def test_a_configuration_of_sumo_selects_its_platform(tmp_path: Path) -> None:
+    assert quick(tmp_path, "init", "--example", "sumo", "demo").returncode == 0
+    folder = tmp_path / "demo"
+    (folder / "sierra.toml").unlink()
+    done = quick(folder, "init", "-y", "--no-try")
+    assert done.returncode == 0, done.stderr
+    found = settings(folder)
+    assert found["templates"] == {"sumocfg": "merge.sumocfg", "rou": "merge.rou.xml"}
+    assert (found["files"], found["platform"]) == (["merge.net.xml"], "sumo")
+    assert "command" not in found
+    assert "next: sierra run scale=0.5,1,2 -n" in done.stdout

@@ -16,7 +16,8 @@ from sierra.api import Project
 from sierra.errors import Missing, NotFound
 from sierra.extensions.videos import capture
 from sierra.extensions.videos import videos as make_videos
-from tests import projects, videos
+from tests import projects
+from tests.extensions.videos import video_files
 from tests.waiting import until
 
 SIMULATOR = """\
@@ -293,7 +294,7 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
     assert [path.name for path in paths] == ["seen_experiment0.mp4", "seen_experiment1.mp4"]
     assert [note for note in notes if "NOT what was measured" in note] == []
     assert "rendered apart from the measured runs, with the same results" in str(table(project, "FROM deliverables"))
-    frames = videos.decoded(paths[1])
+    frames = video_files.decoded(paths[1])
     assert len(frames) == 3
     assert frames[2][120, 160].astype(int) == pytest.approx((2, 100, 0), abs=12)
     assert [one.problem for one in project.check_figures()] == [None]

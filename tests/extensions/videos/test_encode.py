@@ -14,7 +14,7 @@ import pytest
 from sierra.errors import Missing, NotInstalled, SierraError
 from sierra.extensions.videos.encode import check, encode
 from sierra.extensions.videos.table import Format
-from tests.videos import decoded
+from tests.extensions.videos.video_files import decoded
 
 Image = npt.NDArray[np.uint8]
 RED, BLUE = (200, 30, 30), (30, 30, 200)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests import projects, stores, videos
+from tests import projects, stores
+from tests.extensions.videos import video_files
 from tests.waiting import until
 
 SIMULATOR = """\
@@ -35,6 +36,6 @@ def test_a_killed_encoder_leaves_no_half_video(tmp_path: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + VIDEO.replace("640, 480", "160, 160"))
     done = projects.quick(root, "video")
     assert done.returncode == 0, done.stderr
-    assert len(videos.decoded(folder / "camera.mp4")) == 400
+    assert len(video_files.decoded(folder / "camera.mp4")) == 400
     assert list(folder.glob(".video-*")) == []
     assert list(extracted.iterdir()) == []

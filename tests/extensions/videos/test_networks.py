@@ -17,7 +17,8 @@ from sierra.extensions.videos.painting.scene import Scene, Words, settings
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import Frame
-from tests import projects, stores, videos
+from tests import projects, stores
+from tests.extensions.videos import video_files
 
 SIMULATOR = """\
 ROWS = (
@@ -127,7 +128,7 @@ def test_networks_are_made_by_the_command_and_side_by_side(root: Path) -> None:
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
     (path,) = map(Path, json.loads(done.stdout)["files"])
-    assert len(videos.decoded(path)) == 3
+    assert len(video_files.decoded(path)) == 3
     assert "net: follows from the store" in projects.quick(root, "figures", "--check").stdout
 
 

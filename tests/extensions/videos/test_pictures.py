@@ -25,7 +25,8 @@ from sierra.extensions.videos.painting.scene import Scene, Words, settings
 from sierra.extensions.videos.pictures import VideoFile, pictures
 from sierra.store.samples import ChosenRun
 from sierra.util.hashing import sha256
-from tests import projects, stores, videos
+from tests import projects, stores
+from tests.extensions.videos import video_files
 
 RUN = ChosenRun(1, 0, "r", "j")
 FRAMES = Output(file="frame-{tick}.png", format="file", time="tick")
@@ -325,10 +326,10 @@ def test_recorded_files_become_videos_and_tiles(tmp_path: Path) -> None:
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
     tiles, cam = map(Path, json.loads(done.stdout)["files"])
-    first, *_, last = videos.decoded(tiles)
+    first, *_, last = video_files.decoded(tiles)
     assert first[150, 100].tolist() == pytest.approx([10, 0, 0], abs=8)
     assert last[150, 300].tolist() == pytest.approx([250, 0, 200], abs=8)
-    assert len(videos.decoded(cam)) == 5
+    assert len(video_files.decoded(cam)) == 5
     assert list((root / ".sierra/extracted").iterdir()) == []
     assert "cam: follows from the store" in projects.quick(root, "figures", "--check").stdout
     assert projects.quick(root, "fsck").returncode == 0

@@ -24,7 +24,8 @@ from sierra.extensions.videos.prepare import Prepared, prepare, small_print
 from sierra.extensions.videos.sql_tracks import completed
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import Frame
-from tests import projects, stores, videos
+from tests import projects, stores
+from tests.extensions.videos import video_files
 
 SIMULATOR = """\
 import sys
@@ -118,11 +119,11 @@ def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path, monkey
     assert done.returncode == 0, done.stderr
     heat, grid = map(Path, json.loads(done.stdout)["files"])
     assert (heat.name, grid.name) == ("heat_experiment0.mp4", "grid_experiment0.mp4")
-    frames = videos.decoded(heat)
+    frames = video_files.decoded(heat)
     assert [frame.shape for frame in frames] == [(242, 322, 3)] * 4
     for tick, frame in enumerate(frames):
-        assert videos.part(frame[110, 150]) == pytest.approx((tick + 0.05) / 4, abs=0.04)
-    assert len(videos.decoded(grid)) == 4
+        assert video_files.part(frame[110, 150]) == pytest.approx((tick + 0.05) / 4, abs=0.04)
+    assert len(video_files.decoded(grid)) == 4
     before = heat.read_bytes(), grid.read_bytes()
     assert projects.quick(root, "video", "-j", "2").returncode == 0
     assert (heat.read_bytes(), grid.read_bytes()) == before, "the same store gives the same bytes"
@@ -217,7 +218,7 @@ def test_the_frame_of_a_mean_has_the_colours_of_the_mean(root: Path) -> None:
     _, scene, shown = images(root, show="mean", experiments="population_size=1", limits=[10, 20])
     for (i, j), tick in (((0, 0), 0), ((1, 2), 3)):
         mean = 15 + tick + 0.1 * i + 0.01 * j
-        assert videos.part(cell(scene, shown[tick], 0, i, j)) == pytest.approx((mean - 10) / 10, abs=0.01)
+        assert video_files.part(cell(scene, shown[tick], 0, i, j)) == pytest.approx((mean - 10) / 10, abs=0.01)
 
 
 @pytest.mark.integration
@@ -225,10 +226,10 @@ def test_the_frame_of_a_difference_has_the_colour_of_a_minus_b(root: Path) -> No
     wide = {"show": "difference", "size": [640, 240]}
     _, scene, shown = images(root, groups=["population_size=2", "population_size=1"], run=0, limits=[0, 40], **wide)
     for panel, value in ((0, 20.11), (1, 10.11)):
-        assert videos.part(cell(scene, shown[0], panel, 1, 1)) == pytest.approx(value / 40, abs=0.01)
-    assert videos.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(1, abs=0.01), "A − B is 10 everywhere"
+        assert video_files.part(cell(scene, shown[0], panel, 1, 1)) == pytest.approx(value / 40, abs=0.01)
+    assert video_files.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(1, abs=0.01), "A − B is 10 everywhere"
     _, scene, shown = images(root, groups=["population_size=1", "population_size=2"], **wide)
-    assert videos.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(0, abs=0.01), "A − B is -5 everywhere"
+    assert video_files.part(cell(scene, shown[0], 2, 1, 1), "coolwarm") == pytest.approx(0, abs=0.01), "A − B is -5 everywhere"
 
 
 @pytest.mark.integration
@@ -393,7 +394,7 @@ def test_robots_are_at_their_places_with_their_headings(root: Path) -> None:
     write(root, f'[videos.paths]\n{keys}experiments = "population_size=1"\nsize = [300, 300]\n')
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
-    frames = [frame.astype(int) for frame in videos.decoded(Path(json.loads(done.stdout)["files"][0]))]
+    frames = [frame.astype(int) for frame in video_files.decoded(Path(json.loads(done.stdout)["files"][0]))]
     moved = [(frame[..., 2] - frame[..., 0] > 60) & (np.indices(frame.shape[:2])[0] > 120) for frame in frames]
     centers = [np.argwhere(one).mean(axis=0) for one in moved]
     steps = np.diff(centers, axis=0)
@@ -443,10 +444,10 @@ def test_cells_keep_their_places() -> None:
         y = box.top + int((i + 0.5) * (box.bottom - box.top) / 2)
         x = box.left + int((j + 0.5) * (box.right - box.left) / 3)
         if np.isnan(value):
-            assert videos.is_grey(image[y, x])
+            assert video_files.is_grey(image[y, x])
         else:
-            assert videos.part(image[y, x]) == pytest.approx(value, abs=0.01)
-    assert videos.is_grey(empty[box.top + 5, box.left + 5])
+            assert video_files.part(image[y, x]) == pytest.approx(value, abs=0.01)
+    assert video_files.is_grey(empty[box.top + 5, box.left + 5])
 
 
 def test_a_matrix_with_more_cells_than_pixels_is_refused_with_a_size_that_fits() -> None:
@@ -480,8 +481,8 @@ def test_an_array_of_numpy_becomes_a_video(tmp_path: Path, ending: str, value: s
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
     (path,) = map(Path, json.loads(done.stdout)["files"])
-    frames = videos.decoded(path)
-    assert [videos.part(frame[100, 130]) for frame in frames] == pytest.approx([1 / 30, 11 / 30, 21 / 30], abs=0.04)
+    frames = video_files.decoded(path)
+    assert [video_files.part(frame[100, 130]) for frame in frames] == pytest.approx([1 / 30, 11 / 30, 21 / 30], abs=0.04)
 
 
 MANY = """\
@@ -512,3 +513,12 @@ def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
         assert status == 0
         peaks.append(used.ru_maxrss / 1024)
     assert peaks[1] < peaks[0] + 200, f"{peaks} MB"
+
+
+def test_a_failed_batch_has_no_video_and_the_first_reason(tmp_path: Path) -> None:
+    film = '[videos.film]\nkind = "pictures"\ntable = "frames"\n'
+    root = projects.make(tmp_path / "p", projects.CONFIG + film, simulator="raise SystemExit(7)\n")
+    batch = sierra.open(root).run("population_size=1,2", runs=2, figures=False).batch
+    done = projects.quick(root, "video", batch)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "all 4 runs failed: exit status 7" in done.stderr

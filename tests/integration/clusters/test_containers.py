@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.extensions.videos import capture
 from tests import containers, projects
 from tests.clusters import Slurm
+from tests.tiers import needs_extension
 
 pytestmark = pytest.mark.real
 CLUSTER = "\n[runners.slurm]\narray_tasks = 2\nattempts = 1\n"
@@ -37,9 +37,6 @@ FROM captures JOIN executions e USING (execution) JOIN isolations i USING (isola
 
 
 def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -> None:
-    """Frames of its runs are captured there, too, in the same image."""
-    with (project / "sim.sh").open("a") as simulator:
-        simulator.write(RENDERS)
     there = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert there.returncode == 0, there.stderr
     store = sierra.open(project)
@@ -47,11 +44,20 @@ def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -
     assert store.sql(f"{nodes} WHERE e.status = 'ok' AND i.engine = 'apptainer' AND e.host = a.node").to_pylist() == [{"n": 4}]
     [batch] = store.batches
     assert str(store.replay(batch.batch).verdict) == "identical"
+
+
+@needs_extension("videos")
+def test_frames_of_runs_are_captured_on_nodes_in_the_same_image(project: Path) -> None:
+    from sierra.extensions.videos import capture
+
+    with (project / "sim.sh").open("a") as simulator:
+        simulator.write(RENDERS)
+    projects.run(project, "population_size=1,2", "--on", "slurm")
     with (project / "sierra.toml").open("a") as file:
         file.write('[capture]\narguments = "{output}/frames"\nfiles = "frames/{tick}.pbm"\n')
     assert capture(sierra.open(project), runner="slurm").verdict == "identical"
     frames = {"frames": 3, "verdict": "identical", "engine": "apptainer", "on_node": True, "n": 2}
-    assert store.sql(CAPTURED).to_pylist() == [frames]
+    assert sierra.open(project).sql(CAPTURED).to_pylist() == [frames]
 
 
 @pytest.mark.nightly

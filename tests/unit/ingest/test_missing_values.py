@@ -22,6 +22,7 @@ from sierra.ingest.read import read
 from tests import plugins, samples
 from tests.projects import CONFIG, make, quick
 from tests.readings import read_file, written
+from tests.tiers import of_extension
 
 VALUES = [1.5, -1.0, 2.5, -2.0]
 
@@ -40,13 +41,13 @@ def _arrow(values: list[Any]) -> bytes:
     return stream.getvalue()
 
 
-def _npz(values: list[Any]) -> bytes:
+def npz(values: list[Any]) -> bytes:
     stream = io.BytesIO()
     np.savez(stream, v=np.array(values))
     return stream.getvalue()
 
 
-def _sqlite(folder: Path, values: list[Any]) -> bytes:
+def sqlite(folder: Path, values: list[Any]) -> bytes:
     path = folder / "made.db"
     path.unlink(missing_ok=True)
     database = sqlite3.connect(path)
@@ -61,7 +62,7 @@ def _xml(texts: list[str]) -> bytes:
     return f"<a>{''.join(f'<s v={text!r}/>' for text in texts)}</a>".encode()
 
 
-def _graphml(texts: list[str]) -> bytes:
+def graphml(texts: list[str]) -> bytes:
     nodes = "".join(f'<node id="{n}"><data key="k">{text}</data></node>' for n, text in enumerate(texts))
     key = '<key id="k" for="node" attr.name="v" attr.type="double"/>'
     return f"<graphml>{key}<graph>{nodes}</graph></graphml>".encode()
@@ -74,15 +75,16 @@ def _files(folder: Path) -> dict[str, tuple[bytes, dict[str, Any]]]:
         "t.xml": (_xml(texts), {"format": "xml", "rows": "//s"}),
         "t.jsonl": ("\n".join(f'{{"v": {text}}}' for text in texts).encode(), {}),
         "t.json": (json.dumps({"v": VALUES}).encode(), {"format": "json"}),
-        "t.graphml": (_graphml(texts), {"format": "graphml", "rows": "nodes"}),
+        "t.graphml": (graphml(texts), {"format": "graphml", "rows": "nodes"}),
         "t.parquet": (_parquet(VALUES), {}),
         "t.arrow": (_arrow(VALUES), {"format": "arrow"}),
-        "t.npz": (_npz(VALUES), {"format": "npy"}),
-        "t.db": (_sqlite(folder, VALUES), {"format": "sqlite", "rows": "x"}),
+        "t.npz": (npz(VALUES), {"format": "npy"}),
+        "t.db": (sqlite(folder, VALUES), {"format": "sqlite", "rows": "x"}),
     }
 
 
-NAMES = ["t.csv", "t.xml", "t.jsonl", "t.json", "t.graphml", "t.parquet", "t.arrow", "t.npz", "t.db"]
+OF_FORMATS = of_extension("formats", "t.graphml", "t.arrow", "t.npz", "t.db")
+NAMES = ["t.csv", "t.xml", "t.jsonl", "t.json", "t.parquet", *OF_FORMATS]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -124,51 +126,6 @@ def test_value_is_missing_in_a_column_of_any_type(
     assert [row["v"] for row in rows] == expected
     if expected == [None, None]:
         assert list(reading.columns.values()) == [{"v": "empty"}]
-
-
-def test_hdf5_and_netcdf_have_missing_values(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "made.h5", "w") as file:
-        file["v"] = np.array([1, -1, 3], "i4")
-    _, rows = read_file(tmp_path, "t.h5", (tmp_path / "made.h5").read_bytes(), format="hdf5", rows="/v", na=(-1,))
-    assert [row["v"] for row in rows] == [1, None, 3]
-
-
-def test_netcdf_has_missing_values_and_indices_and_dimensions_are_none(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    scipy = pytest.importorskip("scipy.io")
-    with scipy.netcdf_file(tmp_path / "made.nc", "w") as file:
-        for name in ("t", "x"):
-            file.createDimension(name, 2)
-        file.createVariable("t", "d", ("t",))[:] = [0, 5]
-        file.createVariable("v", "f", ("t", "x"))[:] = [[0, 1.5], [-999.9, 0]]
-    keys: dict[str, Any] = {"format": "netcdf", "rows": "v"}
-    _, rows = read_file(tmp_path, "t.nc", (tmp_path / "made.nc").read_bytes(), na=(0, -999.9), **keys)
-    assert [tuple(row.values()) for row in rows] == [(0, 0, None), (0, 1, 1.5), (5, 0, None), (5, 1, None)]
-    with h5py.File(tmp_path / "made.h5", "w") as file:
-        file["v"] = np.array([0, 1, 3], "i4")
-    _, rows = read_file(tmp_path, "t.h5", (tmp_path / "made.h5").read_bytes(), format="hdf5", rows="/v", na=(0,))
-    assert [tuple(row.values()) for row in rows] == [(0, None), (1, 1), (2, 3)]
-    _, rows = read_file(tmp_path, "t.npz", _npz([0, 1, 3]), format="npy", na=(0,))
-    assert [tuple(row.values()) for row in rows] == [(0, None), (1, 1), (2, 3)]
-
-
-@pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
-def test_bags_have_missing_values_but_not_in_what_says_where_a_message_was(tmp_path: Path, kind: str) -> None:
-    pytest.importorskip("rosbags")
-    from tests.bags import Recorded, record
-
-    values = [{"position": [-1.0, 2.0], "header.stamp.sec": 7}, {"header.stamp.sec": 7}]
-    messages = [Recorded("/0/joints", "sensor_msgs/msg/JointState", at, one) for at, one in zip((0, 8), values, strict=True)]
-    messages += [Recorded("/0/n", "std_msgs/msg/Int32", at, {"data": at}) for at in (0, 8)]
-    content = record(tmp_path, kind, messages).read_bytes()
-    keys: dict[str, Any] = {"format": "bag", "na": (-1, 0, "/0/n", "0")}
-    reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/n",), **keys)
-    assert not reading.faults
-    assert [tuple(row.values()) for row in rows] == [("/0/n", "0", 0, None), ("/0/n", "0", 8, 8)]
-    reading, rows = read_file(tmp_path, f"t.{kind}", content, topics=("/{robot}/joints",), **keys)
-    assert not reading.faults
-    assert [row["position"] for row in rows] == [[-1.0, 2.0], []]
 
 
 READER = """
@@ -219,7 +176,7 @@ INFINITE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", ["csv", "blanks", "xml", "json", "jsonl", "graphml"])
+@pytest.mark.parametrize("form", ["csv", "blanks", "xml", "json", "jsonl", *of_extension("formats", "graphml")])
 def test_infinity_and_nan_are_numbers_however_they_are_written(tmp_path: Path, form: str) -> None:
     texts = ["0.5", *INFINITE]
     made: dict[str, tuple[str, bytes, dict[str, Any]]] = {
@@ -228,27 +185,12 @@ def test_infinity_and_nan_are_numbers_however_they_are_written(tmp_path: Path, f
         "xml": ("t.xml", _xml(texts), {"format": "xml", "rows": "//s"}),
         "json": ("t.json", json.dumps([{"v": 0.5}, *({"v": text} for text in INFINITE)]).encode(), {"format": "json"}),
         "jsonl": ("t.jsonl", b"\n".join([b'{"v": 0.5}', *(json.dumps({"v": text}).encode() for text in INFINITE)]), {}),
-        "graphml": ("t.graphml", _graphml(texts), {"format": "graphml", "rows": "nodes"}),
+        "graphml": ("t.graphml", graphml(texts), {"format": "graphml", "rows": "nodes"}),
     }
     name, content, keys = made[form]
     reading, rows = read_file(tmp_path, name, content, **keys)
     assert not reading.faults
     assert [row["v"] for row in rows] == pytest.approx([0.5, *INFINITE.values()], nan_ok=True)
-
-
-def test_sqlite_has_infinity_and_nan_as_texts_among_numbers(tmp_path: Path) -> None:
-    content = _sqlite(tmp_path, [0.5, "Infinity", "NaN", 2])
-    _, rows = read_file(tmp_path, "t.db", content, format="sqlite", rows="x")
-    assert [row["v"] for row in rows] == pytest.approx([0.5, math.inf, math.nan, 2.0], nan_ok=True)
-
-
-@pytest.mark.parametrize("form", ["graphml", "sqlite"])
-def test_text_for_a_missing_value_does_not_change_the_type_of_its_column(tmp_path: Path, form: str) -> None:
-    if form == "graphml":
-        _, rows = read_file(tmp_path, "t.graphml", _graphml(["NA", "2"]), format="graphml", rows="nodes", na=("NA",))
-    else:
-        _, rows = read_file(tmp_path, "t.db", _sqlite(tmp_path, ["NA", 2.0]), format="sqlite", rows="x", na=("NA",))
-    assert [row["v"] for row in rows] == [None, 2.0]
 
 
 def test_texts_beside_infinity_stay_texts(tmp_path: Path) -> None:

@@ -12,9 +12,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.deliverables.report.make import Source
 from sierra.errors import Damaged
-from sierra.extensions.explorer.answers import Answers
 from sierra.store import segments, verified_files
 from sierra.store.layout import user_verified
 from sierra.store.segments import MANIFEST, OUTPUTS, REPLACES
@@ -246,12 +244,3 @@ def test_damaged_rows_are_not_copied_to_new_segments(root: Path) -> None:
     assert {name: before[name] for name in before if name.startswith("segments/")} == {
         name: content for name, content in stores.state(root).items() if name.startswith("segments/")
     }
-
-
-def test_kept_snapshots_notice_damage(root: Path) -> None:
-    project = sierra.open(root)
-    answers = Answers(lambda: Source(project._loaded, project.store), project.store)
-    assert answers.query("FROM swarm")["rows"]
-    flip(stores.files(root, "output.swarm")[0], random.Random(7))
-    with pytest.raises(Damaged):
-        answers.query("FROM swarm")

@@ -37,6 +37,7 @@ SELECT {robot} AS robot, count(*) AS rows, max({x}) - min({x}) + max({y}) - min(
 FROM {table} GROUP BY {robot} ORDER BY {robot}
 """
 """The way of each robot: half of the circumference of the rectangle in which it was."""
+pytestmark = pytest.mark.integration
 
 
 @pytest.fixture

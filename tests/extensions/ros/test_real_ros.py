@@ -10,6 +10,8 @@ import pytest
 from tests import clusters, projects
 from tests.support import ros_image
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture
 def demo(tmp_path: Path) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 from collections.abc import Callable
 from ctypes.util import find_library
@@ -13,28 +12,15 @@ import pytest
 from matplotlib.image import imread
 
 from tests import projects
-from tests.simulators import Environment, Install, values
+from tests.extensions.simulators.changes import LOCKS
+from tests.projects import values
+from tests.simulators import Started, configure
 
-
-@pytest.fixture
-def started(installed: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], tuple[Path, Environment]]:
-    """Return a function that copies the example of a simulator, whose programs are then in `PATH`."""
-
-    def started(simulator: str) -> tuple[Path, Environment]:
-        environment = installed(simulator)
-        monkeypatch.setenv("PATH", f"{environment.bin}{os.pathsep}{os.environ['PATH']}")
-        done = projects.quick(tmp_path, "init", "--example", simulator, "demo")
-        assert done.returncode == 0, done.stderr
-        return tmp_path / "demo", environment
-
-    return started
-
-
-Started = Callable[[str], tuple[Path, Environment]]
+pytestmark = pytest.mark.nightly
 
 
 def test_the_example_of_sumo_goes_from_a_query_to_figures(started: Started, require: Callable[..., str]) -> None:
-    root, sumo = started("sumo")
+    root, sumo = started(LOCKS / "sumo.txt")
     works = subprocess.run([sumo.bin / "sumo", "--version"], check=False, capture_output=True).returncode == 0
     require("the system's libraries that SUMO needs", there=works)
     done = projects.quick(root, "run", "vehicles_per_hour=50,300", "--runs", "3")
@@ -49,7 +35,7 @@ def test_the_example_of_sumo_goes_from_a_query_to_figures(started: Started, requ
 
 
 def test_init_sets_up_the_stock_files_of_sumo_and_tries_a_run(started: Started, require: Callable[..., str]) -> None:
-    root, sumo = started("sumo")
+    root, sumo = started(LOCKS / "sumo.txt")
     works = subprocess.run([sumo.bin / "sumo", "--version"], check=False, capture_output=True).returncode == 0
     require("the system's libraries that SUMO needs", there=works)
     (root / "sierra.toml").unlink()
@@ -62,7 +48,7 @@ def test_init_sets_up_the_stock_files_of_sumo_and_tries_a_run(started: Started, 
 
 
 def test_dates_in_outputs_of_sumo_are_no_difference(started: Started, require: Callable[..., str]) -> None:
-    root, sumo = started("sumo")
+    root, sumo = started(LOCKS / "sumo.txt")
     works = subprocess.run([sumo.bin / "sumo", "--version"], check=False, capture_output=True).returncode == 0
     require("the system's libraries that SUMO needs", there=works)
     summary, _ = projects.run(root, "scale=0.5,1", "--runs", "1")
@@ -73,17 +59,10 @@ def test_dates_in_outputs_of_sumo_are_no_difference(started: Started, require: C
 
 def mujoco_project(started: Started) -> Path:
     """Return the example of MuJoCo, whose runs use the environment of the test."""
-    root, mujoco = started("mujoco")
+    root, mujoco = started(LOCKS / "mujoco.txt")
     settings = (root / "sierra.toml").read_text()
     (root / "sierra.toml").write_text(f'command = "{mujoco.bin}/python"\n{settings}')
     return root
-
-
-def configure(root: Path, before: str, after: str) -> None:
-    """Replace a text in sierra.toml."""
-    settings = (root / "sierra.toml").read_text()
-    assert before in settings
-    (root / "sierra.toml").write_text(settings.replace(before, after))
 
 
 def test_the_example_of_mujoco_goes_from_a_query_to_figures(started: Started) -> None:
@@ -153,7 +132,7 @@ def test_a_misspelt_body_fails_with_the_names_that_there_are(started: Started) -
 @pytest.fixture
 def flight(started: Started) -> Path:
     """Return the example of JSBSim, whose runs use the environment of the test."""
-    root, jsbsim = started("jsbsim")
+    root, jsbsim = started(LOCKS / "jsbsim.txt")
     settings = (root / "sierra.toml").read_text()
     (root / "sierra.toml").write_text(f'command = "{jsbsim.bin}/python"\n{settings}')
     return root
@@ -183,57 +162,3 @@ def test_mistakes_in_flights_fail_in_one_line(flight: Path, file: str, before: s
     (flight / file).write_text((flight / file).read_text().replace(before, after))
     done = projects.quick(flight, "run", "severity=1", "--runs", "1", "--no-figures")
     assert (done.returncode, message in done.stdout + done.stderr) == (1, True), done
-
-
-def test_the_example_of_mesa_goes_from_a_query_to_figures(started: Started) -> None:
-    root, mesa = started("mesa")
-    configure(root, "{python}", f"{mesa.bin}/python")
-    done = projects.quick(root, "run", "people=50,200", "--runs", "2")
-    assert done.returncode == 0, done.stderr
-    assert len(list((root / "figures").glob("*/*.png"))) == 1
-    informed = "SELECT avg(informed) AS i FROM rumour WHERE step = 50 GROUP BY people ORDER BY people"
-    few, many = (float(str(row["i"])) for row in projects.sql(root, informed))
-    assert 0 < few < many
-    assert len(values(root, "SELECT sum(informed) AS s FROM rumour GROUP BY run")) == 4
-    batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
-    replayed = projects.quick(root, "replay", batch[:10])
-    assert (replayed.returncode, "identical (4 runs: 4 identical)" in replayed.stdout) == (0, True), replayed.stderr
-
-
-def test_the_example_of_ngspice_goes_from_a_query_to_figures(require: Callable[..., str], tmp_path: Path) -> None:
-    require("ngspice")
-    assert projects.quick(tmp_path, "init", "--example", "ngspice", "demo").returncode == 0
-    root = tmp_path / "demo"
-    done = projects.quick(root, "run", "tolerance=0.05,0.2", "--runs", "4")
-    assert done.returncode == 0, done.stderr
-    assert len(list((root / "figures").glob("*/*.png"))) == 1
-    spread = "SELECT stddev(gain) AS s FROM gain WHERE frequency BETWEEN 1000 AND 1001 GROUP BY tolerance ORDER BY tolerance"
-    narrow, wide = (float(str(row["s"])) for row in projects.sql(root, spread))
-    assert 0 < narrow < wide
-    batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
-    replayed = projects.quick(root, "replay", batch[:10])
-    assert (replayed.returncode, "identical (8 runs: 8 identical)" in replayed.stdout) == (0, True), replayed.stderr
-
-
-def test_the_example_of_ns3_is_compiled_and_goes_from_a_query_to_figures(require: Callable[..., str], tmp_path: Path) -> None:
-    require("ns3++")
-    assert projects.quick(tmp_path, "init", "--example", "ns3", "demo").returncode == 0
-    root = tmp_path / "demo"
-    done = projects.quick(root, "run", "nodes=4,16", "--runs", "2")
-    assert done.returncode == 0, done.stderr
-    assert len(list((root / "figures").glob("*/*.png"))) == 2
-    arrived = "SELECT avg(received / sent) AS share FROM throughput GROUP BY nodes ORDER BY nodes"
-    few, many = (float(str(row["share"])) for row in projects.sql(root, arrived))
-    assert many < 0.8 < few <= 1.01
-    assert len(values(root, "SELECT sum(received) AS s FROM throughput WHERE nodes = 16 GROUP BY run")) == 2
-    assert any("ns3" in str(name) for name in values(root, "SELECT name FROM programs"))
-    batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
-    replayed = projects.quick(root, "replay", batch[:10], "--runs", "1")
-    assert (replayed.returncode, "2 identical; built from source" in replayed.stdout) == (0, True), replayed.stdout
-    again = root / "adhoc.cc"
-    again.write_text(again.read_text().replace("OfdmRate6Mbps", "OfdmRate54Mbps"))
-    summary, _ = projects.run(root, "nodes=16", "--runs", "2")
-    assert (summary["executed"], values(root, "SELECT count(*) AS n FROM builds WHERE exit_code = 0")) == (2, {3})
-    runs_of_batch = f"SELECT run FROM batch_runs WHERE batch = '{summary['batch']}'"
-    faster = f"SELECT avg(received / sent) AS share FROM throughput WHERE run IN ({runs_of_batch})"
-    assert float(str(projects.sql(root, faster)[0]["share"])) > 0.9

@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 
 from tests import projects
-from tests.simulators import Install, project, values
+from tests.extensions.simulators.changes import LOCKS, project
+from tests.projects import values
+from tests.simulators import Install
 
+pytestmark = pytest.mark.nightly
 NODES = """\
 <nodes>
   <node id="e" x="80" y="0"/><node id="n" x="0" y="80"/><node id="w" x="-80" y="0"/><node id="s" x="0" y="-80"/>
@@ -46,7 +49,7 @@ FASTEST = 'SELECT max(s."step_meanSpeed") AS v FROM summary s JOIN effective USI
 @pytest.fixture
 def traffic(tmp_path: Path, installed: Install, require: Callable[..., str]) -> Path:
     """A project of SUMO; its types of vehicles are outside the project, and only the routes name them."""
-    sumo = installed("sumo")
+    sumo = installed(LOCKS / "sumo.txt")
     works = subprocess.run([sumo.bin / "sumo", "--version"], check=False, capture_output=True).returncode == 0
     require("the system's libraries that SUMO needs", there=works)
     command = f"{sumo.bin}/sumo -c {{input}} -n {{project}}/ring.net.xml -r {{project}}/ring.rou.xml"

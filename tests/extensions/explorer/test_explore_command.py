@@ -17,7 +17,7 @@ import pytest
 
 import sierra
 from tests import projects, stores
-from tests.support.explorer_page import Page
+from tests.extensions.explorer.page import Page
 from tests.terminals import Terminal
 from tests.waiting import PATIENCE_S, until
 
@@ -25,6 +25,7 @@ PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense 
 MODEL = '\n[models.theory]\ncommand = ["sh", "-c", "touch {project}/executed /tmp/executed-TOKEN"]\ncolumn = "coverage"\n'
 LARGE = "SELECT count(*) FROM (SELECT DISTINCT a.range + b.range * 100000 FROM range(100000) a, range(100000) b)"
 SLOW = projects.SIMULATOR + "import pathlib, time\nwhile seed % 2 and not pathlib.Path('GO').exists():\n    time.sleep(0.05)\n"
+pytestmark = pytest.mark.integration
 
 
 @contextmanager

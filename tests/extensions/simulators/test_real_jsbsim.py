@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from tests import projects
-from tests.simulators import Edit, Environment, Install, project, values
+from tests.extensions.simulators.changes import LOCKS, Edit, project
+from tests.projects import values
+from tests.simulators import Environment, Install
 
+pytestmark = pytest.mark.nightly
 FLIGHT = """\
 <runscript name="climb">
   <use aircraft="c172x" initialize="reset01"/>
@@ -43,7 +46,7 @@ with open("heights.csv", "w") as file:
 
 @pytest.fixture
 def jsbsim(installed: Install) -> Environment:
-    return installed("jsbsim")
+    return installed(LOCKS / "jsbsim.txt")
 
 
 @pytest.fixture(params=["first", "all"])
@@ -60,10 +63,10 @@ def test_jsbsim_is_named_once_although_a_version_spells_it_otherwise(tmp_path: P
     root = project(tmp_path / "project", command, FLIGHT, seed="//run/property/@value", size="//event/set/@value")
     (root / "fly.py").write_text(FLY)
     try:
-        assert jsbsim.install("jsbsim-older") == ""
+        assert jsbsim.install(LOCKS / "jsbsim-older.txt") == ""
         projects.run(root, HEIGHTS)
     finally:
-        assert jsbsim.install("jsbsim") == ""
+        assert jsbsim.install(LOCKS / "jsbsim.txt") == ""
     [recorded] = projects.sql(root, "SELECT execution, distributions FROM observations LIMIT 1")
     assert [name for name in recorded["distributions"] if "jsbsim" in name.lower()] == ["jsbsim==1.2.1"]
     shown = json.loads(projects.quick(root, "show", recorded["execution"], "--json").stdout)
@@ -75,7 +78,7 @@ def test_jsbsim_is_named_once_although_a_version_spells_it_otherwise(tmp_path: P
 def test_a_package_that_jsbsim_does_not_use_executes_nothing_again(flight: Path, jsbsim: Environment) -> None:
     """Each experiment has an observed run."""
     projects.run(flight, HEIGHTS)
-    assert jsbsim.install("unused") == ""
+    assert jsbsim.install(LOCKS / "unused.txt") == ""
     try:
         summary, said = projects.run(flight, HEIGHTS)
     finally:

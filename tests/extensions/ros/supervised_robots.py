@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import sierra
-from tests import bags, projects
+from tests import projects
+from tests.extensions.ros import bags
 from tests.support.robot_fleet import Fleet
 
 CONFIG = """\

@@ -16,11 +16,10 @@ import sierra
 from sierra.cli import progress
 from sierra.deliverables.record import Content, Recorder
 from sierra.deliverables.report import moving_pictures
-from sierra.extensions.explorer import explorer
 from sierra.packages.reading import received
 from tests import projects, stores
-from tests.support import filmed
-from tests.support.explorer_page import served
+from tests.extensions.videos import filmed
+from tests.tiers import needs_extension
 
 pytestmark = pytest.mark.integration
 VIDEO = re.compile(rb'<(?:video|img) src="data:(video/\w+|image/gif);base64,([^"]*)"')
@@ -164,12 +163,22 @@ def test_a_package_has_a_report_and_the_videos(project: tuple[Path, str], tmp_pa
     assert projects.quick(tmp_path, "open", "one.zip", "video", "--to", "here").returncode == 0
     assert len([*(tmp_path / "here").rglob("heat*")]) == 2
     assert projects.quick(tmp_path, "open", "one.zip", "video", "other").returncode == 2
+
+
+@pytest.mark.nightly
+@needs_extension("explorer")
+def test_the_explorer_of_a_package_plays_its_videos(project: tuple[Path, str], tmp_path: Path) -> None:
+    from sierra.extensions.explorer import explorer
+    from tests.extensions.explorer.page import served
+
+    root, batch = project
+    film = next(root.glob("figures/*/heat*.mp4")).read_bytes()
+    assert projects.quick(root, "package", batch, "-o", "../one.zip", "--yes").returncode == 0
     package = received.open_package(tmp_path / "one.zip")
-    film_bytes = next((tmp_path / "here").rglob("heat*.mp4")).read_bytes()
     with served(explorer(sierra.open(package.project.root), package=package)) as page_:
         [video] = page_.ask("batch", batch=batch)["videos"]
         status, body, headers = page_.send("GET", video["address"], X_Sierra_Token="", Range="bytes=4-99")
-        assert (status, body, headers["Content-Type"]) == (206, film_bytes[4:100], "video/mp4")
+        assert (status, body, headers["Content-Type"]) == (206, film[4:100], "video/mp4")
         (tmp_path / "one.zip").unlink()
         assert page_.send("GET", video["address"])[0] == 404
 

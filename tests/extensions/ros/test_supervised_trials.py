@@ -10,8 +10,7 @@ import pytest
 
 import sierra
 from tests import projects
-from tests.support.robot_fleet import Fleet
-from tests.support.supervised_robots import (
+from tests.extensions.ros.supervised_robots import (
     MESSAGES,
     TICKS,
     copy_without_store,
@@ -21,6 +20,7 @@ from tests.support.supervised_robots import (
     rows,
     wait,
 )
+from tests.support.robot_fleet import Fleet
 from tests.terminals import Terminal
 from tests.waiting import until
 

@@ -9,11 +9,12 @@ import pytest
 
 from tests import projects, robots, stores
 from tests.browser import INJECTED, Browser
-from tests.support import filmed, reported
+from tests.extensions.videos import filmed
+from tests.support import reported
 from tests.support.photographs import flaws, unfold, unnamed
 from tests.waiting import until
 
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.real, pytest.mark.integration]
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from tests import projects
-from tests.simulators import Edit, Environment, Install, project, values
+from tests.extensions.simulators.changes import LOCKS, Edit, project
+from tests.projects import values
+from tests.simulators import Environment, Install
 
+pytestmark = pytest.mark.nightly
 SWARM = """\
 <mujoco>
   <custom><numeric name="seed" data="0"/></custom>
@@ -45,9 +48,9 @@ SIZES = "size=2,3"
 @pytest.fixture
 def mujoco(installed: Install) -> Iterator[Environment]:
     """Yield an environment with a version of MuJoCo; the version is the same again when the test ends."""
-    environment = installed("mujoco")
+    environment = installed(LOCKS / "mujoco.txt")
     yield environment
-    assert environment.install("mujoco") == ""
+    assert environment.install(LOCKS / "mujoco.txt") == ""
 
 
 @pytest.fixture
@@ -62,14 +65,14 @@ def test_another_version_of_mujoco_is_named_and_executes_all_runs_again(swarm: P
     batch = projects.run(swarm, SIZES)[0]["batch"]
     versions = "SELECT DISTINCT version FROM swarm JOIN effective USING (execution)"
     assert values(swarm, versions) == {"3.17.0"}
-    assert mujoco.install("mujoco-older") == ""
+    assert mujoco.install(LOCKS / "mujoco-older.txt") == ""
     replayed = projects.quick(swarm, "replay", batch[:10])
     said = replayed.stdout + replayed.stderr
     assert (replayed.returncode, "mujoco 3.17.0 recorded, 3.12.0 found" in said, "chance" in said) == (1, True, False)
     summary, said = projects.run(swarm, SIZES)
     assert (summary["executed"], "mujoco 3.17.0 recorded, 3.12.0 found" in said) == (4, True)
     assert values(swarm, versions) == {"3.12.0"}
-    assert mujoco.install("mujoco") == ""
+    assert mujoco.install(LOCKS / "mujoco.txt") == ""
     summary, _ = projects.run(swarm, SIZES)
     assert (summary["executed"], summary["reused"]) == (0, 4)
     assert values(swarm, versions) == {"3.17.0"}

@@ -12,16 +12,16 @@ from pathlib import Path
 import pytest
 
 from tests import clusters, projects
-from tests.simulators import values
+from tests.projects import values
 
-RECIPE = Path(__file__).parents[2] / "containers" / "gazebo"
+RECIPE = Path(__file__).parents[3] / "containers" / "gazebo"
 IMAGE = 'container.image = "containers/gazebo"\n'
 CROWD = """\
     <population name="crowd">
       <pose>0 0 0.1 0 0 0</pose><model_count>8</model_count>
       <distribution><type>random</type></distribution><box><size>4 4 0.01</size></box>
 """
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.real, pytest.mark.nightly]
 
 
 @pytest.fixture(scope="module")
