@@ -44,6 +44,11 @@ def blocks(page: Path) -> Iterator[Block]:
         yield Block(found["kind"], found["title"] or "", found["text"], line, notes)
 
 
+def extension_of(page: Path) -> str:
+    """Return the extension that a page in `docs/extensions` belongs to."""
+    return {"capture": "videos"}.get(page.stem, page.stem)
+
+
 def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 

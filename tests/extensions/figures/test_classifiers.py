@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 import pytest
 import scipy.stats
 
+from sierra.deliverables.figures.base import made_by
 from sierra.deliverables.figures.drawing import noted
 from sierra.errors import SierraError
 from sierra.extensions.figures import classifiers_drawing
+from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
 
 
@@ -84,3 +88,18 @@ def test_a_wrong_positive_value_is_said() -> None:
     drawing = Trial("roc", {"column": ("truth", "score"), "positive": "c"}, score, ()).drawing()
     with pytest.raises(SierraError, match="the key `positive` says which value is positive"):
         noted(drawing)
+
+
+def test_the_accuracies_of_confusion_matrices_have_the_order_of_the_panels() -> None:
+    def better(experiment: int, run: int, row: int) -> Row:
+        return {"truth": "ab"[row % 2], "guess": "ab"[row % 2] if row <= experiment else "c"}
+
+    drawing = Trial("confusion", {"column": ("truth", "guess")}, better, (Axis("size", (1, 2, 3)),)).drawing()
+    turned = replace(drawing, axes=(Axis("size", (3, 1, 2)),))
+    assert "accuracy 0.125 ± 0.000, 0.250 ± 0.000, 0.375 ± 0.000" in noted(drawing).note
+    assert "accuracy 0.375 ± 0.000, 0.125 ± 0.000, 0.250 ± 0.000" in noted(turned).note
+
+
+@pytest.mark.parametrize("kind", ["ridge", "confusion"])
+def test_the_record_names_seaborn_and_pandas(kind: str) -> None:
+    assert {library.partition("==")[0] for library in made_by(kind)} == {"matplotlib", "seaborn", "pandas"}

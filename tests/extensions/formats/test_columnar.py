@@ -14,6 +14,7 @@ import pytest
 from sierra.config.output_tables import Output
 from sierra.ingest import sqlite_file
 from tests.readings import read_file
+from tests.unit.ingest.test_column_types import ALL, parquet
 
 COLUMNS = {"t": [1, 2, 3], "v": [0.5, None, 1.5], "name": ["a", "b", None], "on": [True, False, None]}
 ROWS = [dict(zip(COLUMNS, values, strict=True)) for values in zip(*COLUMNS.values(), strict=True)]
@@ -230,3 +231,19 @@ def test_graph_that_is_not_understood_is_an_error(tmp_path: Path, old: bytes, ne
 def test_rows_must_be_named(kind: str, rows: str) -> None:
     with pytest.raises(ValueError, match=f'format = "{kind}" needs rows'):
         Output.model_validate({"file": "t.x", "format": kind, "rows": rows})
+
+
+@pytest.mark.nightly
+def test_arrow_files_have_the_same_values_as_parquet_files(tmp_path: Path) -> None:
+    for name, (array, _, _) in ALL.items():
+        (_, one), (_, other) = (
+            read_file(tmp_path, "t.parquet", parquet(array)),
+            read_file(tmp_path, "t.arrow", arrow({"v": array}), format="arrow"),
+        )
+        assert (name, one) == (name, other)
+
+
+def test_intervals_of_months_are_a_fault(tmp_path: Path) -> None:
+    content = arrow({"v": pa.array([pa.MonthDayNano((1, 2, 3))])})
+    reading, _ = read_file(tmp_path, "t.arrow", content, format="arrow")
+    assert "month_day_nano_interval" in reading.faults["e0"]

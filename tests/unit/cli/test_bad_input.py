@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from sierra.cli import main
+from sierra.config.plugin_registry import PLATFORMS
 from tests.projects import CONFIG, TEMPLATE, make, quick, sierra
 
 Ask = Callable[..., tuple[int, str]]
@@ -90,7 +91,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("runs = 2", "per_run = { a = [] }", "per_run.a should not be empty"),
         ("runs = 2", "per_run = { noise = [1] }", "expressions already have another 'noise'"),
         ("runs = 2", "per_run = { seed = [1] }", "expressions already have another 'seed'"),
-        ("runs = 2", 'platform = "argoss"', "unknown platform 'argoss'; known are command, argos"),
+        ("runs = 2", 'platform = "argoss"', f"unknown platform 'argoss'; known are {', '.join(PLATFORMS.names())}"),
         ("runs = 2", 'controller = "fast"', "controller 'fast' changes nothing"),
         ("runs = 2", 'scenario = "open"', "scenario 'open' changes nothing"),
         ('template = "arena.xml"', "", "{input} in '{input}': there is no template; remove it, or set template"),

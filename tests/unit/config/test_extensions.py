@@ -10,6 +10,7 @@ import pytest
 from sierra.config import extensions
 from sierra.config.project_file import parse
 from sierra.errors import ConfigError
+from tests.tiers import needs_extension, of_extension
 
 
 @pytest.fixture
@@ -41,10 +42,17 @@ def test_settings_of_absent_extensions_are_left_out_of_a_package(none: None) -> 
     ("format", "keys", "said"),
     [
         ("hdf5", {"rows": "a", "min_rows": "3"}, 'min_rows should be a whole number, not "3"'),
-        ("bag", {"topics": ("/a",), "required": "no"}, 'required should be true or false, not "no"'),
-        ("npy", {"topics": ("/a",)}, "topics needs format = \"bag\", but the format is 'npy'"),
-        ("csv", {"topics": ("/a",)}, "topics needs format = \"bag\", but the format is 'csv'"),
-        ("bag", {"topics": ("/a",), "min_rat": 2}, "unknown key 'outputs.o.min_rat'; did you mean 'min_rate'?"),
+        *of_extension("ros", ("bag", {"topics": ("/a",), "required": "no"}, 'required should be true or false, not "no"')),
+        pytest.param(
+            "npy",
+            {"topics": ("/a",)},
+            "topics needs format = \"bag\", but the format is 'npy'",
+            marks=[needs_extension("ros"), needs_extension("formats")],
+        ),
+        *of_extension("ros", ("csv", {"topics": ("/a",)}, "topics needs format = \"bag\", but the format is 'csv'")),
+        *of_extension(
+            "ros", ("bag", {"topics": ("/a",), "min_rat": 2}, "unknown key 'outputs.o.min_rat'; did you mean 'min_rate'?")
+        ),
     ],
 )
 def test_outputs_in_formats_of_extensions_are_checked_as_strictly_as_others(

@@ -23,9 +23,6 @@ paper = "Fig. 1"
 query = "population_size=1,2"
 runs = 2
 sql = "SELECT avg(coverage) > 0 AS holds FROM swarm"
-[videos.film]
-kind = "pictures"
-table = "frames"
 """
 WHY = "all 4 runs failed: exit status 7"
 
@@ -52,7 +49,6 @@ def test_figures_and_reports_of_a_failed_batch_have_one_note(failed: tuple[Path,
         ("figures", "{batch}", "summed"),
         ("stats", "swarm", "coverage", "--batch", "{batch}"),
         ("compare", "{batch}", "--by", "population_size", "--column", "coverage"),
-        ("video", "{batch}"),
     ],
 )
 def test_commands_that_need_outputs_are_refused_with_the_first_reason(failed: tuple[Path, str], words: tuple[str, ...]) -> None:

@@ -13,6 +13,7 @@ from sierra.deliverables.figures.captions import caption
 from sierra.deliverables.record import ORIGIN, origin_of
 from sierra.testing.figures import Trial
 from tests import projects
+from tests.tiers import of_extension
 from tests.unit.deliverables.test_figures import NAMES, SIZES, drawing
 
 
@@ -31,7 +32,10 @@ def test_a_caption_says_what_is_shown_n_the_interval_and_the_footnote() -> None:
     ("kind", "columns", "words"),
     [
         ("density", ("energy", "distance"), "Energy, distance, by size. Part of all rows in each cell, n = 6."),
-        ("pareto", ("energy", "distance"), "Final energy, final distance, by size. Mean, 95 % CI (Student's t), n = 6."),
+        *of_extension(
+            "figures",
+            ("pareto", ("energy", "distance"), "Final energy, final distance, by size. Mean, 95 % CI (Student's t), n = 6."),
+        ),
     ],
 )
 def test_captions_of_several_columns_name_them_all(kind: str, columns: tuple[str, ...], words: str) -> None:

@@ -12,6 +12,7 @@ from sierra.deliverables.figures import style
 from sierra.deliverables.figures.drawing import Drawing, noted, painted
 from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
+from tests.tiers import of_extension
 
 SIZE, NOISE = Axis("size", (1, 2, 4)), Axis("noise", ("calm", "windy"))
 COLUMNS = {
@@ -47,7 +48,7 @@ def titles(drawing: Drawing) -> dict[tuple[int, int], str]:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("kind", ["trajectories", "density", "matrix", "confusion", "stacked"])
+@pytest.mark.parametrize("kind", ["trajectories", "density", "matrix", *of_extension("figures", "confusion"), "stacked"])
 def test_facet_is_the_variable_of_the_columns(kind: str) -> None:
     names = dict(enumerate(NOISE.values)), dict(enumerate(SIZE.values))
     by_noise = {(k, j): f"size = {names[1][k]}, noise = {names[0][j]}" for k in range(3) for j in range(2)}
@@ -67,16 +68,6 @@ def test_a_panel_shows_the_data_of_its_title() -> None:
         plot for plot in panels(made("trajectories", facet="noise")) if "4" in plot.get_title() and "calm" in plot.get_title()
     ]
     assert min(float(np.min(line.get_xdata())) for line in only.lines) == 40.0
-
-
-def test_the_accuracies_of_confusion_matrices_have_the_order_of_the_panels() -> None:
-    def better(experiment: int, run: int, row: int) -> Row:
-        return {"truth": "ab"[row % 2], "guess": "ab"[row % 2] if row <= experiment else "c"}
-
-    drawing = Trial("confusion", {"column": ("truth", "guess")}, better, (Axis("size", (1, 2, 3)),)).drawing()
-    turned = replace(drawing, axes=(Axis("size", (3, 1, 2)),))
-    assert "accuracy 0.125 ± 0.000, 0.250 ± 0.000, 0.375 ± 0.000" in noted(drawing).note
-    assert "accuracy 0.375 ± 0.000, 0.125 ± 0.000, 0.250 ± 0.000" in noted(turned).note
 
 
 def test_experiments_that_are_missing_leave_a_place_free() -> None:

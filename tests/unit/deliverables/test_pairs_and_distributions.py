@@ -12,7 +12,6 @@ import scipy.stats
 from sierra.deliverables.figures import pairs
 from sierra.deliverables.figures.drawing import Drawing, noted
 from sierra.errors import UsageError
-from sierra.extensions.figures import pareto_drawing
 from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
 from tests.drawings import plot
@@ -61,19 +60,6 @@ def test_histograms_of_all_experiments_have_the_same_bins_and_count_every_run() 
     assert "7 bins" in noted(drawing).note
 
 
-def test_a_ridge_is_a_density() -> None:
-    runs = [1.0, 2.0, 2.5, 4.0, 7.0, 7.5]
-    (shape,) = plot(final("ridge", *runs)).collections
-    x, y = shape.get_paths()[0].vertices.T
-    upper = y > 0
-    assert area(shape) == pytest.approx(1, abs=0.03)
-    assert y[upper] == pytest.approx(scipy.stats.gaussian_kde(runs)(x[upper]))
-
-
-def test_ridges_of_few_runs_are_said_to_be_without_a_density() -> None:
-    assert "1 without a density: fewer than 5 runs, or all equal" in noted(final("ridge", 1.0, 2.0)).note
-
-
 def test_a_linear_fit_and_its_interval_are_those_of_scipy() -> None:
     x, y = np.array([1.0, 2.0, 3.0, 4.0, 6.0]), np.array([2.1, 3.9, 6.2, 8.1, 11.0])
     fit = pairs.fitted(x, y, "linear")
@@ -113,12 +99,3 @@ def test_runs_that_a_logarithm_cannot_show_are_left_out_and_counted() -> None:
     nothing = replace(drawing, runs=drawing.runs and drawing.runs.slice(0, 1))
     with pytest.raises(UsageError, match="logarithms need values above 0"):
         plot(nothing)
-
-
-@pytest.mark.parametrize(
-    ("better", "front"),
-    [(("high", "high"), [3]), (("low", "high"), [0, 1, 3]), (("high", "low"), [2, 3]), (("low", "low"), [0, 2])],
-)
-def test_the_front_has_the_experiments_that_no_other_one_dominates(better: tuple[str, str], front: list[int]) -> None:
-    x, y = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 3.0, 1.0, 4.0])
-    assert sorted(pareto_drawing._front(x, y, better)) == front

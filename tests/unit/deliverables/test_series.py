@@ -15,6 +15,7 @@ from sierra.deliverables.figures.drawing import noted, painted
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
+from tests.tiers import of_extension
 from tests.unit.deliverables.test_figures import SIZES, drawing, plot_of, said, table
 
 LONG = 30_000
@@ -109,7 +110,7 @@ def test_negative_values_on_a_log_axis_are_one_line(kind: str, recwarn: pytest.W
     assert not recwarn.list
 
 
-@pytest.mark.parametrize("kind", ["timeseries", "summary", "box", "ridge", "pareto"])
+@pytest.mark.parametrize("kind", ["timeseries", "summary", "box", *of_extension("figures", "ridge", "pareto")])
 def test_one_run_and_missing_and_unequal_runs_are_noted(kind: str) -> None:
     keys = {"column": ("energy", "distance")} if kind == "pareto" else {}
 

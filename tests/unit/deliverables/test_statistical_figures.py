@@ -21,8 +21,9 @@ from sierra.errors import NotInstalled
 from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
 from tests.drawings import plot
+from tests.tiers import of_extension
 
-STATISTICAL = {"box", "violin", "strip", "ecdf", "histogram", "ridge", "scatter", "confusion"}
+STATISTICAL = {"box", "violin", "strip", "ecdf", "histogram", "scatter"}
 TWO = (Axis("size", (1, 2, 4)), Axis("scenario", ("low", "high")))
 
 
@@ -114,7 +115,7 @@ def test_violins_on_a_log_axis_have_the_densities_of_the_logarithms() -> None:
     assert shape[:, 0] == pytest.approx(same[:, 0])
 
 
-@pytest.mark.parametrize("kind", ["violin", "ridge"])
+@pytest.mark.parametrize("kind", ["violin", *of_extension("figures", "ridge")])
 @pytest.mark.parametrize("scale", [1e-200, 1e-17, 1e200])
 def test_values_whose_variance_is_no_number_have_no_density(kind: str, scale: float) -> None:
     def row(experiment: int, run: int, row: int) -> Row:

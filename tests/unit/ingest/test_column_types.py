@@ -104,13 +104,6 @@ def parquet(array: pa.Array) -> bytes:
     return file.getvalue()
 
 
-def arrow(array: pa.Array) -> bytes:
-    file, table = io.BytesIO(), pa.table({"v": array})
-    with pa.ipc.new_file(file, table.schema) as writer:
-        writer.write_table(table)
-    return file.getvalue()
-
-
 def together(folder: Path, *arrays: pa.Array) -> tuple[list[str], str, list[Any]]:
     """Record each array as the file of one run; return the kinds of their values, and the type and the texts in SQL."""
     files = []
@@ -139,16 +132,6 @@ def test_each_type_is_recorded_exactly(tmp_path: Path) -> None:
         folder.mkdir()
         _, shown, texts = together(folder, array)
         assert (name, shown, texts) == (name, kind, [text])
-
-
-@pytest.mark.nightly
-def test_arrow_files_have_the_same_values_as_parquet_files(tmp_path: Path) -> None:
-    for name, (array, _, _) in ALL.items():
-        (_, one), (_, other) = (
-            read_file(tmp_path, "t.parquet", parquet(array)),
-            read_file(tmp_path, "t.arrow", arrow(array), format="arrow"),
-        )
-        assert (name, one) == (name, other)
 
 
 def test_durations_of_all_units_are_nanoseconds(tmp_path: Path) -> None:
@@ -194,12 +177,6 @@ def test_types_of_two_runs_give_equal_values_or_differ_in_kind(tmp_path: Path) -
 def test_durations_that_cannot_be_nanoseconds_are_faults(tmp_path: Path, array: pa.Array, fault: str) -> None:
     reading, rows = read_file(tmp_path, "t.parquet", parquet(array))
     assert (list(reading.faults.values()), rows) == ([f"t.parquet: the column 'v' {fault}"], [])
-
-
-def test_intervals_of_months_are_a_fault(tmp_path: Path) -> None:
-    content = arrow(pa.array([pa.MonthDayNano((1, 2, 3))]))
-    reading, _ = read_file(tmp_path, "t.arrow", content, format="arrow")
-    assert "month_day_nano_interval" in reading.faults["e0"]
 
 
 def test_a_column_without_values_has_no_kind(tmp_path: Path) -> None:

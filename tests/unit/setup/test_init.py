@@ -139,17 +139,6 @@ def test_arguments_of_a_launch_file_are_found_by_name(folder: Path) -> None:
     assert """# speed = "//param[@name='speed']/@value\"""" in (folder / "sierra.toml").read_text()
 
 
-def test_an_argos_template_selects_the_platform_argos(tmp_path: Path) -> None:
-    (tmp_path / "a.argos").write_text(
-        '<argos-configuration><framework><experiment length="9" ticks_per_second="10" random_seed="1"/></framework>'
-        '<arena size="4,4,1"><distribute><entity quantity="5"><foot-bot id="f"><controller config="x"/></foot-bot></entity>'
-        "</distribute></arena></argos-configuration>"
-    )
-    ended = quick(tmp_path, "init", "--json")
-    assert json.loads(ended.stdout)["next"] == "sierra run population_size.Log8 -n"
-    assert written(tmp_path) == {"template": "a.argos", "platform": "argos", "runs": 10, "variables": {}}
-
-
 @pytest.mark.parametrize(
     ("value", "criterion"),
     [

@@ -124,16 +124,3 @@ def test_names_of_templates_differ_and_are_no_prefixes_of_xml(tmp_path: Path) ->
     assert quick(tmp_path, "init", "-y", "--no-try", "--template", "a.world").returncode == 0
     assert settings(tmp_path)["templates"] == {"a": "a.world", "xml": "a.xml"}
     assert quick(tmp_path, "run", "montecarlo.C1", "-n").returncode == 0
-
-
-def test_a_configuration_of_sumo_selects_its_platform(tmp_path: Path) -> None:
-    assert quick(tmp_path, "init", "--example", "sumo", "demo").returncode == 0
-    folder = tmp_path / "demo"
-    (folder / "sierra.toml").unlink()
-    done = quick(folder, "init", "-y", "--no-try")
-    assert done.returncode == 0, done.stderr
-    found = settings(folder)
-    assert found["templates"] == {"sumocfg": "merge.sumocfg", "rou": "merge.rou.xml"}
-    assert (found["files"], found["platform"]) == (["merge.net.xml"], "sumo")
-    assert "command" not in found
-    assert "next: sierra run scale=0.5,1,2 -n" in done.stdout

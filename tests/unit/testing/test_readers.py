@@ -13,10 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from sierra.config.output_tables import FILE_FORMAT
+from sierra.config import extensions
 from sierra.config.plugin_registry import READERS
 from sierra.ingest.model import PLAIN, Form
 from sierra.testing import readers as conformance
+from tests.tiers import of_extension
 
 TABLES: list[dict[str, list[Any]]] = [{"t": [1, 2, 3], "v": [0.5, 1.5, -2.25]}, {"t": [4], "v": [12345.5]}]
 
@@ -75,11 +76,14 @@ MADE: dict[str, tuple[Any, Form]] = {
     "jsonl": (lambda table: "".join(f"{row}\n" for row in objects(table)).encode(), PLAIN),
     "json": (lambda table: f"[{','.join(objects(table))}]".encode(), PLAIN),
     "xml": (xml, Form(rows="//s")),
+}
+OF_FORMATS: dict[str, tuple[Any, Form]] = {
     "graphml": (graph, Form(rows="nodes")),
     "npy": (npz, PLAIN),
     "arrow": (arrow, PLAIN),
     "sqlite": (sqlite, Form(rows="s")),
 }
+"""Formats of the extension of this name."""
 EXTRA = {"hdf5", "netcdf", "bag"}
 """Formats that `test_hdf5_and_netcdf` and `test_bags` check."""
 
@@ -91,13 +95,13 @@ def columns(kind: str, table: dict[str, list[Any]]) -> dict[str, list[Any]]:
 
 
 def test_every_shipped_format_is_checked() -> None:
-    assert {*MADE, *EXTRA, FILE_FORMAT} == {*READERS.shipped, FILE_FORMAT}
+    assert {*MADE, *OF_FORMATS, *EXTRA} == {*READERS.shipped, *extensions.every("readers")}
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", [*MADE, *of_extension("formats", *OF_FORMATS)])
 def test_shipped_reader_passes_the_suite(tmp_path: Path, kind: str) -> None:
-    make, form = MADE[kind]
+    make, form = (MADE | OF_FORMATS)[kind]
     tables = {make(table): columns(kind, table) for table in TABLES}
     damaged = [] if kind in ("csv", "jsonl") else [next(iter(tables))[:-9]]
     conformance.check(kind, tables, [*damaged, gzip.compress(b"x")], tmp_path, form=form)
