@@ -44,6 +44,48 @@ def newest(as_json: AsJson = False) -> None:
     print_json(batch) if as_json else print(readable(batch.query))
 '''
 
+COUNTS = '''"""The kind `counts`: a bar for each experiment, as high as its number of runs."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from sierra.config.plugin_registry import NoOptions
+from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
+from sierra.stats.needs import Needs
+
+
+class Counts(DrawnKind[NoOptions]):
+    """The number of runs of each experiment."""
+
+    uses: ClassVar[frozenset[str]] = frozenset({"measure"})
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(("mean",), shows="number of runs")
+
+    def drawn_by(self) -> DrawnBy:
+        from sierra.extensions.figures.counts_drawing import counts
+
+        return DrawnBy(counts)
+'''
+COUNTS_DRAWING = '''"""Figures of numbers of runs."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from sierra.deliverables.figures.drawing import Drawing
+
+
+def counts(drawing: Drawing) -> Figure:
+    """Draw a bar for each experiment."""
+    [table] = drawing.tables.values()
+    figure = Figure()
+    numbers = table.column("n").to_pylist()
+    figure.add_subplot().bar(range(len(numbers)), numbers)
+    return figure
+'''
+
 
 class Edit(NamedTuple):
     """A text of a file, and the text in its place."""
@@ -116,6 +158,27 @@ def test_a_scheduler(tmp_path: Path) -> None:
     assert (summary["executed"], summary["failed"]) == (4, 0)
     ran_by = json.loads(sierra(copy, root, "sql", "SELECT DISTINCT runner FROM sessions", "--json"))
     assert ran_by == [{"runner": "spool"}]
+
+
+def test_a_figure_kind(tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    registered = Edit('            "ridge": ', '            "counts": "counts:Counts",\n            "ridge": ')
+    change(
+        copy,
+        "a figure kind",
+        {
+            "sierra/extensions/figures/counts.py": COUNTS,
+            "sierra/extensions/figures/counts_drawing.py": COUNTS_DRAWING,
+            "sierra/config/extensions.py": registered,
+        },
+    )
+    config = f'{projects.CONFIG}[figures.numbers]\nkind = "counts"\ntable = "swarm"\ncolumn = "coverage"\nmeasure = "final"\n'
+    root = projects.make(tmp_path / "p", config)
+    sierra(copy, root, "run", "population_size=1,2")
+    sierra(copy, root, "figures", "numbers")
+    [drawn] = root.rglob("numbers.pdf")
+    assert "state: follows from the store" in sierra(copy, root, "show", str(drawn))
+    sierra(copy, root, "figures", "--check")
 
 
 def test_a_template_format(tmp_path: Path) -> None:
