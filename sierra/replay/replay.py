@@ -31,8 +31,8 @@ from sierra.ingest.recording_context import Context
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
-from sierra.replay import compare_host_with_image, find_record, on_robots
-from sierra.replay.compare_host_with_record import other_machine, other_programs, used_files
+from sierra.replay import find_record, on_robots
+from sierra.replay.compare_host import other_machine, other_programs, unlike_image, used_files
 from sierra.replay.find_record import Record
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
 from sierra.replay.options import ReplayOptions
@@ -251,7 +251,7 @@ class _Replaying:
             yield f"not executed in a container, but by the robots' own programs: {of.image.name} is not used"
         elif (inside := here(of.image)) is not None:
             contents = plan_from_record.image_contents(self._store, inside.id)
-            yield from compare_host_with_image.unlike(of.spec, contents, root)
+            yield from unlike_image(of.spec, contents, root)
 
     def _execute(self, code: _Code, service: Service) -> _Executed:
         """Execute the runs that no earlier call has executed in the same way."""
