@@ -79,7 +79,7 @@ def files(
         _doubt(opened, to)
         for beside in besides:
             beside.write(opened, [outcome for outcome in outcomes if not outcome.failure], to)
-        _print_outcomes(listed, outcomes, to, as_json=as_json)
+        _print_outcomes(listed, outcomes, to, named=bool(paths), as_json=as_json)
     elif as_json:
         print_json(_as_json(listed))
     elif paths:
@@ -157,10 +157,13 @@ def _doubtful(runs: Iterable[ChosenExecution]) -> Iterable[str]:
         yield f"{counted(count, 'run')} never executed: only the input is recorded"
 
 
-def _print_outcomes(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
-    """Print the files that were written, and the failures. Exit with code 1 if there are failures."""
+def _print_outcomes(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, named: bool, as_json: bool) -> None:
+    """Print the files that were written, and the failures. Exit with code 1 if there are failures.
 
-    failures = [outcome for outcome in outcomes if outcome.failure and not outcome.file.is_dropped]
+    A table of which the store has only the rows is one if its path was `named`.
+    """
+
+    failures = [outcome for outcome in outcomes if outcome.failure and (named or not outcome.file.is_dropped)]
     if as_json:
         print_json({"folder": str(folder), **_as_json(listed, {id(outcome.file): outcome for outcome in outcomes})})
     else:

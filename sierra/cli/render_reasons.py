@@ -71,7 +71,7 @@ def build(state: BuildState, *, dry_run: bool) -> str:
 
 def new_runs(found: NewRuns) -> list[str]:
     """Return the reasons why runs of a plan or of a recorded batch are new, one line each."""
-    return [BASES[found.basis].format(batch=short(found.batch), query=found.query), *(one.line for one in found.differences)]
+    return [BASES[found.basis].format(batch=short(found.batch), query=found.query), *(one.whole for one in found.differences)]
 
 
 def next_run(answer: NextRun) -> list[str]:
@@ -83,14 +83,14 @@ def next_run(answer: NextRun) -> list[str]:
         recorded = f"(sierra run {short(answer.batch)} executes this batch with the recorded code)"
         return [
             f"different runs (batch {short(answer.other_batch)}), because:",
-            *(one.line for one in answer.differences),
+            *(one.whole for one in answer.differences),
             recorded,
             *first,
         ]
     if first:
         return first
     reasons = (f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons)
-    return [*reasons, *(one.line for one in answer.differences)]
+    return [*reasons, *(one.whole for one in answer.differences)]
 
 
 def text(reason: Reason, words: Mapping[ChangeReason, str]) -> str:

@@ -330,7 +330,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
         reasons={text(reason, PREVIEW): count for reason, count in reasons.most_common()},
         notes=plan.notes,
         new_because=tuple(new_runs(why_new(plan, store))) if new else (),
-        other_programs=tuple(one.line for one in other_programs(plan, store)) if other and store else None,
+        other_programs=tuple(one.whole for one in other_programs(plan, store)) if other and store else None,
         build=built,
         proposal=proposal,
     )
@@ -405,7 +405,7 @@ def _again(project: Project, plan: Plan) -> list[str]:
         return []
     from sierra.explain.why_new_runs import why_again
 
-    why = [one.line for one in why_again(plan, store)]
+    why = [one.whole for one in why_again(plan, store)]
     if why:
         note(f"this query was submitted before; since then: {'; '.join(why)}")
     return why

@@ -160,7 +160,8 @@ class Opened:
 
     def size(self, name: str) -> int:
         """Return the number of bytes of a member."""
-        return self._package.size(name)
+        with refusals(self.path):
+            return self._package.size(name)
 
     def _blocks(self, name: str) -> Iterator[bytes]:
         """Yield the content of a member, whatever the manifest says."""
@@ -278,7 +279,10 @@ class _Folder(reproduce.Folder):
         super().__init__(path)
 
     def size(self, name: str) -> int:
-        return (self.path / name).stat().st_size
+        try:
+            return (self.path / name).stat().st_size
+        except OSError as error:
+            raise reproduce.missing(self.path / name, error) from error
 
     def blocks(self, name: str) -> Iterator[bytes]:
         try:

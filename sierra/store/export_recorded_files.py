@@ -111,6 +111,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
                 path = target_path(one.file)
                 if one.file.is_dropped:
                     yield Outcome(one.file, path, identical=False, failure=one.file.remark)
+                    doubtful = True  # it may be another file in a damaged store
                     continue
                 failure = None
                 try:

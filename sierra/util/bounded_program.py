@@ -61,20 +61,25 @@ def execute(
 
     `limits` are resource limits of the kernel, where it can set those of another process. `mark` names an environment variable
     that marks the processes that the program starts: when it ends, they are killed at once. Without a mark, the program has
-    only ended when all processes have closed its pipes. Raises OSError or ValueError if it cannot be started.
+    only ended when all processes have closed its standard output. Raises OSError or ValueError if it cannot be started.
     """
     value = secrets.token_hex(16)
     variables = dict(os.environ if env is None else env)
     with noted() as signals:
-        process = subprocess.Popen(
-            argv,
-            cwd=cwd,
-            env={**variables, mark: value} if mark else variables,
-            stdin=subprocess.DEVNULL,
-            stdout=stdout,
-            stderr=stderr,
-            start_new_session=True,
-        )
+        try:
+            process = subprocess.Popen(
+                argv,
+                cwd=cwd,
+                env={**variables, mark: value} if mark else variables,
+                stdin=subprocess.DEVNULL,
+                stdout=stdout,
+                stderr=stderr,
+                start_new_session=True,
+            )
+        except (OSError, ValueError):
+            if signals:
+                raise KeyboardInterrupt from None
+            raise
     try:
         if signals:
             raise KeyboardInterrupt
@@ -88,14 +93,15 @@ def execute(
 
 
 def _followed(process: subprocess.Popen[bytes], end: float, most: int, *, to_eof: bool) -> Ended:
-    """Read what a program prints until it ends, or until a limit; `to_eof`: also what processes print that it leaves."""
+    """Read what a program prints until it ends, or until a limit; `to_eof`: also the output of processes that it leaves."""
     output, errors = bytearray(), bytearray()
     with selectors.DefaultSelector() as pipes:
         for pipe, printed in ((process.stdout, output), (process.stderr, errors)):
             if pipe is not None:
                 pipes.register(pipe, selectors.EVENT_READ, printed)
         while pipes.get_map() and len(output) <= most and time.monotonic() < end:
-            has_ended = not to_eof and process.poll() is not None  # before looking, because it may print and end meanwhile
+            is_awaited = to_eof and any(key.data is output for key in pipes.get_map().values())
+            has_ended = not is_awaited and process.poll() is not None  # before looking: it may print and end meanwhile
             ready = pipes.select(0 if has_ended else min(LOOK_S, end - time.monotonic()))
             for key, _ in ready:
                 piece = os.read(key.fd, KEPT)
@@ -105,7 +111,7 @@ def _followed(process: subprocess.Popen[bytes], end: float, most: int, *, to_eof
             del errors[:-KEPT]
             if has_ended and not ready:
                 break
-        exceeded = len(output) > most or (to_eof and bool(pipes.get_map()))
+        exceeded = len(output) > most or (to_eof and any(key.data is output for key in pipes.get_map().values()))
     if not exceeded:
         _wait(process, None if end == math.inf else max(0.0, end - time.monotonic()))
     return Ended(None if exceeded else process.returncode, bytes(output), bytes(errors))

@@ -61,6 +61,10 @@ KINDS = tuple(dict.fromkeys(key.partition(".")[0] for key in ORDER))
 ARROW = "→"
 LONGEST = 100
 """Maximum number of characters of a value in a line."""
+BEFORE = 20
+"""Number of characters that are shown before the place where two long values differ."""
+COUNTED = " differ"
+"""The end of a line that only counts the parts that differ."""
 MANY, SHOWN = 50, 6
 """The length up to which a list is shown, and the number of items that are shown of a longer one, such as of packages."""
 
@@ -85,6 +89,11 @@ class Difference:
         return tuple(self.detailed() if callable(self.detailed) else self.detailed)
 
     @property
+    def whole(self) -> str:
+        """The line; if it only counts the parts that differ, with them, for output without details."""
+        return f"{self.line}: {few(self.details, SHOWN)}" if self.line.endswith(COUNTED) else self.line
+
+    @property
     def rank(self) -> int:
         """Return the rank by likelihood to affect results; smaller is more likely."""
         key = f"{self.kind}.{self.name}"
@@ -107,9 +116,20 @@ def changed(kind: str, name: str, was: Compared, now: Compared, *, called: str =
     old, new = _parsed(was), _parsed(now)
     parts = tuple(_parts(old, new))
     digits = digits_apart([old, new])
-    pair = f"{shown(old, digits)} {ARROW} {shown(new, digits)}"
-    line = "; ".join(parts) if len(parts) == 1 else f"{len(parts)} differ" if parts else pair
+    pair = _pair(old, new, digits)
+    line = "; ".join(parts) if len(parts) == 1 else f"{len(parts)}{COUNTED}" if parts else pair
     yield Difference(kind, name, f"{called}: {line}", was, now, parts if len(parts) > 1 else ())
+
+
+def _pair(was: object, now: object, digits: int) -> str:
+    """Return two values that differ; if they would look alike, from shortly before the first character that differs."""
+    old, new = shown(was, digits), shown(now, digits)
+    if old == new:
+        old, new = ("nothing" if value is None else repr(value) for value in (was, now))
+        alike = next((place for place, (one, other) in enumerate(zip(old, new, strict=False)) if one != other), 0)
+        begin = max(0, alike - BEFORE)
+        old, new = (f"{'…' * (begin > 0)}{text[begin : begin + LONGEST]}" for text in (old, new))
+    return f"{old} {ARROW} {new}"
 
 
 def shown(value: object, digits: int = DIGITS) -> str:
@@ -137,7 +157,7 @@ def _parts(was: Compared, now: Compared) -> Iterator[str]:
             for key in dict.fromkeys((*old, *new)):
                 if old.get(key) != new.get(key):
                     digits = digits_apart([old.get(key), new.get(key)])
-                    yield f"{key} {shown(old.get(key), digits)} {ARROW} {shown(new.get(key), digits)}"
+                    yield f"{key} {_pair(old.get(key), new.get(key), digits)}"
         case list(), list() if len(was) + len(now) > 6:
             more, less = ([one for one in a if one not in b] for a, b in ((now, was), (was, now)))
             items = [*(f"+{shown(one)}" for one in more), *(f"−{shown(one)}" for one in less)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 
 from sierra.execution import around
@@ -13,6 +14,8 @@ from sierra.store.store import Snapshot
 from sierra.util.text import few
 
 SHOWN = 8
+QUOTED = frozenset(" \t\r\n\"'\\")
+"""Characters that `shlex` does not read as a part of a word."""
 
 
 def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
@@ -80,7 +83,7 @@ def spec(before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the spec, without source and image, and for batches of the template."""
     old, new = before.spec, after.spec
     yield from changed("platform", "platform", old.platform, new.platform)
-    yield from changed("command", "command", " ".join(old.command), " ".join(new.command))
+    yield from changed("command", "command", _line(old.command), _line(new.command))
     was, now = map(around.described, (old, new))
     for name in sorted(was.keys() | now.keys()):
         yield from changed("command", name, was.get(name), now.get(name))
@@ -89,6 +92,11 @@ def spec(before: Side, after: Side) -> Iterator[Difference]:
     if before.found.kind == "batch":
         yield from changed("template", "template", before.batch.template, after.batch.template)
         yield from _template(before, after)
+
+
+def _line(words: Sequence[str]) -> str:
+    """Return a command as it is written in `sierra.toml`: only words with blanks or quotes are quoted."""
+    return " ".join(word if word and not set(word) & QUOTED else shlex.quote(word) for word in words)
 
 
 def _template(before: Side, after: Side) -> Iterator[Difference]:

@@ -45,3 +45,14 @@ def test_a_plan_is_compared_in_the_same_words_as_the_batch_that_it_becomes(tmp_p
     kinds = ("query", "variables", "seed")
     assert planned[1:] == [one["line"] for one in differences if one["kind"] in kinds and one["name"] != "seed"]
     assert {one["kind"] for one in differences} >= set(kinds)
+
+
+@pytest.mark.integration
+def test_other_arguments_with_the_same_words_are_a_difference_of_the_command(tmp_path: Path) -> None:
+    folder = projects.make(tmp_path / "project", projects.CONFIG.replace("{input}", "{input} 'a b'"))
+    projects.run(folder, "population_size=1")
+    (folder / "sierra.toml").write_text(projects.CONFIG.replace("{input}", "{input} a b"))
+    explained = json.loads(projects.quick(folder, "run", "population_size=1", "-n", "--explain", "--json").stdout)
+    assert explained["new_because"][1:] == [
+        "command: python3 {project}/sim.py {input} 'a b' → python3 {project}/sim.py {input} a b"
+    ]

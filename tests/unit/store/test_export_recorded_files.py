@@ -158,7 +158,9 @@ def test_a_table_whose_bytes_were_dropped_is_listed_and_not_exported(tmp_path: P
     assert "5 files of 1 run" in ended.stdout
     assert "3 tables not written: the store has only their rows (sierra sql)" in ended.stdout
     assert len(written(tmp_path / "out")) == 5
-    told = json.loads(quick(folder, "files", run, "swarm.csv", "--to", str(tmp_path / "other"), "--json").stdout)
+    ended = quick(folder, "files", run, "swarm.csv", "--to", str(tmp_path / "other"), "--json")
+    assert (ended.returncode, remark in ended.stderr) == (1, True)
+    told = json.loads(ended.stdout)
     [file] = told["runs"][0]["files"]
     assert (file["written"], file["failure"], file["identical"]) == (None, remark, None)
 
@@ -316,6 +318,19 @@ def test_a_damaged_file_is_reported_and_all_others_are_exported(tmp_path: Path) 
     assert "15 files of 2 runs" in ended.stdout
     assert len(written(tmp_path / "out")) == 15
     refused(quick(folder, "files", run, STDOUT), 1, "stdout: its content in the store differs from the record")
+
+
+@pytest.mark.integration
+def test_bytes_that_a_damaged_store_lacks_are_not_taken_for_dropped_ones(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", simulator=SIMULATOR)
+    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
+    [digest, *_] = [file["sha256"] for file in listed(folder, first_run(folder)["run"]) if file["path"] == "output/swarm.csv"]
+    for path in folder.glob(".sierra/segments/*/objects.parquet"):
+        table = pq.read_table(path)
+        pq.write_table(table.filter(pa.array([name != digest for name in table["sha256"].to_pylist()])), path)
+    ended = quick(folder, "files", batch_of(folder), "--to", str(tmp_path / "out"))
+    assert ended.returncode == 1
+    assert "objects.parquet has other bytes than SIERRA wrote" in ended.stderr
 
 
 @pytest.mark.nightly

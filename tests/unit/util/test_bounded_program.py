@@ -74,6 +74,20 @@ def test_output_of_processes_that_a_program_leaves_counts_without_a_mark(tmp_pat
     assert shell("sleep 60 & echo early", tmp_path, wall=0.3) == Ended(None, b"early\n", b"")
 
 
+def test_processes_that_keep_only_the_messages_open_are_not_awaited(tmp_path: Path) -> None:
+    assert shell("sleep 60 > /dev/null & echo early; echo why >&2", tmp_path, wall=30.0) == Ended(0, b"early\n", b"why\n")
+
+
+def test_an_interruption_is_not_lost_if_the_program_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        raise FileNotFoundError
+
+    monkeypatch.setattr(bounded_program.subprocess, "Popen", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        shell("true", tmp_path)
+
+
 def test_nothing_of_the_group_is_left(tmp_path: Path) -> None:
     marker = f"1.{time.time_ns()}"
     assert shell(f"sleep 6{marker} > /dev/null 2>&1 & echo 1", tmp_path).output == b"1\n"
