@@ -107,7 +107,7 @@ def test_both_engines_give_the_same_runs_and_bytes_and_leave_nothing(
     assert projects.quick(root, "fsck").returncode == 0
     assert projects.quick(root, "report", batch, "--to", "../report.html").returncode == 0
     page = " ".join(re.sub("<[^>]*>", " ", (root.parent / "report.html").read_text()).split())
-    assert re.search(r"Robots of the executions that count .* rb1 .* rb2 .* rb3 .* Container image .* network none", page)
+    assert re.search(r"Robots of the executions that count .* rb1 .* rb2 .* rb3 .* Container name .* network none", page)
     assert f"apptainer {found[0]['version'].split()[1]}" in page
 
 
