@@ -42,7 +42,6 @@ def program() -> NoReturn:
 def main() -> NoReturn:
     """Execute a command, and raise SystemExit with a code of `sierra.errors`; users never see a traceback."""
     gc.set_threshold(YOUNG, 20, 20)
-    signals.handle()
     open_files.raise_limit()
     with guarded():
         code = _ended()
@@ -57,6 +56,7 @@ def _ended() -> object:
     said = ""
     _damage()
     try:
+        signals.handle()
         from sierra.cli.app import app  # only now, because `main` has set how Python looks for unreachable objects
 
         code = app(standalone_mode=False, prog_name="sierra")
