@@ -1053,9 +1053,9 @@ def end_processes_of(record: Record) -> int:
 
 
 def is_running(pid: int, born: int | None = None) -> bool:
-    """Return whether a process is alive, and no zombie; `born`: it must have been born then."""
+    """Return whether a process, or one of its threads, is alive; `born`: it must have been born then."""
     worker = the_worker()
-    return worker.stat_of(pid)[:1] not in ([], [b"Z"]) and born in (None, worker.birth(pid))
+    return bool(worker.stat_of(pid)) and not worker.is_ending(pid) and born in (None, worker.birth(pid))
 
 
 def kill_all(pid: int) -> None:
@@ -1074,11 +1074,10 @@ def end_children(spared: Collection[int]) -> bool:
         fields = worker.stat_of(pid)
         if pid in spared or not fields:
             continue
-        if fields[0] != b"Z":
+        if fields[0] != b"Z" or not worker.release(pid):
             living += 1
             kill_all(pid)
-        with contextlib.suppress(ChildProcessError):
-            os.waitpid(pid, os.WNOHANG)
+            worker.release(pid)
     return living > 0
 
 

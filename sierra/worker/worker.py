@@ -2381,7 +2381,11 @@ def number_in(pid: int, field: bytes) -> int:
 
 def environment_of(pid: int) -> list[bytes]:
     """Return the environment with which a process was started, as NAME=value; nothing else if it cannot be read."""
-    return read_proc("%d/environ" % pid).split(b"\0")
+    text = read_proc("%d/environ" % pid)
+    if not text and stat_of(pid)[:1] == [b"Z"]:  # its first thread has ended, but perhaps not the others
+        threads = ("%d/task/%s/environ" % (pid, task) for task in entries_of("/proc/%d/task" % pid))
+        text = next(filter(None, map(read_proc, threads)), b"")
+    return text.split(b"\0")
 
 
 def stdin_of(process: subprocess.Popen[bytes]) -> IO[bytes]:
@@ -2582,12 +2586,16 @@ def end_orphans(execution: str | None, group: int | None = None, is_tracer: Call
     """Kill processes that have left their group: orphans of one execution, or (None) all. Return whether no orphan is left.
 
     Orphans are children of this process's main thread. An orphan whose environment does not name an execution belongs to none,
-    and is ended with the worker.
+    and is ended with the worker. One that is ending has no environment: it is awaited, because its children may be the run's.
     """
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
         living = reap()
-        own = [pid for pid in living if (execution is None or belongs_to(pid, execution, group)) and not is_tracer(pid)]
+        own = [
+            pid
+            for pid in living
+            if (execution is None or belongs_to(pid, execution, group) or is_ending(pid)) and not is_tracer(pid)
+        ]
         if not own:
             return not living
         for pid in own:
@@ -2597,16 +2605,29 @@ def end_orphans(execution: str | None, group: int | None = None, is_tracer: Call
 
 
 def reap() -> list[int]:
-    """Return the living orphans. Waits for those that have ended, because no other code does."""
-    living = []
-    for pid in orphans():
-        fields = stat_of(pid)
-        if fields and fields[0] == b"Z":
-            with contextlib.suppress(ChildProcessError):
-                os.waitpid(pid, os.WNOHANG)
-        elif fields:
-            living.append(pid)
-    return living
+    """Return the orphans that have not ended. Waits for those that have, because no other code does.
+
+    A process whose first thread has ended has not ended itself before its other threads: until then, its children are not
+    orphans, so it is one of those that are returned. The list is read again after each end, because it was read before.
+    """
+    while True:
+        living, has_ended = [], False
+        for pid in orphans():
+            fields = stat_of(pid)
+            if fields and fields[0] == b"Z" and release(pid):
+                has_ended = True
+            elif fields:
+                living.append(pid)
+        if not has_ended:
+            return living
+
+
+def release(pid: int) -> bool:
+    """Return whether a child has ended, and let the kernel forget it."""
+    try:
+        return os.waitpid(pid, os.WNOHANG)[0] == pid
+    except ChildProcessError:
+        return False
 
 
 def await_orphans() -> None:
@@ -2636,6 +2657,11 @@ def belongs_to(pid: int, execution: str, group: int | None) -> bool:
     if group_of(pid) in (None, group):
         return True
     return b"SIERRA_EXECUTION=" + execution.encode() in environment_of(pid)
+
+
+def is_ending(pid: int) -> bool:
+    """Return whether all threads of a process are ending, so that it has no environment any more."""
+    return stat_of(pid)[:1] == [b"Z"] and environment_of(pid) == [b""]
 
 
 def has_ended(pid: int) -> bool:

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -649,6 +650,35 @@ def test_zombies_of_a_run_are_reaped(start: Callable[..., Worker]) -> None:
     assert worker.finish() == 0
     assert [event["spare"] for event in worker.events("end")] == [True] * 3
     assert (Path(worker.events("end")[2]["directory"]) / "stdout").read_text() == "0\n"
+
+
+WITHOUT_FIRST_THREAD = """
+import ctypes, os, subprocess, sys, threading, time
+os.setsid()
+child = subprocess.Popen(["sleep", "60"], start_new_session=True)
+threading.Thread(target=time.sleep, args=(60,)).start()
+with open("pids.new", "w") as file:
+    print(os.getpid(), child.pid, file=file)
+os.rename("pids.new", "pids")
+ctypes.CDLL(None).syscall(%d, 0)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc of Linux")
+@pytest.mark.parametrize("ending", ["", "kill -9 $(cut -d' ' -f1 pids)"])
+def test_a_process_whose_first_thread_has_ended_is_ended_with_its_children(
+    execute: Callable[..., dict[str, Any]], ending: str
+) -> None:
+    """Its state is that of a zombie, and nobody can wait for it; its children become orphans when its last thread ends."""
+    number = {"x86_64": 60, "aarch64": 93}.get(os.uname().machine)
+    if number is None:
+        pytest.skip("the number of exit(2) is not known for this processor")
+    program = f"{shlex.quote(sys.executable)} -c {shlex.quote(WITHOUT_FIRST_THREAD % number)}"
+    begin = f"{program} & until [ -e pids ]; do sleep 0.01; done"
+    waits = "until grep -q '^State:.Z' /proc/$(cut -d' ' -f1 pids)/status; do sleep 0.01; done; cat pids"
+    end = execute(shell(f"{begin}; {waits}; {ending or ':'}"))
+    assert end["exit_code"] == 0
+    assert [pid for pid in stdout(end).split() if Path(f"/proc/{pid}").exists()] == []
 
 
 def test_processes_that_cleared_their_environment_end_with_the_worker(
