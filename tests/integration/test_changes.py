@@ -105,7 +105,8 @@ def change(folder: Path, kind: str, changes: Mapping[str, str | Edit]) -> None:
     named = named_for(kind)
     for path, text in changes.items():
         file = folder / path
-        assert path in named or (not file.exists() and f"{Path(path).parent}/" in named), (path, named)
+        is_new = not file.exists() and any(f"{parent}/" in named for parent in Path(path).parents)
+        assert path in named or is_new, (path, named)
         if isinstance(text, Edit):
             before = file.read_text()
             assert before.count(text.old) == 1, path
