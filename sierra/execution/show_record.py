@@ -340,8 +340,7 @@ def _records(snapshot: Snapshot, identity: str) -> Iterator[tuple[str, list[Reco
     for table in columns_with(Of.EXECUTION, Of.JUDGEMENT):
         if table in RECORDED and table not in APART and snapshot.holds(table):
             order = "lamport" if table in STAMPED else "ALL"
-            rows = snapshot.rows(f"FROM {REMARKS.get(table, table)} WHERE execution = $e ORDER BY {order}", e=identity)
-            if rows:
+            if rows := snapshot.rows(f"FROM {REMARKS.get(table, table)} WHERE execution = $e ORDER BY {order}", e=identity):
                 yield table, [{name: row[name] for name in row if row[name] is not None and name not in KEYS} for row in rows]
 
 

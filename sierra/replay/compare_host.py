@@ -1,8 +1,8 @@
 """Differences between this machine and the record of runs, before anything executes: programs, files and facts.
 
-Of runs that were recorded in an image, the image's programs are compared with the same things that are recorded without an
-image (see `sierra.provenance.fingerprint_programs`): programs, the libraries that they load, and the distributions of a Python.
-Everything that the image does not have as the same file at the same path is reported.
+If runs were recorded in an image, its programs are compared with the same things that are recorded without an image (see
+`sierra.provenance.fingerprint_programs`): programs, the libraries that they load, and the distributions of a Python. Everything
+that the image does not have as the same file at the same path is reported.
 """
 
 from __future__ import annotations

@@ -99,9 +99,13 @@ def _followed(process: subprocess.Popen[bytes], end: float, most: int, *, to_eof
         for pipe, printed in ((process.stdout, output), (process.stderr, errors)):
             if pipe is not None:
                 pipes.register(pipe, selectors.EVENT_READ, printed)
+
+        def is_awaited() -> bool:
+            return to_eof and any(key.data is output for key in pipes.get_map().values())
+
         while pipes.get_map() and len(output) <= most and time.monotonic() < end:
-            is_awaited = to_eof and any(key.data is output for key in pipes.get_map().values())
-            has_ended = not is_awaited and process.poll() is not None  # before looking: it may print and end meanwhile
+            # before looking: it may print and end meanwhile
+            has_ended = not is_awaited() and process.poll() is not None
             ready = pipes.select(0 if has_ended else min(LOOK_S, end - time.monotonic()))
             for key, _ in ready:
                 piece = os.read(key.fd, KEPT)
@@ -111,7 +115,7 @@ def _followed(process: subprocess.Popen[bytes], end: float, most: int, *, to_eof
             del errors[:-KEPT]
             if has_ended and not ready:
                 break
-        exceeded = len(output) > most or (to_eof and any(key.data is output for key in pipes.get_map().values()))
+        exceeded = len(output) > most or is_awaited()
     if not exceeded:
         _wait(process, None if end == math.inf else max(0.0, end - time.monotonic()))
     return Ended(None if exceeded else process.returncode, bytes(output), bytes(errors))
