@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -27,6 +26,7 @@ from sierra.cli.arguments import (
 )
 from sierra.cli.output import note, print_json, table
 from sierra.errors import SierraError, UsageError
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, size
 
 if TYPE_CHECKING:

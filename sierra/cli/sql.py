@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +15,7 @@ from sierra.cli.arguments import Long
 from sierra.cli.output import as_json, cells, note, short_id, table, terminal_width
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

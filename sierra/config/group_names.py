@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 from sierra.model import Value
+from sierra.util.lazy_dataclasses import dataclass
 
 _PARAMETER = r"\{[A-Za-z_][A-Za-z0-9_]*\}"
 _WORD = rf"(?:[A-Za-z0-9_]|{_PARAMETER})"

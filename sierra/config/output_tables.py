@@ -5,7 +5,6 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, ClassVar, Literal
 
@@ -27,6 +26,7 @@ from pydantic import (
 from sierra.config import extensions
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
 from sierra.model import Measure
+from sierra.util.lazy_dataclasses import dataclass
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""

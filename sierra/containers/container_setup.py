@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -23,6 +23,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.row_types import IsolationRow
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import RecordValue
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents

@@ -8,7 +8,7 @@ from __future__ import annotations
 import posixpath
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.execution_tables import Container
@@ -21,6 +21,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.model import Client, Limits, Result, RunSpec
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import StorePaths
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.processors import name_of
 
 

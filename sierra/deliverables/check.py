@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import ClassVar
@@ -31,6 +30,7 @@ from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
 from sierra.util.json_types import JsonView
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import read_regular
 
 Between = Callable[[str], Compared]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sierra.config import extensions
 from sierra.config.field_types import Table
 from sierra.config.project_file import KEYS
 from sierra.util.json_types import JsonView
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject, Project

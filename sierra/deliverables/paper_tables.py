@@ -10,7 +10,6 @@ import csv as csv_module
 import io
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.config.project_file import LoadedProject, Project
@@ -19,6 +18,7 @@ from sierra.execution import targets
 from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
 from sierra.util.html_elements import element, joined
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:

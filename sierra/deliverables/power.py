@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison
@@ -15,6 +14,7 @@ from sierra.model import Value
 from sierra.stats.comparison.model import Cell, Sample
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ import contextlib
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from sierra.store.store import Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256_file
 from sierra.util.json_types import JsonView
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.version import __version__
 
 

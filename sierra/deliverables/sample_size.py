@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.project_file import LoadedProject
@@ -14,6 +13,7 @@ from sierra.model import Value
 from sierra.stats import sample_size
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 if TYPE_CHECKING:

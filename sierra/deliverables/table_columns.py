@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.deliverables.paper_tables import Cell, PaperTable, plain
 from sierra.errors import UsageError
 from sierra.model import Value
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import TableForPaper
@@ -19,6 +18,7 @@ from sierra.model import Axis, Value
 from sierra.stats.rounding import rounded
 from sierra.store.samples import Frame
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

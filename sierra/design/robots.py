@@ -13,7 +13,6 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.config.robots_table import BASE, RobotsTable
 from sierra.errors import ConfigError, Damaged, QueryError
@@ -22,6 +21,7 @@ from sierra.model import Value
 from sierra.templates.base import Files
 from sierra.util.hashing import canonical
 from sierra.util.json_types import JsonView
+from sierra.util.lazy_dataclasses import dataclass
 
 FILE = "sierra_robots.json"
 """The name of the input file."""

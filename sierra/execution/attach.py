@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from sierra import runners
 from sierra.execution import session_records
 from sierra.execution.follow import follow
@@ -14,6 +12,7 @@ from sierra.ingest.recording_context import Context
 from sierra.runners.base import Runner
 from sierra.runners.cluster.submission_record import Submission
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from sierra.errors import ConfigError
 from sierra.store.layout import STORE
 from sierra.util.hashing import merkle, sha256_file
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.processors import ARCH
 
 NEVER = frozenset((".git", STORE))

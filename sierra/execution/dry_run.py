@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Container, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 
 from sierra.execution.cluster_status import claimed
 from sierra.execution.plan import Plan
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.execution.reuse import State, foreseen, states
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

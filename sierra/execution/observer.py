@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from sierra.model import Status
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)

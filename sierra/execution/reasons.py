@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
+
+from sierra.util.lazy_dataclasses import dataclass
 
 
 class ChangeReason(StrEnum):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.observation.file_sets import UsedFile
@@ -13,6 +13,7 @@ from sierra.execution.observation.reusable_executions import Reusable
 from sierra.execution.plan import Plan, context
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.store.store import Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 
 MANY = 4
 """Ratio of executions to runs above which the query selects these runs only; that is fast, and takes memory."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from sierra.execution.observer import Observer
 from sierra.execution.supervised.supervisor import Supervisor
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

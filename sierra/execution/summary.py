@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.model import Value
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from sierra.execution.outputs_taken import TakenOutputs

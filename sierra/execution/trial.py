@@ -11,7 +11,7 @@ import json
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from sierra import runners
@@ -36,6 +36,7 @@ from sierra.store.table_layout import Columns, TableLayout
 from sierra.templates.base import Files
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.worker import worker
 
 UNCHANGED = "montecarlo.C1"

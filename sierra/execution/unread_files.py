@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -24,6 +24,7 @@ from sierra.config.plugin_registry import READERS
 from sierra.ingest import text_headers
 from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
+from sierra.util.lazy_dataclasses import dataclass
 
 NUMBER = re.compile("[0-9]+")
 NAMED: Mapping[str, str] = {

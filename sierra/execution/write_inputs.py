@@ -20,7 +20,6 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.containers.engines.base import HERE, PROJECT
@@ -37,6 +36,7 @@ from sierra.store.segments import disk_errors
 from sierra.templates.base import PORTS
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.scratch import scratch
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"

@@ -6,7 +6,6 @@ The module states the rule of the table `effective` in words.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.execution.observation.stale_sessions import OBSERVED
@@ -17,6 +16,7 @@ from sierra.explain.diff.model import Difference
 from sierra.store.recorded_files import Place
 from sierra.store.store import Snapshot
 from sierra.store.views import LATEST
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import few
 
 SHOWN = 4

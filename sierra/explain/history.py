@@ -8,7 +8,6 @@ other rules, other programs, successful.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ from sierra.model import Purpose
 from sierra.store.row_types import SessionRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, few
 
 SHOWN = 4

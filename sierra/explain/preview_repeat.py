@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container
-from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
 from sierra.design.query.query_request import repeated
@@ -17,6 +16,7 @@ from sierra.explain.diff.model import Difference
 from sierra.explain.why_new_runs import other_programs, why_other
 from sierra.store.row_types import BatchRow
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
 from sierra.execution.cluster_status import ClusterSession as OnCluster
@@ -16,6 +15,7 @@ from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.explain.why_new_runs import NewRuns
 from sierra.store.recorded_files import where
 from sierra.store.store import Found, Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 
 BATCHES = 10
 """Maximum number of batches in the answer."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.execution import row_queries
@@ -14,6 +13,7 @@ from sierra.explain.diff.model import Difference
 from sierra.provenance import fingerprint_programs
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.store.store import Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

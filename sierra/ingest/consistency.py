@@ -7,7 +7,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from sierra.store.store import Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
 from sierra.store.views import ORDER
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, verb
 
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
+
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

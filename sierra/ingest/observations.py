@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NotRequired, TypedDict, cast
 
@@ -12,6 +11,7 @@ from sierra.model import Result
 from sierra.store.row_types import ChannelRow, FileReadRow, FileWrittenRow, ListingRow, ObservationRow
 from sierra.util.fs import read_record
 from sierra.util.hashing import digest
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.worker.worker import OBSERVED
 
 WRITTEN = "written"

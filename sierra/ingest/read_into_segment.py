@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import OUTPUT, Writer
 from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
+from sierra.util.lazy_dataclasses import dataclass
 
 
 class TableFile(NamedTuple):

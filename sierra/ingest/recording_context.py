@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
@@ -20,6 +20,7 @@ from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import digest
 from sierra.util.json_types import Json, JsonView
+from sierra.util.lazy_dataclasses import dataclass
 
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "rates", "time", "ticks_per_second", "tolerance", "ordered", "volatile"}

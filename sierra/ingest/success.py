@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.output_tables import Output, Success
@@ -13,6 +12,7 @@ from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
+from sierra.util.lazy_dataclasses import dataclass
 
 STOPPED = {
     Status.TIMEOUT: "ran longer than its limit ([limits] wall)",

@@ -17,7 +17,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import BinaryIO, Protocol
 from xml.parsers import expat
 
@@ -28,6 +28,7 @@ from sierra.ingest.model import PLAIN, Part, Shape, Written
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
+from sierra.util.lazy_dataclasses import dataclass
 
 STEP = re.compile(r"(//?)([^/]+)")
 TAG = re.compile(

@@ -7,7 +7,6 @@ The batches are extracted to a temporary store first, from which all parts of th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -39,6 +38,7 @@ from sierra.packages.parts import (
 )
 from sierra.packages.subject import Made, Member, Options, Part, Subject
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.scratch import scratch
 
 SCRATCH = ".sierra-package-"

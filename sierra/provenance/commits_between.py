@@ -13,7 +13,6 @@ import re
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.provenance.source import origin
 from sierra.provenance.source.git import ALWAYS, OFFLINE, Git, environment, foreign, in_repository
+from sierra.util.lazy_dataclasses import dataclass
 
 SHOWN = 20
 """Maximum number of commits that are listed."""

@@ -6,13 +6,13 @@ import contextlib
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence, Set
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
 from sierra.model import IN_PROJECT
 from sierra.store.row_types import ProgramRow
 from sierra.util.hashing import digest
+from sierra.util.lazy_dataclasses import dataclass
 
 INSTALLED = ": installed distributions"
 """Suffix of the name for all distributions of a Python; the path of that entry is a list of folders, as in PATH."""

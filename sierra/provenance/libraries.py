@@ -10,10 +10,10 @@ import os
 import re
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.util import bounded_program
+from sierra.util.lazy_dataclasses import dataclass
 
 SYSTEM = re.compile(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
 LOADER = re.compile(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")

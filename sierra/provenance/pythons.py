@@ -17,7 +17,6 @@ import re
 import shutil
 import tempfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -28,6 +27,7 @@ from sierra.provenance.hash_cache import VENV, HashCache
 from sierra.util import bounded_program
 from sierra.util.hashing import digest
 from sierra.util.json_types import as_object
+from sierra.util.lazy_dataclasses import dataclass
 
 NAME = re.compile(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"

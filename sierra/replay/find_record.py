@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.errors import Missing, NotFound
@@ -17,6 +16,7 @@ from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 
 from sierra.containers.container_setup import GPU as GPU_DEVICE
 from sierra.execution.observation import file_sets
@@ -17,6 +16,7 @@ from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.unchanged_files import FOUND_ELSEWHERE, changes, with_other_programs
 from sierra.provenance import tracer
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import few
 
 SHOWN = 5

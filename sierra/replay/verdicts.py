@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 from sierra.config.output_tables import Tolerance
@@ -18,6 +18,7 @@ from sierra.store.recorded_files import ChosenExecution
 from sierra.store.row_types import EquivalenceRow, VerdictRow
 from sierra.store.store import Found
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 Tolerances = Mapping[str, Mapping[str, Tolerance]]
 """Tolerances by output (`*`: all) and column (`*`: all others)."""

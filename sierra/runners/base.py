@@ -12,7 +12,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
@@ -24,6 +24,7 @@ from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Program
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import SessionPaths
 from sierra.util.json_types import JsonView, RecordValue
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,6 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 from sierra.model import LateFiles, OutputFile, Result
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView, RecordValue
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import open_regular
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ import platform
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
@@ -20,6 +19,7 @@ from sierra.errors import SierraError
 from sierra.provenance.machine import usable_cores
 from sierra.store.layout import ProjectPaths, StorePaths, user_settings
 from sierra.util import processors
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.worker import worker
 
 State = Literal["ok", "absent", "missing"]

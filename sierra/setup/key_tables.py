@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from sierra.setup.published_schemas import Note, json_schema
+from sierra.util.lazy_dataclasses import dataclass
 
 CHANGES, TOLERANCES = "change", "tolerance"
 """The tables whose keys many keys have."""

@@ -22,10 +22,10 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
 
 from sierra.stats import student_t
+from sierra.util.lazy_dataclasses import dataclass
 
 NEVER = 1e-15
 """The probability at each end of a distribution that an integral leaves out."""

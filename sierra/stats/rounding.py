@@ -7,9 +7,10 @@ and very small numbers have a power of ten.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from decimal import Decimal
 from math import isclose
+
+from sierra.util.lazy_dataclasses import dataclass
 
 ALONE = 4
 """The number of significant digits of a number without an uncertainty."""

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from statistics import NormalDist
 from typing import TYPE_CHECKING
@@ -32,6 +31,7 @@ from sierra.stats import student_t
 from sierra.stats.aggregate import HERE, Frame
 from sierra.stats.base import LEVEL, Estimate
 from sierra.stats.selection import with_estimates
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

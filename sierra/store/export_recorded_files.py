@@ -17,7 +17,6 @@ import fnmatch
 import os
 import stat
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -35,6 +34,7 @@ from sierra.store.recorded_files import (
 )
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 NAMED_AT_MOST = 8
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)

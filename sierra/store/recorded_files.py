@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
@@ -20,6 +19,7 @@ from sierra.store.segments import Segment
 from sierra.store.store import Found, Snapshot
 from sierra.store.verified_files import verify
 from sierra.store.views import KEPT_OBJECTS, ORDER
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import natural
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ The tables of the runs' own outputs are not here: the runs define their columns.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum
 from functools import cache
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 from sierra.store import row_types
 from sierra.store.row_mapper import without_facts
 from sierra.store.row_types import ROWS, Of, Redaction
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

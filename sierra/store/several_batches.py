@@ -12,7 +12,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.errors import SierraError, SqlError
@@ -24,6 +23,7 @@ from sierra.store.sql_names import identifier
 from sierra.store.sql_result import few_rows
 from sierra.store.statement_worker import PART
 from sierra.store.store import Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -21,11 +21,11 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from sierra.store import statement_worker
 from sierra.store.local_connection import local
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from sierra.util.lazy_dataclasses import dataclass
 
 Columns = Mapping[str, str]
 """The kind of values in each column."""

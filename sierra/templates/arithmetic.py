@@ -19,12 +19,12 @@ import operator
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 from sierra.errors import ConfigError
 from sierra.model import Value
 from sierra.util.float_range import TOO_LARGE, TOO_SMALL, out_of_range
+from sierra.util.lazy_dataclasses import dataclass
 
 MAX_LENGTH = 200
 """Maximum number of characters of one expression; this limits its nesting depth."""

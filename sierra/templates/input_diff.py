@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from difflib import SequenceMatcher
 from itertools import chain
 from typing import Literal, TypeAlias
@@ -24,6 +23,7 @@ from lxml import etree
 
 from sierra.errors import TemplateError
 from sierra.templates.xml_view import DEFAULT, Element, declarations, parse
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.textdiff import patch
 
 Shape: TypeAlias = tuple[str, frozenset[tuple[str, str]], str, tuple[int, ...]]

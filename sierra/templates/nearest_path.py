@@ -8,9 +8,9 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import outside
 
 Find = Callable[[str], Sequence[object]]

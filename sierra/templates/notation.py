@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from decimal import Decimal
 from enum import StrEnum
 from typing import Protocol
 
 from sierra.errors import TemplateError
 from sierra.util.float_range import TOO_LARGE, out_of_range
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import one_line
 
 Span = tuple[int, int]

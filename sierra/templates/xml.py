@@ -32,7 +32,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import chain, groupby
 from typing import AnyStr, ClassVar
 
@@ -46,6 +45,7 @@ from sierra.templates.xml_copy import XmlCopy
 from sierra.templates.xml_scan import Edit, Edits, Scan, Unspliced
 from sierra.templates.xml_view import Place, Slot, View, differ, value_of, who
 from sierra.util.hashing import sha256
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import one_line
 
 

@@ -10,7 +10,6 @@ import copy
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import zip_longest
 
 from lxml import etree
@@ -18,6 +17,7 @@ from lxml import etree
 from sierra.errors import TemplateError
 from sierra.templates.xml_markup import Attribute, Mark, attributes, decoded, marks, name_in, read_source, unreadable
 from sierra.templates.xml_view import XML, Element, Place, View, differ, parse, parser
+from sierra.util.lazy_dataclasses import dataclass
 
 _PLAIN = re.compile(r"[A-Za-z0-9_.,;:/+ -]*")
 """A text that is written as it is."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias, TypeGuard
 
@@ -18,6 +17,7 @@ from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
 from sierra.templates.xml_markup import Source, decoded
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element

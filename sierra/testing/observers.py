@@ -21,10 +21,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.testing.assertions import holds, is_one_line, wait
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.worker import file_trace
 from sierra.worker.file_trace import LISTS, Contents, Observation, Trace, Way
 

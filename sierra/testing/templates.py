@@ -16,13 +16,13 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from sierra.errors import ConfigError, SierraError, TemplateError
 from sierra.model import Set, Value
 from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Template
 from sierra.templates.same_number import same
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
+from sierra.util.lazy_dataclasses import dataclass
 
 Make = Callable[[bytes, str], Template]
 NAME = "the template of a trial"

@@ -17,11 +17,11 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from sierra.util import open_files
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.signals import noted
 from sierra.worker import worker
 

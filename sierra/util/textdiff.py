@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+
+from sierra.util.lazy_dataclasses import dataclass
 
 MAX_SIZE = 4 << 20
 """The size in bytes beyond which files are not compared by lines."""

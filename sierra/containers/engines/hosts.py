@@ -8,7 +8,6 @@ import posixpath
 import re
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,6 +15,7 @@ from typing import Any, Protocol
 from sierra.containers.engines import on_host
 from sierra.errors import Missing
 from sierra.store.layout import user_apptainer
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)

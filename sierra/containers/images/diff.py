@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.containers.images.merge_layers import Entry, listed
 from sierra.provenance.dependency_model import by_likelihood
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

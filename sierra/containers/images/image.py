@@ -17,13 +17,13 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
 from sierra.errors import Missing
 from sierra.util import processors
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView, as_texts
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.processors import ARCH
 
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"

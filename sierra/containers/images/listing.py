@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from sierra.containers.images.pins import all_pinned
 from sierra.containers.images.resolve import named
 from sierra.errors import SierraError
 from sierra.store.layout import StorePaths
+from sierra.util.lazy_dataclasses import dataclass
 
 
 class State(StrEnum):

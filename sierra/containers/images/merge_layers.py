@@ -20,13 +20,14 @@ import json
 import posixpath
 import tarfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from operator import itemgetter
 from typing import BinaryIO, Literal
 
 from sierra.containers.images.oci import Archive
 from sierra.containers.images.streams import PIECE, content, members
 from sierra.errors import Damaged
+from sierra.util.lazy_dataclasses import dataclass
 
 MAX_FILES = 1_000_000
 WHITEOUT, OPAQUE, AUFS = ".wh.", ".wh..wh..opq", ".wh..wh."

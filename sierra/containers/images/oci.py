@@ -17,7 +17,6 @@ import json
 import re
 import tarfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
@@ -26,6 +25,7 @@ from sierra.containers.images.streams import PIECE, ForwardStream, Hashed, Reada
 from sierra.errors import Damaged, Missing
 from sierra.util.hashing import sha256
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import open_regular
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"

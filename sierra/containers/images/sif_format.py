@@ -20,13 +20,13 @@ import json
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from sierra.containers.images.streams import PIECE
 from sierra.errors import Damaged, Missing
 from sierra.util.json_types import as_object
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import open_regular
 
 LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"

@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
@@ -35,6 +34,7 @@ from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
 from sierra.stats import rates, student_t
 from sierra.stats.rates import Interval, square_and_add
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import digits_apart, short_number
 
 

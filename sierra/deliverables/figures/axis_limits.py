@@ -11,7 +11,6 @@ more than half the largest number of runs. Parts of intervals beyond it are cut 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,7 @@ from matplotlib.axes import Axes
 
 from sierra.deliverables.figures import bands, models, style
 from sierra.stats import words
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing

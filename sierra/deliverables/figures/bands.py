@@ -6,13 +6,13 @@ show the spread of the runs: `center ∓ sd`, `median ∓ mad`, quantiles, or th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Figure
 from sierra.config.statistic_names import quantile
 from sierra.stats.needs import Needs, Over
 from sierra.stats.words import named
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 from sierra.config.deliverable_tables import Figure
@@ -21,6 +20,7 @@ from sierra.config.field_types import Table
 from sierra.config.plugin_registry import FIGURES, NoOptions
 from sierra.model import Axis
 from sierra.stats.needs import Needs
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import matplotlib.figure

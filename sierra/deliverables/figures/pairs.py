@@ -7,7 +7,6 @@ basis b of the polynomial (Seber and Lee 2003, section 5.2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +19,7 @@ from sierra.errors import UsageError
 from sierra.stats import student_t
 from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing

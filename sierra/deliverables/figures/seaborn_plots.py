@@ -12,7 +12,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -26,6 +25,7 @@ from matplotlib.typing import ColorType
 
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import NotInstalled
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -41,6 +40,7 @@ from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import visible
 
 if TYPE_CHECKING:

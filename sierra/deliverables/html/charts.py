@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 from sierra.deliverables.html.escaping import Data
 from sierra.deliverables.html.tables import Cell, Table, exact
 from sierra.util.html_elements import Markup, element
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ runs are: a model that is right is in about 95 of 100 of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +20,7 @@ import numpy.typing as npt
 
 from sierra.deliverables.models.predictions import CLOSE
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.config.project_file import LoadedProject
@@ -14,6 +13,7 @@ from sierra.execution import sessions, show_record, targets
 from sierra.execution.shown_records import ShownBatch
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 STATES = """
 WITH members AS (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $b),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 from sierra.config.deliverable_tables import Comparison
@@ -19,6 +18,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
+from sierra.util.lazy_dataclasses import dataclass
 
 RECORDED = """
 SELECT * FROM deliverables WHERE kind = 'comparison' AND list_has_any(batches, $batches)

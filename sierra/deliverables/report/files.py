@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.deliverables.record import marked_folder
@@ -12,6 +11,7 @@ from sierra.errors import Missing, UsageError
 from sierra.store.layout import REPORTS, ProjectPaths
 from sierra.store.segments import disk_errors
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.scratch import scratch
 
 OURS = f'<meta name="generator" content="{GENERATOR} '.encode()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from sierra.deliverables import html
 from sierra.deliverables.claims.model import Verdict
@@ -14,6 +13,7 @@ from sierra.deliverables.report.parts import Place, Section, auto, section
 from sierra.deliverables.report.reproduce import Received
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 from sierra.util.version import __version__
 

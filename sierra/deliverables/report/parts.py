@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.deliverables.html.sections import svg_address
 from sierra.util.html_elements import Markup, Node, element, joined
+from sierra.util.lazy_dataclasses import dataclass
 
 CODE = re.compile(r"\$b\b")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from sierra.deliverables import comparison, declared_tables, paper_tables
 from sierra.deliverables.declared_tables import Made
@@ -24,6 +23,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import digits_apart, few, short_number
 
 WIDTH = re.compile(rb'<svg\b[^>]*? width="([0-9.]+)pt"')

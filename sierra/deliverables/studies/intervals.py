@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Figure
@@ -17,6 +16,7 @@ from sierra.stats.shipped import ORDER_STATISTICS
 from sierra.store.row_types import LookIntervalRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import like
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ import difflib
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.design.query import grammar
 from sierra.errors import QueryError
 from sierra.model import Axis, Batch, Value
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import few
 
 EXAMPLE = "population_size<=4 and noise=0,0.5"

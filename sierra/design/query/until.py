@@ -12,10 +12,10 @@ characters than letters, digits, `_` and `-` are written in double quotes.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from math import isfinite
 
 from sierra.errors import QueryError
+from sierra.util.lazy_dataclasses import dataclass
 
 EXAMPLE = "ci(coverage) < 0.02"
 MEAN = "mean"

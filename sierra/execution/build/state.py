@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import NotFound
@@ -15,6 +14,7 @@ from sierra.provenance import source
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.store import Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import few
 
 SHOWN = 3

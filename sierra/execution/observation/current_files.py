@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.provenance.hash_cache import HashCache
 from sierra.util.fs import unescaped
+from sierra.util.lazy_dataclasses import dataclass
 
 GPU = "{gpu}"
 """The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""

@@ -7,11 +7,11 @@ only where something depends on the whole set.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.execution.observation.current_files import Current, located
 from sierra.store.store import Snapshot
+from sierra.util.lazy_dataclasses import dataclass
 
 PROJECT = "{project}"
 TABLES = ("executions", "observations", "files_read", "listings", "files_written", "environments")

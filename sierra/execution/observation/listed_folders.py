@@ -10,13 +10,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
 
 from sierra.execution.observation.current_files import Current, located
 from sierra.execution.observation.file_sets import FileSets, UsedFile, located_paths
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
 from sierra.store.layout import CONFIG, FIGURES, LOCK, STORE
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import read_regular
 
 OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, *LEFT_OUT))

@@ -13,7 +13,6 @@ names of the same programs.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.execution import row_queries
@@ -27,6 +26,7 @@ from sierra.provenance.dependency_model import Kind, Programs
 from sierra.store import spec_rows
 from sierra.store.row_types import UnusedChangeRow
 from sierra.store.store import Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, few
 
 NAMED = 3

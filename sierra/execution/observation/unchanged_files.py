@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 
 from sierra.execution.observation.current_files import Current, is_same, located
 from sierra.execution.observation.file_sets import FileSets, UsedFile, located_paths
 from sierra.execution.observation.found_elsewhere import CACHE, LoaderCache, found_elsewhere
 from sierra.execution.observation.listed_folders import ListedFolders
 from sierra.provenance.hash_cache import HashCache
+from sierra.util.lazy_dataclasses import dataclass
 
 FOUND_ELSEWHERE = "found elsewhere"
 """The use of a library that the loader would now find in another file. The store has no such use."""

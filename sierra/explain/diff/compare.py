@@ -7,7 +7,6 @@ results. If a record cannot be read any more, a note reports that, and the compa
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -21,6 +20,7 @@ from sierra.explain.diff import code, environment, images, query, run_inputs, us
 from sierra.explain.diff.load_sides import AFTER, BEFORE, Side, check, gather, of_batch, of_plan, pair, pair_runs
 from sierra.explain.diff.model import KINDS, Difference, Note, changed
 from sierra.store.store import Found, Snapshot, Store
+from sierra.util.lazy_dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ represented in the same way. A plan is a side whose runs were not executed, and 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.errors import UsageError
 from sierra.execution.plan import Plan
@@ -20,6 +19,7 @@ from sierra.store.spec_rows import run_spec
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 BEFORE, AFTER = "before", "after"
 ONE = ("run", "execution")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from math import hypot, isfinite, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +28,7 @@ from sierra.stats.rates import Interval, square_and_add
 from sierra.store.samples import Frame, names_time
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, digits_apart, few, short_number
 
 if TYPE_CHECKING:

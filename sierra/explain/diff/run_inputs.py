@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from sierra.errors import Damaged
 from sierra.explain.diff.load_sides import Side, chosen_executions
@@ -12,6 +11,7 @@ from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.store import Snapshot
 from sierra.templates.input_diff import Spot, differing
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 LOOKED_AT = 40

@@ -7,12 +7,12 @@ Neighbours have the same numbers, rounded to micrometres, so that the areas cove
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from xml.sax.saxutils import quoteattr
 
 from sierra.design.query import ranges
+from sierra.util.lazy_dataclasses import dataclass
 
 _MICROMETRE = Fraction(1, 10**6)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import PurePosixPath
 from typing import Annotated, ClassVar, Literal
@@ -38,6 +37,7 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
+from sierra.util.lazy_dataclasses import dataclass
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC
 
 from sierra.execution import list_batches
 from sierra.execution.list_batches import ListedBatch
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
+from sierra.util.lazy_dataclasses import dataclass
 
 PAGE = 100
 """The largest number of batches that one answer lists."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 from contextlib import suppress
-from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import NamedTuple
+
+from sierra.util.lazy_dataclasses import dataclass
 
 
 class Identity(NamedTuple):

@@ -9,12 +9,12 @@ from __future__ import annotations
 import secrets
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from io import BytesIO
 from itertools import accumulate
 from typing import BinaryIO
 
 from sierra.extensions.explorer.checked_files import CheckedFile
+from sierra.util.lazy_dataclasses import dataclass
 
 MOST = 10_000
 """The largest number of addresses that are valid at a time: a batch may have a hundred videos."""

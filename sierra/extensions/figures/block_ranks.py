@@ -14,7 +14,6 @@ Two groups alone are compared by Wilcoxon's test.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
@@ -22,6 +21,7 @@ from sierra.stats.comparison import rank_tests
 from sierra.stats.comparison.analyse import analyse
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample, Verdict
 from sierra.stats.comparison.ties import Floats, each_alike
+from sierra.util.lazy_dataclasses import dataclass
 
 Test = Literal["nemenyi", "wilcoxon"]
 

@@ -9,10 +9,10 @@ a fixed seed and one thread, so that the same data give the same plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
+
+from sierra.util.lazy_dataclasses import dataclass
 
 Floats = npt.NDArray[np.float64]
 

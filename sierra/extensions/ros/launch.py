@@ -13,11 +13,11 @@ import copy
 import random
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Protocol
 from xml.etree import ElementTree
 
 from sierra.plugin import Add, Change, Set, TemplateError, TemplateView
+from sierra.util.lazy_dataclasses import dataclass
 
 ROOT = "/launch"
 SETTINGS = "sierra"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.output_tables import Output
@@ -22,6 +21,7 @@ from sierra.ingest.match_outputs import claims
 from sierra.ingest.model import Written
 from sierra.ingest.rewriting import Source
 from sierra.util.fs import fitting
+from sierra.util.lazy_dataclasses import dataclass
 
 PARTIAL = "partial"
 

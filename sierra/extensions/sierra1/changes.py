@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from xml.sax.saxutils import quoteattr
 
 from sierra.errors import SierraError
@@ -18,6 +18,7 @@ from sierra.extensions.argos.platform import PLACEHOLDER, ROOT
 from sierra.extensions.sierra1.yaml_values import Plain
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.base import Template
+from sierra.util.lazy_dataclasses import dataclass
 
 SETS = ("attr_change", "attr_add")
 RENAMES = ("element_change", "tag_change")

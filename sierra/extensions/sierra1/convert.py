@@ -11,7 +11,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from json import dumps
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from sierra.setup.init import folder
 from sierra.store.layout import CONFIG
 from sierra.templates.base import Template
 from sierra.util.fs import write_whole
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
 

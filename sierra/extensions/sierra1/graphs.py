@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from sierra.extensions.sierra1.old_project import OldProject
 from sierra.extensions.sierra1.yaml_values import Plain
+from sierra.util.lazy_dataclasses import dataclass
 
 Entry = dict[str, str | bool]
 """A table of `sierra.toml` with simple values."""

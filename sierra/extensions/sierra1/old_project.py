@@ -10,11 +10,11 @@ import os
 import re
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import Missing, UsageError
 from sierra.extensions.sierra1.yaml_values import Plain, values
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import open_regular
 
 CONTROLLERS = "config/controllers.yaml"

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.config.project_file import LoadedProject
@@ -29,6 +28,7 @@ from sierra.store.recorded_files import ChosenExecution, take
 from sierra.store.row_types import CaptureRow, RenderingRow
 from sierra.store.store import Found, Store
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 NO_FRAMES = "the execution left no file {!r}; see [capture]"
 NOTHING_ELSE = "no other output could be compared"

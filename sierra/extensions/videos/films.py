@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.design.query import condition
@@ -11,6 +10,7 @@ from sierra.errors import DamagedFile, NotFound, SierraError
 from sierra.extensions.videos.table import Video
 from sierra.model import Axis, Value
 from sierra.store.samples import ChosenRun
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:

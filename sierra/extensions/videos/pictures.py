@@ -15,7 +15,6 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol
@@ -24,6 +23,7 @@ from sierra.config.output_tables import Output
 from sierra.errors import SierraError, UsageError
 from sierra.extensions.videos.encode import library
 from sierra.store.samples import ChosenRun, Frame
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import like
 
 if TYPE_CHECKING:

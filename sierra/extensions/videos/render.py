@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
@@ -24,6 +23,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import like
 
 MARK = "Figures drawn by SIERRA: see the table deliverables."

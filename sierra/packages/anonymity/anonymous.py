@@ -11,7 +11,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 from sierra.config.package_table import Author, Package
@@ -26,6 +26,7 @@ from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, few
 
 DATE = "2000-01-01"

@@ -26,12 +26,12 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, cast
 
 from sierra.packages.anonymity.identifying_words import Word
 from sierra.packages.anonymity.word_search import Found, Search
 from sierra.store.segments import own_table
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple
 
 from sierra.packages.crates.graph import Entity, Graph, local, moment, ref
 from sierra.store.store import Store
+from sierra.util.lazy_dataclasses import dataclass
 
 MOST = 2000
 """The largest number of runs with an action each."""

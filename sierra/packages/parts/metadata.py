@@ -6,7 +6,6 @@ A project may have such a file of its own. It is packed as it is, after `differe
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from sierra.errors import ConfigError
 from sierra.packages.subject import Made, Member, Subject
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.regular_files import read_regular
 
 CITATION = "CITATION.cff"

@@ -12,7 +12,6 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,6 +27,7 @@ from sierra.store.row_types import ArtifactRow
 from sierra.store.sql_names import identifier
 from sierra.store.store import Store
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted, few, verb
 
 if TYPE_CHECKING:

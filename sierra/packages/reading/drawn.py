@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from sierra.errors import NotFound
 from sierra.packages.archive import Archive
 from sierra.packages.layout import DRAWN
 from sierra.packages.reading.received import Received
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import like
 
 RECORDED = """

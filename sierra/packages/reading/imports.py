@@ -17,7 +17,7 @@ Everything appears at one moment (see `sierra.maintenance.transaction`). A secon
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -42,6 +42,7 @@ from sierra.store.segments import OUTPUT, Segment, listed
 from sierra.store.store import Snapshot, Store
 from sierra.store.views import ONCE
 from sierra.util.hashing import short
+from sierra.util.lazy_dataclasses import dataclass
 
 Drop = dict[str, dict[str, AbstractSet[str]]]
 BY_EXECUTION, BY_JUDGEMENT, BY_SESSION = map(columns_with, (Of.EXECUTION, Of.JUDGEMENT, Of.SESSION))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.deliverables.claims.model import Evaluated, Verdict
 from sierra.packages.reproduction.planned import PlannedBatch
 from sierra.replay.verdicts import Replay
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 

@@ -18,7 +18,6 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Set
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.provenance.source.git import Git
@@ -26,6 +25,7 @@ from sierra.provenance.source.lfs import POINTER
 from sierra.provenance.source.manifest import Files, git_hash, parts, read, written
 from sierra.util.fs import RACY_NS, read_sealed, state, write_whole
 from sierra.util.hashing import sealed, sha256, sha256_file
+from sierra.util.lazy_dataclasses import dataclass
 
 ATTRIBUTES = ("text", "eol", "crlf", "filter", "ident", "working-tree-encoding")
 CONVERTED = f":(exclude,attr:{' '.join(f'!{name}' for name in ATTRIBUTES)})"

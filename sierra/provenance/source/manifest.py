@@ -10,7 +10,8 @@ import hashlib
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+
+from sierra.util.lazy_dataclasses import dataclass
 
 LINK, REPOSITORY = "120000", "160000"
 """Git's modes for a symbolic link and for a repository inside a repository."""

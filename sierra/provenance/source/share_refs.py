@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +15,7 @@ from sierra.provenance.source import origin
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import read, repositories
 from sierra.provenance.source.origin import without_credentials
+from sierra.util.lazy_dataclasses import dataclass
 
 REFS = "refs/sierra/"
 ALL = f"{REFS}*:{REFS}*"

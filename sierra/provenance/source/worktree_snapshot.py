@@ -29,7 +29,7 @@ import shutil
 import stat
 import time
 from collections.abc import Iterable, Iterator, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -43,6 +43,7 @@ from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
 from sierra.util.fs import read_sealed, write_whole
 from sierra.util.hashing import sealed
+from sierra.util.lazy_dataclasses import dataclass
 
 MANY = 500
 """Minimum number of new files that are written as a pack."""

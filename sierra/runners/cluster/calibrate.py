@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.model import Result
@@ -25,6 +24,7 @@ from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.result_log_reader import Ended, Event, Pack
 from sierra.runners.cluster.sizing import ELEMENT_S
 from sierra.store.layout import SessionPaths
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.worker.array_task import Started
 
 TIMEOUT_S = 120.0

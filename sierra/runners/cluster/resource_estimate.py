@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.cluster_table import ClusterTable
@@ -18,6 +17,7 @@ from sierra.runners.cluster.sizing import Size, size
 from sierra.runners.cluster.submission_record import UNFOLLOWED
 from sierra.runners.schedulers.base import Bounds
 from sierra.store.layout import SessionPaths
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 FILES = 14

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import UsageError
+from sierra.util.lazy_dataclasses import dataclass
 
 NAME = re.compile(r"([^\s@:-][^\s@:]*@)?[^\s@-][^\s@]*")
 PORTS = range(1, 1 << 16)

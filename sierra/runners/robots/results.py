@@ -10,7 +10,6 @@ import itertools
 import shutil
 import signal
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from sierra.runners.robots.trial import OVER, STOPPED, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import KEPT, kept_of, shares
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.worker import worker
 
 INTERRUPTED = "interrupted"

@@ -16,11 +16,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 from sierra.runners.schedulers.base import State, Task
 from sierra.util.json_types import Json
+from sierra.util.lazy_dataclasses import dataclass
 
 Record = Mapping[str, str]
 """Attributes of a job, a queue or a server by their names in the text, for example `resources_max.walltime`; and its `id`."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from sierra.config.cluster_table import ClusterTable
+from sierra.util.lazy_dataclasses import dataclass
 
 PLACE = ("partition", "account", "qos")
 DIRECTIVES = ("directives",)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from sierra.errors import Missing
+from sierra.util.lazy_dataclasses import dataclass
 
 T = TypeVar("T")
 

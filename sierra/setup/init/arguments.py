@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES, VALUE
@@ -18,6 +17,7 @@ from sierra.errors import QueryError, UsageError
 from sierra.execution.commands import NAMED, SPLICED
 from sierra.setup.init import folder, variables
 from sierra.setup.init.answers import NONE
+from sierra.util.lazy_dataclasses import dataclass
 
 JOINED = re.compile(r"(-{0,2}[A-Za-z_][\w.+/-]*)=(.+)", re.ASCII | re.DOTALL)
 OPTION = re.compile(r"-{1,2}[A-Za-z][\w.-]*", re.ASCII)

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from sierra.stats.comparison import rank_distributions
 from sierra.stats.comparison.rank_distributions import Floats
+from sierra.util.lazy_dataclasses import dataclass
 
 LISTED = 2_000_000
 """The largest number of averages or differences that are listed; of more, the wanted ones are found by bisection."""

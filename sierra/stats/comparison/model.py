@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
 from sierra.model import Value
+from sierra.util.lazy_dataclasses import dataclass
 
 VERSION = 2
 """The version of how comparisons are computed, which recorded ones keep. Version 1 had no record of it: omnibus tests decided

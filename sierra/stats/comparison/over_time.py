@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from sierra.model import Value
 from sierra.stats.comparison.rank_tests import Floats
+from sierra.util.lazy_dataclasses import dataclass
 
 Series = Mapping[int, Floats]
 """The values of runs at common times, by seed; NaN where a run has none."""

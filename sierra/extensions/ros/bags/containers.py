@@ -13,10 +13,10 @@ import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import BinaryIO, Literal
 
 from sierra.ingest.base import UnreadableError
+from sierra.util.lazy_dataclasses import dataclass
 
 LARGEST = 1 << 28
 """The limit on the bytes of one message and of one chunk, decompressed."""

@@ -10,7 +10,6 @@ import contextlib
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -23,6 +22,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from sierra.deliverables.figures import style
 from sierra.errors import UsageError
 from sierra.extensions.videos.painting.text_strip import Box, TextStrip
+from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.text import counted
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ digit, and everything between two digits. All digits have the same width.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 from unicodedata import bidirectional
@@ -15,6 +14,8 @@ from unicodedata import bidirectional
 import numpy as np
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
+
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from sierra.extensions.videos.encode import Image

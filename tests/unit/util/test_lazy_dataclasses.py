@@ -1,0 +1,124 @@
+"""Dataclasses whose methods are generated late behave as those of the standard library."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import threading
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import pytest
+
+from sierra.util.lazy_dataclasses import dataclass
+
+EITHER = pytest.mark.parametrize("made_by", [dataclass, dataclasses.dataclass])
+
+
+def classes(made_by: Callable[..., Any]) -> tuple[Any, Any]:
+    @made_by(frozen=True, slots=True)
+    class Point:
+        """A point."""
+
+        x: int
+        y: int = 2
+        names: list[str] = dataclasses.field(default_factory=list)
+        unseen: int = dataclasses.field(default=0, compare=False)
+        KIND: ClassVar[str] = "point"
+
+        @property
+        def size(self) -> int:
+            return self.x + self.y
+
+    @made_by(frozen=True, slots=True)
+    class Named(Point):  # type: ignore[misc, valid-type]
+        """A point with a name."""
+
+        y: int = 5
+        name: str = "it"
+
+    return Point, Named
+
+
+@EITHER
+def test_instances_have_their_defaults_text_and_pattern(made_by: Callable[..., Any]) -> None:
+    point, named = classes(made_by)
+    assert repr(named(1)).endswith("Named(x=1, y=5, names=[], unseen=0, name='it')")
+    assert named(1).size == 6
+    assert point(1).names is not point(1).names
+    assert point.KIND == "point"
+    match point(4, 3):
+        case point(x, y):
+            assert (x, y) == (4, 3)
+
+
+@EITHER
+def test_instances_are_equal_and_hashed_by_their_values(made_by: Callable[..., Any]) -> None:
+    point, named = classes(made_by)
+    assert point(1, unseen=3) == point(1, 2, [])
+    assert point(1) != point(3)
+    assert point(1) != named(1, 2)
+    assert len({point(1, 2, ()), point(1, 2, ())}) == 1
+
+
+@EITHER
+def test_instances_cannot_be_changed_and_have_slots(made_by: Callable[..., Any]) -> None:
+    point, _ = classes(made_by)
+    one = point(1)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        one.x = 2
+    assert not hasattr(one, "__dict__")
+
+
+@EITHER
+def test_the_functions_of_the_standard_library_take_them(made_by: Callable[..., Any]) -> None:
+    point, named = classes(made_by)
+    assert [field.name for field in dataclasses.fields(named)] == ["x", "y", "names", "unseen", "name"]
+    assert dataclasses.is_dataclass(point)
+    assert dataclasses.replace(point(1), y=9) == point(1, 9)
+    assert dataclasses.asdict(point(1)) == {"x": 1, "y": 2, "names": [], "unseen": 0}
+    assert copy.deepcopy(point(1, 2, ["a"])) == copy.copy(point(1, 2, ["a"]))
+
+
+@EITHER
+def test_wrong_arguments_are_refused(made_by: Callable[..., Any]) -> None:
+    point, _ = classes(made_by)
+    for _ in range(2):
+        with pytest.raises(TypeError, match="missing 1 required positional argument: 'x'"):
+            point()
+        with pytest.raises(TypeError, match="unexpected keyword argument 'z'"):
+            point(1, z=1)
+
+
+@EITHER
+def test_instances_that_change_cannot_be_hashed(made_by: Callable[..., Any]) -> None:
+    @made_by(slots=True)
+    class Counter:
+        """A number that grows."""
+
+        count: int = 0
+
+    one = Counter()
+    one.count += 1
+    assert one == Counter(1)
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(one)
+
+
+def test_many_threads_may_make_the_first_instance() -> None:
+    for _ in range(50):
+        point, named = classes(dataclass)
+        start = threading.Barrier(4)
+        made = []
+
+        def make(kind: Any) -> None:
+            start.wait()  # noqa: B023
+            made.append(kind(1, names=["a"]))  # noqa: B023
+
+        threads = [threading.Thread(target=make, args=(kind,)) for kind in (point, named, point, named)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert len(made) == 4
+        assert all(one.names == ["a"] for one in made)
