@@ -11,9 +11,9 @@ its table in `sierra.toml`. Tables stay as they are until their plug-in is used.
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
 from sierra.config.validate import options
 from sierra.errors import ConfigError, PluginError, SierraError
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -57,7 +58,7 @@ class Offer:
         return f"install a version of {self.package.partition(' ')[0]} that works, or uninstall it"
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Kind:
     """One kind of plug-in."""
 

@@ -13,12 +13,13 @@ The values that an axis or `--set` sets must not be overwritten in the input of 
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 from sierra.config import group_names
@@ -47,6 +48,7 @@ from sierra.model import (
     Value,
 )
 from sierra.templates.base import FOLDERS, PORTS, Template
+from sierra.util.lazy_dataclasses import dataclass
 
 GROUPED = ("controller", "scenario")
 AT_MOST = 1_000_000
@@ -57,7 +59,7 @@ Spanned = tuple[Axis, tuple[Point, ...]]
 Placed = tuple[Axis, Point]
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Changed:
     """A template after changes, which are made when it is first read."""
 

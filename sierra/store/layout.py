@@ -39,14 +39,15 @@ PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: so
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, Protocol
 
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
+from sierra.util.lazy_dataclasses import dataclass
 
 CONFIG = "sierra.toml"
 LOCK = "sierra.lock"
@@ -74,7 +75,7 @@ class _Rooted(Protocol):
     def root(self) -> Path: ...
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class _Below:
     """A path below the attribute `root` of the class that has it as an attribute."""
 
