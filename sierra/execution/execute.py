@@ -67,9 +67,10 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
         session_records.keep(plan, store, session)
         session_records.keep_variants(plan, store, session)
-        found = session_records.keep_check(plan, store, session)
+        seen = store.names()
+        found, recorded = session_records.keep_check(plan, store, session)
         known = stale_sessions.certain(found.stale) if found.unobserved else found.stale
-        if known and not all(state.succeeded for state in states(plan, store, found).values()):
+        if known and not all(state.succeeded for state in recorded.values()):
             options.observer.notice(stale_sessions.reason(known))
         if found.unobserved:
             options.observer.notice(stale_sessions.unobserved_reason(len(found.unobserved), found.stale))
@@ -82,7 +83,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
             left_out = len(_unselected(plan, store, found, options)) if options.only is not None else None
             session_records.prepare(plan, store, session, begun, left_out)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
-        executor = Executor(plan, store, session, make, options, found)
+        executor = Executor(plan, store, session, make, options, found, (seen, recorded))
         if executor.rules_changed:
             executor.failed |= odd
         executor.answer()

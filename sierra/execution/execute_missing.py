@@ -16,7 +16,7 @@ from sierra.execution.attach import attach
 from sierra.execution.follow import Followed
 from sierra.execution.observer import Relay, Tally
 from sierra.execution.plan import Plan, context
-from sierra.execution.reuse import FileCheck, rules_changed, states
+from sierra.execution.reuse import FileCheck, State, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
@@ -60,8 +60,12 @@ class Executor:
         runner: Callable[[], Runner],
         options: RunOptions,
         found: FileCheck | None = None,
+        recorded: tuple[AbstractSet[str], dict[str, State]] | None = None,
     ) -> None:
-        """`found`: the comparison of the files that recorded executions used, as the session has recorded it."""
+        """`found`: the comparison of the files that recorded executions used, as the session has recorded it.
+
+        `recorded`: the state of each run when the store had segments with these names.
+        """
         self.plan = plan
         self.found = found
         self.store = store
@@ -84,6 +88,7 @@ class Executor:
         runs = {run.id for run in plan.batch.runs}
         self._tally = Tally(observer, len(runs if options.only is None else runs & options.only))
         self._service: Service | None = None
+        self._recorded = recorded
         self._before: dict[str, int] | None = None
         self._claimed: AbstractSet[str] = frozenset()
         self._doubted: Doubt | None = None
@@ -179,7 +184,7 @@ class Executor:
 
     def _wanted(self) -> set[str]:
         """Return the runs without a successful execution that no session has tried since this one began."""
-        now = states(self.plan, self.store, self.found)
+        now = self._states()
         wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
@@ -192,6 +197,13 @@ class Executor:
         wanted -= self.attempted
         wanted -= self._skipped
         return wanted
+
+    def _states(self) -> dict[str, State]:
+        """Return the recorded state of each run: at first as it was, if nothing has been recorded since."""
+        known, self._recorded = self._recorded, None
+        if known is not None and self.store.names() == known[0]:
+            return known[1]
+        return states(self.plan, self.store, self.found)
 
     def _judge(self, wanted: set[str]) -> set[str]:
         """Evaluate the recorded executions of these runs again, once each, if rules have changed.

@@ -209,12 +209,11 @@ def _content(store: Store, sha256: str | None) -> bytes | None:
 def is_new(store: Store, session: str) -> bool:
     """Check if this session recorded a table, a column, a kind of values or a kind of file that no earlier session has."""
     with store.snapshot() as snapshot:
-        snapshot.views.make(("all_artifacts", "all_judgements"))
-        mine, others = (_signs(snapshot.select(_Layout, LAYOUTS_BY_SESSION, session=session, own=own)) for own in (True, False))
-        if not mine <= others:
+        mine = _signs(snapshot.select(_Layout, LAYOUTS_BY_SESSION, session=session, own=True))
+        if mine and not mine <= _signs(snapshot.select(_Layout, LAYOUTS_BY_SESSION, session=session, own=False)):
             return True
-        files, known = (set(snapshot.values(str, ENDINGS_BY_SESSION, session=session, own=own)) for own in (True, False))
-    return not files <= known
+        files = set(snapshot.values(str, ENDINGS_BY_SESSION, session=session, own=True))
+        return bool(files) and not files <= set(snapshot.values(str, ENDINGS_BY_SESSION, session=session, own=False))
 
 
 def _signs(layouts: Iterable[_Layout]) -> set[tuple[str, ...]]:

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import field, replace
+from typing import NamedTuple
 
 from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.observation.file_sets import UsedFile
@@ -89,20 +90,32 @@ class State:
         return State(self.worth, self.reason, self.failed, count)
 
 
+class _LastSession(NamedTuple):
+    """The last session of the store, of whichever batch."""
+
+    batch: str | None
+    programs: str | None
+    batch_rules: str | None
+    target: str | None
+
+
+LAST_SESSION = """
+SELECT arg_max(batch, lamport) AS batch, arg_max(programs, lamport) AS programs, arg_max(batch_rules, lamport) AS batch_rules,
+       arg_max(coalesce(target, ''), lamport) AS target
+FROM sessions
+"""
+
+
 def is_answered(plan: Plan, store: Store) -> bool:
     """Check whether the store's last session was this plan with the same programs, files and rules, and every run succeeded."""
     now = context(plan)
     with store.snapshot() as snapshot:
-        snapshot.views.make(("sessions",))
-        snapshot.views.make(("batches",))
-        last = snapshot.run(
-            "SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(batch_rules, lamport), "
-            "arg_max(coalesce(target, ''), lamport) FROM sessions"
-        )
-        if not snapshot.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
-            return False  # its records are lost
-        if last != [(plan.batch.id, now.programs, now.batch_rules, plan.target or "")]:
+        if snapshot.select(_LastSession, LAST_SESSION) != [
+            _LastSession(plan.batch.id, now.programs, now.batch_rules, plan.target or "")
+        ]:
             return False
+        if not snapshot.values(int, "SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id):
+            return False  # its records are lost
         found, found_states = check(plan, snapshot)
         if stale_sessions.recorded(snapshot) != found.stale.keys():
             return False

@@ -16,7 +16,7 @@ from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
 from sierra.execution.plan import Plan, context
-from sierra.execution.reuse import FileCheck, check
+from sierra.execution.reuse import FileCheck, State, check
 from sierra.execution.sessions import Session
 from sierra.model import Batch
 from sierra.provenance import source
@@ -184,16 +184,19 @@ def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:
     store.publish(writer)
 
 
-def keep_check(plan: Plan, store: Store, session: Session) -> FileCheck:
-    """Record and return which executions do not count in this session, or count although source or programs differ."""
-    found, _ = check(plan, store)
+def keep_check(plan: Plan, store: Store, session: Session) -> tuple[FileCheck, dict[str, State]]:
+    """Record and return which executions do not count in this session, or count although source or programs differ.
+
+    Return also the state of each run.
+    """
+    found, recorded = check(plan, store)
     if found.stale or found.reusable:
         writer = store.writer(session.paths.segment, plan.batch.id)
         writer.records(StaleSessionRow(session.id, one, file.path) for one, file in found.stale.items())
         writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in found.reusable.items())
         writer.records(unused_changes(plan, store, session.id, found.reusable.values(), found.stale))
         store.publish(writer)
-    return found
+    return found, recorded
 
 
 def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: SessionRow) -> None:

@@ -1,9 +1,9 @@
 """In-memory connections to DuckDB that never use the network; the last one is reused.
 
 Opening a connection takes longer than most queries, because DuckDB enters thousands of functions into a catalogue. So the
-last connection is kept for the next snapshot of the same store. A snapshot sees nothing of an earlier one: temporary and
-registered objects are dropped with the query's cursor, its views are dropped, and its settings are reset. A connection
-that failed, or whose query was so large that it wrote to the disk, is not kept.
+last connection is kept for the next snapshot of the same store. That sees nothing of an earlier one, except views if it asks
+for them: temporary and registered objects are dropped with the query's cursor, and settings are reset. A connection that
+failed, or whose query was so large that it wrote to the disk, is not kept.
 """
 
 from __future__ import annotations
@@ -11,18 +11,20 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.store.duckdb_file_io import steady
 from sierra.store.local_connection import local
 from sierra.util import open_files
+from sierra.util.lazy_dataclasses import dataclass
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
     from sierra.store.sql_result import RawRow
+    from sierra.store.views import Views
 
 AT_A_TIME = 4096
 """The number of rows that are read at a time."""
@@ -45,41 +47,56 @@ class Connection:
         `attached`: the statement that attaches an index (see `sierra.store.index_reader`). Raises duckdb.Error if it fails.
         """
         self._folders = tuple(steady(f"{folder}/") for folder in folders)
-        self._key = (memory, attached, *self._folders)
+        key = (memory, attached, *self._folders)
         kept = _idle.pop(os.getpid(), None)
-        if kept is not None and kept[0] != self._key:
-            kept[1].close()
+        if kept is not None and kept.key != key:
+            kept.database.close()
             kept = None
-        self._database = _locked(self._folders, memory, attached) if kept is None else kept[1]
+        self._open = _locked(key, self._folders, memory, attached) if kept is None else kept
         self._settings: list[str] = []
-        self.cursor = self._database.cursor()
+        self.cursor = self._open.database.cursor()
 
     def note(self, statement: str) -> None:
         """Record a setting that a statement is about to change, so that it is reset at the end."""
         if setting := re.match(r"SET (\w+)", statement):
             self._settings.append(setting[1])
 
-    def keep(self, views: Iterable[str]) -> None:
-        """Drop these views, close the cursor, and keep the database for the next snapshot."""
+    def take_over(self, wanted: Callable[[Views], bool]) -> Views | None:
+        """Return the views that the last snapshot has left here, if they are wanted; otherwise drop them."""
+        views, self._open.views = self._open.views, None
+        if views is None or wanted(views):
+            return views
+        self._drop(views)
+        return None
+
+    def keep(self, views: Views) -> None:
+        """Close the cursor, and keep the database for the next snapshot, perhaps with these views."""
         import duckdb
 
         try:
-            for statement in (*(f"DROP VIEW {view}" for view in views), *map(reset, self._settings)):
-                self.cursor.execute(statement)
-            [(spilled,)] = self.cursor.execute("SELECT current_setting('temp_directory')").fetchall()
+            if views.depends_on_cursor:
+                self._drop(views)
+            else:
+                self._open.views = views
+            for setting in self._settings:
+                self.cursor.execute(reset(setting))
         except duckdb.Error:
             self.close()
             return
         self.cursor.close()
         absolute = all(Path(folder).is_absolute() for folder in self._folders)
-        if absolute and not Path(spilled).exists() and os.getpid() not in _idle:
-            _idle[os.getpid()] = (self._key, self._database)
+        if absolute and not Path(self._open.spills).exists() and os.getpid() not in _idle:
+            _idle[os.getpid()] = self._open
         else:
-            self._database.close()
+            self._open.database.close()
+
+    def _drop(self, views: Views) -> None:
+        for view in views.made:
+            self.cursor.execute(f"DROP VIEW {view}")
 
     def close(self) -> None:
         self.cursor.close()
-        self._database.close()
+        self._open.database.close()
 
 
 def reset(setting: str) -> str:
@@ -116,32 +133,49 @@ class Rows:
             self._rest = self._result.fetchall()
 
 
-_idle: dict[int, tuple[tuple[int | str | None, ...], DuckDBPyConnection]] = {}
-"""The kept databases with their limits on memory and the folders that they may read, by process id.
+@dataclass(slots=True)
+class _Open:
+    """An open database."""
 
-A forked process does not inherit DuckDB's threads."""
+    database: DuckDBPyConnection
+    key: tuple[int | str | None, ...]
+    """The limit on its memory, the index that is attached, and the folders that it may read."""
+    spills: str
+    """The folder that exists when a query was too large for the memory."""
+    views: Views | None = None
+    """The views in it, if the next snapshot may use them."""
 
 
-def _locked(folders: tuple[str, ...], memory: int | None, attached: str) -> DuckDBPyConnection:
-    database = connect(memory)
+_idle: dict[int, _Open] = {}
+"""The kept databases by process id. A forked process does not inherit DuckDB's threads."""
+
+
+def _locked(key: tuple[int | str | None, ...], folders: tuple[str, ...], memory: int | None, attached: str) -> _Open:
+    spills = _spills()
+    database = connect(memory, spills=spills)
     if attached:
         database.execute(attached)
     database.execute("SET allowed_directories = $folders", {"folders": list(folders)})
     database.execute("SET enable_external_access = false")
-    return database
+    return _Open(database, key, spills)
 
 
-def connect(memory: int | None = None) -> DuckDBPyConnection:
+def _spills() -> str:
+    """Return a path of a folder that DuckDB makes and removes as needed. It allows reads there, so the name is random."""
+    return steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}")))
+
+
+def connect(memory: int | None = None, *, spills: str | None = None) -> DuckDBPyConnection:
     """Return an in-memory DuckDB connection that never uses the network, with as many threads as open files allow.
 
-    `memory`: let a process with this limit, in bytes, execute the statements (see `sierra.store.statement_process`).
+    `memory`: let a process with this limit, in bytes, execute the statements (see `sierra.store.statement_process`). `spills`:
+    the path of the folder for what does not fit into the memory.
     """
     threads = open_files.threads()
     config: dict[str, str | bool | int | float | list[str]] = {
         "autoinstall_known_extensions": "false",
         "autoload_known_extensions": "false",
-        # DuckDB allows reads there, so the folder has a random name; DuckDB makes and removes it as needed.
-        "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}"))),
+        "temp_directory": spills or _spills(),
         "python_enable_replacements": "false",
         **({} if threads is None else {"threads": str(threads)}),
     }

@@ -53,6 +53,8 @@ SELECT DISTINCT {column} AS value FROM data WHERE "# experiment" = $experiment A
 ORDER BY value LIMIT $most
 """
 """The different values of a run in a column that is not the same in all runs of the experiment."""
+SEVERAL = "SELECT ordinal FROM batch_runs WHERE batch = $b GROUP BY ordinal HAVING count(*) > 1 LIMIT 1"
+"""An experiment that has several runs."""
 SEEDED = """
 SELECT coalesce((SELECT bool_and(runs = seeds) FROM (
     SELECT count(*) AS runs, count(DISTINCT b.seed) AS seeds
@@ -127,6 +129,8 @@ def note(frame: Frame, volatile: Columns, rates: Columns) -> str:
 
 def of_batch(store: Store, batch: str, volatile: Columns, rates: Columns) -> Iterator[str]:
     """Yield the note on the runs of a batch that do not differ."""
+    if not store.values(int, SEVERAL, b=batch):
+        return
     with Frame(store, batch) as frame:
         if found := note(frame, volatile, rates):
             yield found

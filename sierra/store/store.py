@@ -235,6 +235,7 @@ class Store:
                 replays=self._replays,
                 memory=memory,
                 indexed=usable,
+                fresh=theirs,
             )
             self.opened(made)
             made.set_up(self.settings)
@@ -372,12 +373,14 @@ class Snapshot:
         replays: Sequence[str] = (),
         memory: int | None = None,
         indexed: bool = False,
+        fresh: bool = False,
     ) -> None:
         """`segments`: those to read; by default, the current ones. `shared`: the lock that protects them from removal until the
         snapshot is closed.
 
         `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables. `replays`: those
-        that count, see `Store.replayed`. `memory`: see `Store.memory`. `indexed`: use an index, if there is one.
+        that count, see `Store.replayed`. `memory`: see `Store.memory`. `indexed`: use an index, if there is one. `fresh`: with
+        no view that an earlier snapshot has made, because users' statements could list it.
         """
         self._paths = StorePaths(root)
         self._shared = shared
@@ -385,6 +388,7 @@ class Snapshot:
         self._settled = False
         self._has_tables = False
         self._given = segments, within, replays, memory, rules
+        self._fresh = fresh
         self._folders = [*([beneath] if beneath else []), self._paths.segments]
         self._open(index_files.best(self._paths) if indexed else None)
         if indexed and len(self.listing.rest) >= MANY and self._paths.root not in _built:
@@ -429,7 +433,7 @@ class Snapshot:
             self._opened.close()
             self._opened = Connection(*folders, memory=memory)
         try:
-            self.views = Views(lambda: self.connection, self.listing, within, replays, self._index)
+            self.views = self._views(within, replays)
         except Damaged:
             self._opened.close()
             if self._index is None:
@@ -437,6 +441,13 @@ class Snapshot:
             self._open(None)
             return
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, self.views.outputs)
+
+    def _views(self, within: str | None, replays: Sequence[str]) -> Views:
+        """Return the views of these segments: those of the last snapshot, unless users' statements could list them."""
+        kept = self._opened.take_over(lambda views: not self._fresh and views.serves(self.listing, within, replays))
+        if kept is not None:
+            return kept.moved(lambda: self.connection, self.listing, self._index)
+        return Views(lambda: self.connection, self.listing, within, replays, self._index)
 
     @property
     def segments(self) -> Sequence[Segment]:
@@ -458,7 +469,7 @@ class Snapshot:
         if kind is Damaged and self._attached is not None:  # no file of a segment, which is a DamagedFile
             index_files.remove(self._attached.path)
         if kind is None and not self._settled:
-            self._opened.keep(self.views.made)
+            self._opened.keep(self.views)
         else:
             self._opened.close()
         self.unlock()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -116,6 +117,31 @@ class Views:
         self._made: set[str] = set()
         self.made: list[str] = []
         """The existing views as SQL identifiers."""
+        self._defined = False
+
+    @property
+    def depends_on_cursor(self) -> bool:
+        """True if some views are not those of every snapshot of the same segments, or if notes on them would be lost."""
+        touched = self.__dict__.get("_partly_stored", False)
+        return self._defined or self._settled or touched or bool(self.unchecked or self.notes or self._unsaid)
+
+    def serves(self, listing: Listing, within: str | None, replays: Sequence[str]) -> bool:
+        """Check whether these views are those of such a snapshot, and verify their files again."""
+        mine = self._listing
+        same = (mine.rest, mine.without, self._within, self._replays) == (listing.rest, listing.without, within, replays)
+        if not same or mine.facts is not listing.facts:
+            return False
+        try:
+            self.verify()
+        except Damaged:  # whoever makes a view of that file says so
+            return False
+        return True
+
+    def moved(self, connection: Callable[[], DuckDBPyConnection], listing: Listing, index: Index | None) -> Views:
+        """Return these views for another cursor on the same database."""
+        other = copy.copy(self)
+        other._connection, other._listing, other._index = connection, listing, index
+        return other
 
     def _execute(self, statement: str, parameters: Mapping[str, str] | None = None) -> DuckDBPyConnection:
         """Execute a statement of these views. Raises Damaged for errors in the store's files, Missing for a lack."""
@@ -147,6 +173,7 @@ class Views:
     def define(self, name: str, body: str) -> None:
         """Create the view of a table from another query than usual. No view that needs this table may exist yet."""
         self._made.add(name)
+        self._defined = True
         self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
         self.made.append(identifier(name))
 
