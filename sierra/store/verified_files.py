@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -32,6 +33,8 @@ MANIFEST = "MANIFEST"
 FOLDER = "/segments"
 """The end of the path of a folder of segments."""
 THREADS = 4
+LARGE = 1 << 22
+"""The number of bytes from which several threads hash files; to start them takes as long as to hash half of it."""
 MAX_ENTRIES = 1 << 18
 """The number of files that are kept for one store."""
 MAX_STORES = 64
@@ -126,7 +129,7 @@ def _verify(files: Iterable[str]) -> None:
     new = [file for file in _in_segments(files) if not _is_known(file)]
     if not new:
         return
-    if len(new) == 1:
+    if len(new) == 1 or sum(map(_size, new)) < LARGE:
         _note(new, map(_hashed, new))
     else:
         from concurrent.futures import ThreadPoolExecutor  # takes longer to load than verified files to look up
@@ -135,6 +138,14 @@ def _verify(files: Iterable[str]) -> None:
             _note(new, pool.map(_hashed, new))
     for store in {file.store for file in new}:
         _save(store)
+
+
+def _size(file: _File) -> int:
+    """Return the size of a file; 0 if it is not there."""
+    try:
+        return os.stat(file.path).st_size  # noqa: PTH116 - for speed
+    except OSError:
+        return 0
 
 
 def _note(files: Sequence[_File], verified: Iterable[list[int] | None]) -> None:

@@ -76,8 +76,7 @@ class Rules:
 
 def rules(git: Git, files: Files, index: Path | None = None) -> Rules:
     """Return the rules for these files. `index` has them, by default the user's index. Raises Missing if git fails."""
-    listed = git("config", "--list", "-z").split(b"\0")
-    settings = b"\0".join(line for line in listed if line.startswith(SETTINGS))
+    settings = b"\0".join(line for line in git.settings if line.startswith(SETTINGS))
     autocrlf = _last(settings, b"core.autocrlf")
     pathspecs = () if autocrlf and autocrlf not in OFF else (CONVERTED,)
     found = read(git("ls-files", "--stage", "-z", "--", *pathspecs, index=index))

@@ -31,6 +31,8 @@ ALWAYS = (
     "--no-pager",
 )
 
+PLACES = ("--show-prefix", "--show-toplevel", "--absolute-git-dir", "--git-common-dir", "--git-path index")
+"""What `git rev-parse` is asked for about a repository."""
 NETWORK = ("GIT_SSH", "GIT_SSH_COMMAND", "GIT_SSH_VARIANT", "GIT_ASKPASS", "GIT_SSL_CAINFO", "GIT_SSL_CAPATH", "GIT_SSL_CERT")
 """Variables that control how git reaches other machines."""
 OFFLINE = {"GIT_ALLOW_PROTOCOL": "none", "GIT_NO_LAZY_FETCH": "1"}
@@ -42,6 +44,7 @@ class Git:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self._known: dict[str, bytes] = {}
         self._program = shutil.which("git")
         if self._program is None:
             raise Missing(f"{root} is in a git repository, but git is not installed; install git")
@@ -100,25 +103,48 @@ class Git:
             stderr=subprocess.DEVNULL,
         )
 
-    @cached_property
+    @property
     def top(self) -> Path:
         """The top folder of the repository's working tree."""
-        return self._path("rev-parse", "--show-toplevel")
+        return Path(os.fsdecode(self._place("--show-toplevel")))
 
-    @cached_property
+    @property
     def folder(self) -> Path:
         """The repository's git directory; a linked worktree has its own."""
-        return self._path("rev-parse", "--absolute-git-dir")
+        return Path(os.fsdecode(self._place("--absolute-git-dir")))
 
-    @cached_property
+    @property
+    def common_folder(self) -> Path:
+        """The git directory that all worktrees of the repository share."""
+        return self.root / os.fsdecode(self._place("--git-common-dir"))
+
+    @property
     def index(self) -> Path:
         """The path of the user's index."""
-        return self.root / self._path("rev-parse", "--git-path", "index")
+        return self.root / os.fsdecode(self._place("--git-path index"))
 
-    @cached_property
+    @property
     def prefix(self) -> bytes:
         """The project's folder relative to the top of the repository, with a slash at its end; empty at the top."""
-        return self("rev-parse", "--show-prefix").removesuffix(b"\n")
+        return self._place("--show-prefix")
+
+    def _place(self, option: str) -> bytes:
+        """Return what `git rev-parse` says for one of PLACES."""
+        if option in self._places:
+            return self._places[option]
+        return self._known.setdefault(option, self("rev-parse", *option.split()).removesuffix(b"\n"))
+
+    @cached_property
+    def _places(self) -> dict[str, bytes]:
+        """What git says for all of PLACES in one call; nothing if it refuses one, or if a name has several lines."""
+        words = [word for option in PLACES for word in option.split()]
+        answers = self("rev-parse", *words, optional=True).split(b"\n")[:-1]
+        return dict(zip(PLACES, answers, strict=True)) if len(answers) == len(PLACES) else {}
+
+    @cached_property
+    def settings(self) -> tuple[bytes, ...]:
+        """All settings that apply in the folder, each as its name and, after the end of a line, its value."""
+        return tuple(self("config", "--list", "-z").split(b"\0")[:-1])
 
     def has(self, thing: str) -> bool:
         """Return True if the repository has this tree or commit."""
@@ -127,9 +153,6 @@ class Git:
     def head(self) -> str | None:
         """Return the commit that is checked out, or None."""
         return self("rev-parse", "--verify", "--quiet", "HEAD^{commit}", optional=True).decode().strip() or None
-
-    def _path(self, *arguments: str) -> Path:
-        return Path(os.fsdecode(self(*arguments).removesuffix(b"\n")))
 
     def _complaint(self, command: str, output: str) -> str:
         """Return git's error message in one line, with a remedy if git's first line does not name one."""

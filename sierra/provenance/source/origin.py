@@ -16,6 +16,7 @@ from sierra.provenance.source.git import Git
 DIGITS = 12
 """Digits of a commit in a description; by default, git would choose their number by the size of the clone."""
 URL = re.compile(r"(?s)(?P<scheme>(?:[\w.+-]+::)?[\w.+-]+://)(?P<rest>.*)")
+OF_REMOTES = re.compile(r"(?s)remote\..*\.url|branch\..*\.remote")
 HOST = re.compile(r"(?:\[[0-9A-Fa-f:.%]*\]|[^\s:@/]*)(?::\d*)?(?=/|\Z)")
 
 
@@ -47,8 +48,8 @@ def default_remote(git: Git) -> str | None:
 
 
 def _settings(git: Git) -> dict[str, str]:
-    output = git("config", "-z", "--get-regexp", r"^(remote\..*\.url|branch\..*\.remote)$", optional=True)
-    return dict(line.partition("\n")[::2] for line in output.decode("utf-8", "replace").split("\0") if line)
+    pairs = (line.decode("utf-8", "replace").partition("\n")[::2] for line in git.settings)
+    return {name: value for name, value in pairs if OF_REMOTES.fullmatch(name)}
 
 
 def _addresses(settings: Mapping[str, str]) -> dict[str, str]:

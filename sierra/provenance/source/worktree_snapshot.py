@@ -44,6 +44,7 @@ from sierra.provenance.source.selection import PathSelection, check_size
 from sierra.util.fs import read_sealed, write_whole
 from sierra.util.hashing import sealed
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.regular_files import read_regular
 
 MANY = 500
 """Minimum number of new files that are written as a pack."""
@@ -105,7 +106,8 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
         if not found.agrees():
             raise Missing(f"git in {git.root} writes another tree than its index lists; try another version of git")
     status, tree, files, submodules, lossy = found
-    git("update-ref", f"refs/sierra/{tree}", tree)
+    if not _is_protected(git, tree):
+        git("update-ref", f"refs/sierra/{tree}", tree)
     recorded = {**dict.fromkeys(status.stale), **status.recorded} if status.commit else {}
     doubtful = status.inner | status.conflicts
     differing = {path for path, what in recorded.items() if files.get(path) != what or path in doubtful}
@@ -148,7 +150,16 @@ def _write_tree(git: Git, index: _Index, chosen: PathSelection, large: int) -> _
         submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
         lossy |= {path + b"/" + below: digest for below, digest in snapshot.converted.items()}
     lossy |= _converted_in_submodules(root, submodules, inner.keys())
-    return _Written(status, write(git, files) if inner else index.write_tree(), files, submodules, lossy)
+    tree = manifest.tree_hash(files)
+    if not _is_protected(git, tree):
+        tree = write(git, files) if inner else index.write_tree()
+    return _Written(status, tree, files, submodules, lossy)
+
+
+def _is_protected(git: Git, tree: str) -> bool:
+    """Return whether an earlier snapshot has written this tree, and protects it still; if in doubt, it is written again."""
+    ref = git.common_folder / "refs" / "sierra" / tree
+    return read_regular(ref) == f"{tree}\n".encode() if ref.is_file() else False
 
 
 def _read_all(root: Path, index: _Index, chosen: PathSelection, large: int) -> tuple[Status, dict[bytes, bytes]]:

@@ -271,6 +271,7 @@ def test_a_tree_that_differs_from_the_listed_files_is_not_believed(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lies: int
 ) -> None:
     before = capture(repository)
+    shutil.rmtree(repository / ".git" / "refs" / "sierra")  # else nobody writes the tree again
     folder, program = tmp_path / "lies", tmp_path / "bin" / "git"
     folder.mkdir()
     empty_tree = "4b825dc642cb6eb9a060e54bf8d69288fbee4904"
