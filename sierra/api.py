@@ -20,6 +20,7 @@ from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 from sierra.util import processors
+from sierra.util.lazy_patterns import regex
 from sierra.util.processors import ARCH
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ if TYPE_CHECKING:
 
 PACKAGED = ".zip"
 """The ending of packages."""
-IN_PACKAGE = re.compile(r"(?:([^=/]+)=)?(.+\.zip)(?::(\w+))?")
+IN_PACKAGE = regex(r"(?:([^=/]+)=)?(.+\.zip)(?::(\w+))?")
 """A batch in a package: an optional label, the path, and an optional prefix of the batch's id."""
 
 

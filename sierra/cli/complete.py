@@ -8,24 +8,25 @@ its output would appear in the line that the user types.
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from sierra.util.lazy_patterns import regex
+
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject
 
-SESSION = re.compile("[0-9a-f]{16}")
+SESSION = regex("[0-9a-f]{16}")
 IGNORED = (Exception, SystemExit)
 """Errors that are ignored: then there are no completions."""
 
 
 MOST = 50
 """The largest number of completions that are read from the store."""
-DIGITS = re.compile("[0-9a-f]{4,}")
+DIGITS = regex("[0-9a-f]{4,}")
 IDS = """
 SELECT DISTINCT left(id, greatest(10, length($p) + 2)) AS id FROM (
     SELECT run AS id FROM batch_runs UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,12 +10,13 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.output import note, print_json, readable
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.diff.model import Difference
 
-PACKAGED = re.compile(r".+\.zip(:\w+)?")
+PACKAGED = regex(r".+\.zip(:\w+)?")
 """A package, or a batch in one."""
 ZIP = ".zip"
 LINES = 6

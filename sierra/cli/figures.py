@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -15,13 +14,14 @@ import typer
 from sierra.cli import complete
 from sierra.cli.output import note, print_json, readable
 from sierra.errors import UsageError
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.deliverables.check import Checked
 
 
-PREFIX = re.compile(r"[0-9a-f]{1,64}")
+PREFIX = regex(r"[0-9a-f]{1,64}")
 """A prefix of a batch's id, which the name of a default figure is not."""
 
 

@@ -6,11 +6,12 @@ most commands take to run. Here an adapter is made only for a value that needs i
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from typer.core import TyperCommand, TyperGroup
+
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from typer._click.core import Context, Parameter
@@ -35,7 +36,7 @@ class _Converter:
 
 
 CONVERTER = _Converter()
-SURROGATE = re.compile("[\ud800-\udfff]")
+SURROGATE = regex("[\ud800-\udfff]")
 """A character that UTF-8 cannot encode: a byte of an argument that is not UTF-8."""
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 from sierra.errors import SierraError
 from sierra.store.layout import user_state
+from sierra.util.lazy_patterns import regex
 from sierra.util.signals import raise_in_handler
 
 WELCOME = "End each SQL statement with a semicolon. .help shows help; .quit, exit or Ctrl-D quits."
@@ -22,7 +23,7 @@ LEAVE = frozenset((".quit", ".exit", "quit", "exit", "\\q"))
 TABLES = 'SELECT table_name AS "table" FROM information_schema.tables ORDER BY ALL'
 HISTORY = "sql_history"
 REMEMBERED = 1000
-QUOTED = re.compile(r"""'(?:[^']|'')*'|"(?:[^"]|"")*"|--[^\n]*|/\*.*?\*/""", re.DOTALL)
+QUOTED = regex(r"""'(?:[^']|'')*'|"(?:[^"]|"")*"|--[^\n]*|/\*.*?\*/""", re.DOTALL)
 
 
 def prompt(answer: Callable[[str], None]) -> None:

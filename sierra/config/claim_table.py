@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
@@ -10,10 +9,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_
 from sierra.config.deliverable_tables import ListOfWords, known_method
 from sierra.config.field_types import OF_RUN, Finite, Line, Positive, Table, Words
 from sierra.model import Measure
+from sierra.util.lazy_patterns import regex
 
 DECISIONS = ("sql", "value", "order", "equivalence")
 """The ways to decide a claim."""
-_PERCENT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*%\s*")
+_PERCENT = regex(r"\s*(\d+(?:\.\d+)?)\s*%\s*")
 
 
 def _margin(margin: float | str) -> float | str:

@@ -16,12 +16,13 @@ from functools import lru_cache
 
 from sierra.model import Value
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 _PARAMETER = r"\{[A-Za-z_][A-Za-z0-9_]*\}"
 _WORD = rf"(?:[A-Za-z0-9_]|{_PARAMETER})"
 GROUP_NAME = rf"^[A-Za-z_]{_WORD}*(?:[.-]{_WORD}+)*$"
 """Names that may be declared. They cannot begin with a dot or a hyphen, and contain no character that paths or XML lack."""
-_SPLIT = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+_SPLIT = regex(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _NUMBER = r"((?:0|[1-9][0-9]{0,8})(?:\.[0-9]{1,9})?)"
 _GIVEN = ("controller", "scenario", "seed", "run", "value")
 """Names that expressions already have, and so no parameters can."""

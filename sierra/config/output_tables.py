@@ -27,6 +27,7 @@ from sierra.config import extensions
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
 from sierra.model import Measure
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
@@ -34,14 +35,14 @@ FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
 NAMED_FORMATS = ("json", "xml", *extensions.every("outputs"))
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
-PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+PLACEHOLDER = regex(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
 ROTATION = "{rotation}"
 """The end of a name that stands for the parts of a rotated file."""
-PART = re.compile(r"(?:[.]([0-9]{1,6})|[-._]([0-9]{4}-?[0-9]{2}-?[0-9]{2}(?:[-_T]?[0-9]{2}){0,3}))?(?:[.](?:gz|zst))?")
+PART = regex(r"(?:[.]([0-9]{1,6})|[-._]([0-9]{4}-?[0-9]{2}-?[0-9]{2}(?:[-_T]?[0-9]{2}){0,3}))?(?:[.](?:gz|zst))?")
 """The ends of the names of the older parts of a file: `.1`, `.2.gz`, `-20240501.gz`, `.2024-05-01_13`."""
-_OLDER = re.compile(f"(.+?){PART.pattern}")
-ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
+_OLDER = regex(f"(.+?){PART.pattern}")
+ELEMENTS = regex(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints
 
 from sierra.config.field_types import Size, Table
+from sierra.util.lazy_patterns import regex
 
 Relation = Literal[
     "isSupplementTo",
@@ -28,7 +29,7 @@ Relation = Literal[
     "isSourceOf",
 ]
 """Relations of DataCite and Zenodo between this package (first) and the other object."""
-DOI = re.compile(r"10\.\d{4,9}/\S+")
+DOI = regex(r"10\.\d{4,9}/\S+")
 Line = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, pattern=r"^[^\r\n]*$")]
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 OneLine = Annotated[str, StringConstraints(strip_whitespace=True, pattern=r"^[^\r\n]*$")]

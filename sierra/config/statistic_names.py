@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
-
 from sierra.config.plugin_registry import STATISTICS
+from sierra.util.lazy_patterns import regex
 
 CENSORED = ("km_median", "restricted_mean")
 """The statistics of times of which some are censored; they need all times of an experiment, and are no plug-ins."""
-QUANTILE = re.compile(r"q(\d+)(\.\d+)?")
+QUANTILE = regex(r"q(\d+)(\.\d+)?")
 
 
 def percent(name: str) -> float | None:

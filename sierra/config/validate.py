@@ -15,10 +15,11 @@ from sierra.config.cluster_table import SETTINGS, ClusterTable
 from sierra.config.field_types import NAME, Table
 from sierra.config.find_project import TOO_DEEP
 from sierra.errors import ConfigError
+from sierra.util.lazy_patterns import regex
 
 KEYS_OF_PROJECTS = {"outputs", "figures"}
 """Keys by which a model of a whole `sierra.toml` is known."""
-TARGET = re.compile(r"targets\.[^.]+\.[^.]+")
+TARGET = regex(r"targets\.[^.]+\.[^.]+")
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
 KINDS = {
     "int_type": "should be a whole number",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from sierra.store.row_types import IsolationRow
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
@@ -35,7 +35,7 @@ WATCHED = frozenset(("memory",))
 """The limits that the worker checks if the engine does not enforce them."""
 NVIDIA = Path("/proc/driver/nvidia")
 MOUNTED = Path("/proc/self/mountinfo")
-ESCAPED = re.compile(rb"\\([0-7]{3})")
+ESCAPED = regex(rb"\\([0-7]{3})")
 SPARE_S = 60.0
 """The seconds after a run's time limit until its container ends by itself, in case that nothing else ends it."""
 

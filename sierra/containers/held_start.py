@@ -8,12 +8,12 @@ without a line if there is none (`sierra.worker.worker.Held`). An image without 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 
 from sierra.containers.engines.base import HERE, RUN
 from sierra.model import Result
+from sierra.util.lazy_patterns import regex
 
 SHELL = "/bin/sh"
 PIPE = ".start"
@@ -23,9 +23,9 @@ WAIT = 'read -r {line} < "$1" && shift && unset {variables} && exec "$@"'
 LINE = "SIERRA_START"
 ADDED = ("OLDPWD", "PWD")
 """The variables that shells add to the environment of programs. (bash also adds SHLVL, and does not let it be removed.)"""
-VALID = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+VALID = regex(r"[A-Za-z_][A-Za-z0-9_]*")
 NOT_STARTED = (126, 127)
-REASON = re.compile(rf"{NAME}: (?:(?:line )?\d+: )?(?:exec: )?(?:line \d+: )?(.*)")
+REASON = regex(rf"{NAME}: (?:(?:line )?\d+: )?(?:exec: )?(?:line \d+: )?(.*)")
 
 
 def host_pipe() -> str:

@@ -19,6 +19,7 @@ from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
 from sierra.util.html_elements import element, joined
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.run_statistics import Statistics
     from sierra.store.store import Store
 
-LABEL = re.compile(r"[A-Za-z0-9:._-]+")
+LABEL = regex(r"[A-Za-z0-9:._-]+")
 PLAIN = ("mean",)
 """Statistics that need no name in a header if they are the only one."""
 SPECIAL = {

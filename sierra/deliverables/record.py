@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,6 +24,7 @@ from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256_file
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.version import __version__
 
 
@@ -116,7 +116,7 @@ def marked_folder(mark: Path, content: str) -> Path:
     return mark.parent
 
 
-ORIGIN = re.compile(rb"sierra (\S{1,40}) batch ([0-9a-f]{64}) data ([0-9a-f]{64})")
+ORIGIN = regex(rb"sierra (\S{1,40}) batch ([0-9a-f]{64}) data ([0-9a-f]{64})")
 """The line of `origin_of` in a file."""
 
 

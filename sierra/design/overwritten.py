@@ -18,10 +18,11 @@ from sierra.errors import QueryError, TemplateError
 from sierra.model import Cell, Change, Design, Set, Value
 from sierra.templates.base import Rendered, Template
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 MARKS = ("sierraMarkInPlaceOfAValue", "8150376429918273641")
 """A text, and a number for places in templates that accept only numbers."""
-CONSTANT = re.compile(r"""\[\s*(?:\d+|@([\w:.-]+)\s*=\s*(?:'[^']*'|"[^"]*"))\s*\]""")
+CONSTANT = regex(r"""\[\s*(?:\d+|@([\w:.-]+)\s*=\s*(?:'[^']*'|"[^"]*"))\s*\]""")
 """A test in a path, by number or by the value of an attribute."""
 SOME_SEED = seeds.LARGEST - 271_828
 

@@ -7,7 +7,6 @@ an identity.
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -19,11 +18,12 @@ from sierra.design.run_values import Declared
 from sierra.errors import ConfigError
 from sierra.execution import commands
 from sierra.model import Around, RunSpec, Service
+from sierra.util.lazy_patterns import regex
 
 KNOWN = tuple(name for name in OWN_PLACEHOLDERS if name != "arguments")
 OF_ONE_RUN = ("input", "seed")
-OWN_PORT = re.compile(r"(?<!\{)\{port\}")
-PORT_LIKE = re.compile(r"(?<!\{)\{services\.[^{}]*\}")
+OWN_PORT = regex(r"(?<!\{)\{port\}")
+PORT_LIKE = regex(r"(?<!\{)\{services\.[^{}]*\}")
 
 
 def declared(config: Project, root: Path, values: Declared, *, contained: bool = False, made: Sequence[str] = ()) -> Around:

@@ -50,20 +50,21 @@ from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files
 from sierra.util import processors
 from sierra.util.hashing import digest_plain
+from sierra.util.lazy_patterns import regex
 from sierra.worker import worker
 
 if TYPE_CHECKING:
     from sierra.worker import conductor
 
-PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
-NAMED = re.compile(r"\{\{([A-Za-z_]\w*)\}\}|\{([A-Za-z_]\w*)\}", re.ASCII)
+PLACEHOLDER = regex(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
+NAMED = regex(r"\{\{([A-Za-z_]\w*)\}\}|\{([A-Za-z_]\w*)\}", re.ASCII)
 """Like `PLACEHOLDER`, but also for names of variables."""
-ONE_INPUT = re.compile(r"(?<!\{)\{input\.(\w+)\}")
-PORT = re.compile(r"(?<!\{)\{services\.([A-Za-z_][A-Za-z0-9_]*)\.port\}")
+ONE_INPUT = regex(r"(?<!\{)\{input\.(\w+)\}")
+PORT = regex(r"(?<!\{)\{services\.([A-Za-z_][A-Za-z0-9_]*)\.port\}")
 """The port of a service, which only the conductor knows (see `sierra.worker.conductor`)."""
-NUMBERED_PORT = re.compile(r"(?<!\{)\{(port[0-9]+)\}")
-ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
-CODE = re.compile(r"(ba|da|z|k|fi)?sh|python[0-9.]*|perl|ruby|node|lua[0-9.]*|Rscript")
+NUMBERED_PORT = regex(r"(?<!\{)\{(port[0-9]+)\}")
+ABOVE = regex(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
+CODE = regex(r"(ba|da|z|k|fi)?sh|python[0-9.]*|perl|ruby|node|lua[0-9.]*|Rscript")
 """Names of programs that execute the word after an option such as `-c`."""
 SPLICED = "{arguments}"
 """The word of a command that stands for several: those in the input file `ARGUMENTS`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 
 from sierra.config.project_file import LoadedProject
 from sierra.design.query import grammar
@@ -11,8 +10,9 @@ from sierra.design.query.query_request import QueryRequest
 from sierra.errors import QueryError
 from sierra.execution import targets
 from sierra.model import Query, Set
+from sierra.util.lazy_patterns import regex
 
-BARE = re.compile(r"[^\W\d]\w*")
+BARE = regex(r"[^\W\d]\w*")
 """Pattern of a word that is not a criterion, because it has no range."""
 
 

@@ -25,8 +25,9 @@ from sierra.ingest import text_headers
 from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-NUMBER = re.compile("[0-9]+")
+NUMBER = regex("[0-9]+")
 NAMED: Mapping[str, str] = {
     "json": 'format = "json"',
     "xml": 'format = "xml", rows = "//ELEMENT"',

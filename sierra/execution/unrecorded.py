@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -12,10 +11,11 @@ from sierra.errors import SierraError
 from sierra.store import ownership_marks
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 from sierra.util.text import one_line
 
-NAME = re.compile(r"work-([0-9a-f]{16})(\.\d+)?")
+NAME = regex(r"work-([0-9a-f]{16})(\.\d+)?")
 MOST = 1000
 """The largest number of characters of a reason."""
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import re
 import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,6 +36,7 @@ from sierra.templates.base import PORTS
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.scratch import scratch
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
@@ -45,7 +45,7 @@ UNFINISHED = ".sierra-inputs-"
 COLUMNS = ("run", "experiment", "number", "seed", "folder")
 OWN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_ROBOT", "SIERRA_ROBOTS")
 """The variables of a run that are not declared but mean the same everywhere."""
-_OF_RUN = re.compile(rf"{HERE}(/{RUN_OUTPUT}(?![\w.-]))?")
+_OF_RUN = regex(rf"{HERE}(/{RUN_OUTPUT}(?![\w.-]))?")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ known if the run was observed. Runs that were not observed are compared with tho
 from __future__ import annotations
 
 import fnmatch
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import PurePosixPath
@@ -20,12 +19,13 @@ from sierra.model import IN_PROJECT, Result, Status
 from sierra.store.layout import RUN_HOME, SessionPaths
 from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import few
 
 NAMED = 3
 RUN = "{run}/"
 HOME = f"{RUN}{RUN_HOME}/"
-NO_RESULTS = re.compile(r"/(?:tmp|var|run|dev)/.*|.*/\..*")
+NO_RESULTS = regex(r"/(?:tmp|var|run|dev)/.*|.*/\..*")
 """Temporary files, those of services, and hidden ones: a run that writes nothing else has perhaps only printed its results."""
 LEFT_NOTHING = "left no file in its working directory, but wrote "
 

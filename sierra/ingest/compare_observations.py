@@ -6,16 +6,16 @@ of its own of the same kind (folder and ending), nothing is reported, unless the
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import few
 
 NAMED = 3
-TRACER = re.compile("(?:^|; )strace: ")
+TRACER = regex("(?:^|; )strace: ")
 """The beginning of the reason why the tracer cannot be used, as the worker writes it."""
 SEEN = """
 WITH seen AS (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 import tempfile
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import csv_given
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import unmarked
+from sierra.util.lazy_patterns import regex
 
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""
@@ -29,9 +29,9 @@ SMALL = 1 << 20
 """The size in bytes of files that are read at once."""
 COMMENTS = 'if such lines are comments, set comment = "#" in [outputs.…]'
 QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
-BLANK_END = re.compile(rb"(\r?\n)(?:(?:\r?\n)+\r?|\r)|(\r)\r+")
+BLANK_END = regex(rb"(\r?\n)(?:(?:\r?\n)+\r?|\r)|(\r)\r+")
 """The end of a line, with lines without a character after it."""
-CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
+CONTROL = regex(r"[\x00-\x08\x0e-\x1f]")
 """Control characters that are not allowed in column names."""
 
 

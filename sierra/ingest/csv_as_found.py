@@ -29,11 +29,12 @@ from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.text_headers import keys_of
 from sierra.store.connections import Database
+from sierra.util.lazy_patterns import regex
 
 BLANKS = "blanks"
 """The delimiter that stands for one or more blanks or tabs."""
-COMMA = re.compile(r"[-+]?([0-9]+,[0-9]*|,[0-9]+)([eE][-+]?[0-9]+)?")
-POINT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+COMMA = regex(r"[-+]?([0-9]+,[0-9]*|,[0-9]+)([eE][-+]?[0-9]+)?")
+POINT = regex(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 """Numbers with a decimal comma, and with a decimal point."""
 BOM = b"\xef\xbb\xbf"
 Line = tuple[int, bytes]

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 
 from sierra.ingest.model import Written
 from sierra.model import OutputFile
+from sierra.util.lazy_patterns import regex
 from sierra.worker import worker
 
 if TYPE_CHECKING:
     import _csv
 
-FILLED = re.compile(rb"^[ \t\r\f\v]*[^\s][^\n]*", re.MULTILINE)
+FILLED = regex(rb"^[ \t\r\f\v]*[^\s][^\n]*", re.MULTILINE)
 
 
 def described(file: Written, path: Path) -> Written:

@@ -13,11 +13,12 @@ from itertools import takewhile
 from pathlib import PurePosixPath
 
 from sierra.ingest.match_outputs import table_name
+from sierra.util.lazy_patterns import regex
 
-NUMBERS = re.compile(r"([0-9]+(?:[-_.: T]?[0-9]+)*)")
+NUMBERS = regex(r"([0-9]+(?:[-_.: T]?[0-9]+)*)")
 """Numbers that belong together, such as a date and a time."""
-YEAR = re.compile(r"(?<![0-9])[0-9]{4,}")
-DATE = re.compile(r"(?<![0-9])20[0-9]{2}([-_.]?)(?:0[1-9]|1[0-2])\1(?:0[1-9]|[12][0-9]|3[01])(?![0-9]{1,3}(?![0-9]))")
+YEAR = regex(r"(?<![0-9])[0-9]{4,}")
+DATE = regex(r"(?<![0-9])20[0-9]{2}([-_.]?)(?:0[1-9]|1[0-2])\1(?:0[1-9]|[12][0-9]|3[01])(?![0-9]{1,3}(?![0-9]))")
 FEWEST = 4
 """The fewest letters at random that are left open, so that names such as a.csv and b.csv are two names."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -23,6 +22,7 @@ from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import differing_by_case, identifier
 from sierra.store.type_inference import DURATION, EMPTY, is_inexact, is_number, kind_of, widest
+from sierra.util.lazy_patterns import regex
 from sierra.util.shortage import PASSING, lacking
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ NESTED = "write them as numbers, or as a column of durations"
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
 
-RENAMED = re.compile(r"_\d+$")
+RENAMED = regex(r"_\d+$")
 """The end of the names that DuckDB gives to columns whose names differ only in upper and lower case."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import field
@@ -21,8 +20,9 @@ from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import digest
 from sierra.util.json_types import Json, JsonView
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
+ID, SESSION = regex("[0-9a-f]{64}"), regex("[0-9a-f]{16}")
 UNREAD = {"units", "rates", "time", "ticks_per_second", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
 SAME_PROGRAMS = """(CASE WHEN e.reusing IS NULL THEN e.packages IS NULL AND e.programs = $programs

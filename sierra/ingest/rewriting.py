@@ -9,7 +9,6 @@ Messages name places in the original file.
 
 from __future__ import annotations
 
-import re
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,8 +25,9 @@ from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 from sierra.store.segments import disk_errors
+from sierra.util.lazy_patterns import regex
 
-LINE = re.compile(r"\bline (\d+): ")
+LINE = regex(r"\bline (\d+): ")
 COMPRESSED = (".gz", ".zst")
 """The endings of names of compressed files."""
 PIECE = 1 << 20

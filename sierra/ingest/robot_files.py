@@ -6,17 +6,17 @@ column of that name, `{place}` may be there instead.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 
 from sierra.config.output_tables import Output
 from sierra.model import BASE, OutputFile, Result
+from sierra.util.lazy_patterns import regex
 
 OF_ROBOT = "{robot}"
 COLUMN = "robot"
 FOLDERS = (OF_ROBOT + "/", "{place}/")
 """The beginnings of an output's `file` that stand for the folder of each robot."""
-_DIRECT = re.compile(r"([0-9]{1,9})/[^/]+")
+_DIRECT = regex(r"([0-9]{1,9})/[^/]+")
 
 
 def place_of(path: str) -> int | None:

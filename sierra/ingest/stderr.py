@@ -14,6 +14,7 @@ from pathlib import Path
 from sierra.store.endings import Kind
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
 from sierra.util.kept_log import kept_of
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 
 READ = 1 << 16
@@ -26,32 +27,32 @@ LONGEST_LINE = 4096
 LONGEST_MESSAGE = 5
 """The number of lines that may follow the first line of an exception's message."""
 
-ESCAPES = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[@-Z\\-_])")
+ESCAPES = regex(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[@-Z\\-_])")
 """Sequences that steer a terminal, such as those for colours and titles (ECMA-48)."""
-OF_CONDUCTOR = re.compile(r"== (?:before|after): |\[(?!info\]|warn|debug|error|fatal|crit|trace)[a-z][\w.-]*\] ")
+OF_CONDUCTOR = regex(r"== (?:before|after): |\[(?!info\]|warn|debug|error|fatal|crit|trace)[a-z][\w.-]*\] ")
 """Lines of services, and those before the output of other commands (see `sierra.worker.conductor`)."""
-OF_ROBOT = re.compile(r"==> .* <==")
+OF_ROBOT = regex(r"==> .* <==")
 """The line before the log of a robot (see `sierra.runners.robots.results`)."""
-PREFIX = re.compile(r"(?:\[[\d:.,TZ+/ -]*(?:ms)?\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
+PREFIX = regex(r"(?:\[[\d:.,TZ+/ -]*(?:ms)?\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
 """A time, or the bracket of a level, before a message."""
-LEVEL = re.compile(r"\[?(?:info|debug|warn(?:ing)?|trace|notice)\b", re.I)
-ERROR = re.compile(
+LEVEL = regex(r"\[?(?:info|debug|warn(?:ing)?|trace|notice)\b", re.I)
+ERROR = regex(
     r"(?:fatal error|fatal|error|critical|panic|aborted|exception|failure)(?:\]|:|!| \(| on proc\b|"
     r" (?:in|at|on|while|when|during|reading|opening|loading|parsing|writing|using|code|from)\b)",
     re.I,
 )
-UPPER = re.compile(r"(?:FATAL|ERROR|CRITICAL|PANIC)\b")
-EXCEPTION = re.compile(r"(?:[\w$]+[.:]+)*[\w$]*(?:Error|Exception|Failure|Interrupt|Exit)(?::|$)")
-CRASH = re.compile(
+UPPER = regex(r"(?:FATAL|ERROR|CRITICAL|PANIC)\b")
+EXCEPTION = regex(r"(?:[\w$]+[.:]+)*[\w$]*(?:Error|Exception|Failure|Interrupt|Exit)(?::|$)")
+CRASH = regex(
     r"terminate called |.*\b(?:Segmentation fault|Bus error|Floating point exception|Illegal instruction|core dumped)|"
     r"Aborted(?: \(core dumped\))?$|Execution halted$|.* panicked at "
 )
-NUMBER = re.compile(
+NUMBER = regex(
     r"[\s:=\])(!]*(?:[-+]?(?:\d[\d.e+-]*|nan|inf)\s*(?:[%,;|/(]|[a-z]{0,3}$)|none$)|[\s\w()=.-]*[:=]\s*[-+]?\d[\d.e+-]*\s*%?$",
     re.I,
 )
 """The rest of a line that reports a number, such as `error: 0.001` or `ERROR RATE: 0.1`."""
-TRAILER = re.compile(r"Last command: |Quitting \(on error\)|in expression starting at |exit status \d+$")
+TRAILER = regex(r"Last command: |Quitting \(on error\)|in expression starting at |exit status \d+$")
 """Lines with which LAMMPS, SUMO, Julia and Go end after an error message."""
 TRACEBACK = "Traceback (most recent call last):"
 IGNORED = "Exception ignored in"

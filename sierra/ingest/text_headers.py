@@ -7,18 +7,18 @@ lines below have the same number of cells, and each has a number.
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from sierra.ingest.delimiters import DELIMITERS, delimiter_of, reads_as_number, split
 from sierra.store.sql_names import unmarked
+from sierra.util.lazy_patterns import regex
 
 BLANKS = "blanks"
 READ = 1 << 16
 """The number of bytes at the beginning of a file that are looked at."""
-MARK = re.compile(r"\s*(#|@|%|//|!)")
+MARK = regex(r"\s*(#|@|%|//|!)")
 """The beginnings of comments."""
-UNIT = re.compile(
+UNIT = regex(
     r"\[.*\]|\(.*\)|[-%1]|([munpkMGc\u00b5\u03bc]?(s|m|g|W|J|V|A|N|Pa|Hz|B|bps)|min|h|d|K|C|F|deg|degC|\u00b0C|rad|mol)"
     r"([/*^.][-\w/*^.]*)?"
 )

@@ -29,9 +29,10 @@ from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-STEP = re.compile(r"(//?)([^/]+)")
-TAG = re.compile(
+STEP = regex(r"(//?)([^/]+)")
+TAG = regex(
     rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>"
     rb"|<(?P<end>/?)(?P<name>[^\s<>/!?]+)(?:[^<>\"']|\"[^\"]*\"|'[^']*')*?(?P<empty>/?)>",
     re.DOTALL,

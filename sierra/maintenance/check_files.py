@@ -48,12 +48,13 @@ from sierra.store.views import ONCE
 from sierra.util.fs import UNFINISHED_END
 from sierra.util.hashing import sha256, unsealed
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.shortage import shortage
 
-ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
+ASIDE = regex(rf"{NAME.pattern}(\.\d+)?")
 """The pattern of the name of a segment that a repair has put aside."""
-LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
-UNFINISHED = re.compile(rf"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id){UNFINISHED_END}")
+LINE = regex(r"([0-9a-f]{64})  ([^/\0]+)")
+UNFINISHED = regex(rf"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id){UNFINISHED_END}")
 CHUNK = 1 << 20
 THREADS = 4
 EXPANDED = 256 << 20

@@ -9,7 +9,6 @@ program that the repository's configuration names. Commits are given by their fu
 from __future__ import annotations
 
 import os
-import re
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,12 +20,13 @@ from sierra.errors import Missing
 from sierra.provenance.source import origin
 from sierra.provenance.source.git import ALWAYS, OFFLINE, Git, environment, foreign, in_repository
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 SHOWN = 20
 """Maximum number of commits that are listed."""
 BRANCHES = 6
 """Maximum number of branches and tags that are listed."""
-HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
+HASH = regex(r"[0-9a-f]{40}([0-9a-f]{24})?")
 Ask = Callable[..., str]
 """Runs git with arguments, and returns its output; an empty text if git fails."""
 FORMAT = "--format=%H%x00%aI%x00%an%x00%s"

@@ -13,6 +13,7 @@ from sierra.model import IN_PROJECT
 from sierra.store.row_types import ProgramRow
 from sierra.util.hashing import digest
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 INSTALLED = ": installed distributions"
 """Suffix of the name for all distributions of a Python; the path of that entry is a list of folders, as in PATH."""
@@ -161,7 +162,7 @@ TOOLS = frozenset(
 """First words of the names of packages that hardly any result depends on."""
 EVERYWHERE = frozenset(("python", "python3", "project", "input", "output", "seed", "run"))
 """Words of commands that do not name a particular package."""
-IMPORT = re.compile(r"^\s*(?:import|from)\s+(\w+)", re.MULTILINE)
+IMPORT = regex(r"^\s*(?:import|from)\s+(\w+)", re.MULTILINE)
 MAX_SEARCHED = 1 << 20
 """Maximum number of bytes of a script that are searched for imports."""
 

@@ -7,18 +7,18 @@ ELF file names its own loader, which could be any program. Therefore only loader
 from __future__ import annotations
 
 import os
-import re
 import struct
 from collections.abc import Mapping
 from pathlib import Path
 
 from sierra.util import bounded_program
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-SYSTEM = re.compile(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
-LOADER = re.compile(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")
-FOUND = re.compile(r"\s*(?:(?P<name>\S.*?) => )?(?P<path>/.*) \(0x[0-9a-f]+\)")
-LACKING = re.compile(
+SYSTEM = regex(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
+LOADER = regex(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")
+FOUND = regex(r"\s*(?:(?P<name>\S.*?) => )?(?P<path>/.*) \(0x[0-9a-f]+\)")
+LACKING = regex(
     r".*: error while loading shared libraries: (.+?): cannot open shared object file: .*"  # glibc
     r"|.*: version [`'](.+?)' not found \(required by .*\)"
     r"|Error loading shared library (.+?): No such file.*"  # musl

@@ -28,8 +28,9 @@ from sierra.util import bounded_program
 from sierra.util.hashing import digest
 from sierra.util.json_types import as_object
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-NAME = re.compile(r"python(\d(\.\d+)?t?)?")
+NAME = regex(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"
 TIMEOUT_S = 10.0
 NAMED = "python3"

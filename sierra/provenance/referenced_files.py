@@ -22,9 +22,10 @@ from sierra.errors import Missing
 from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
-LIBRARY = re.compile(r".*\.so(?:\.\d\w*)*")
+LIBRARY = regex(r".*\.so(?:\.\d\w*)*")
 """The names of shared libraries, such as `libssl.so.1.0.2k`."""
 LIBRARY_PATHS = tuple(name for name, use in extensions.every("variables").items() if use == "libraries")
 """Variables of runs that are search paths: programs use only libraries in the folders that they name."""
@@ -34,8 +35,8 @@ MAX_SIZE = 10**9
 SEARCHED = (".xml", ".urdf", ".xacro", ".mjcf", ".json", ".yaml", ".yml", ".toml", *extensions.every("inputs"))
 MAX_SEARCHED = 1 << 24
 """Maximum number of bytes of the template, or of such a file, that are searched for names."""
-LETTER = re.compile(r"[^\W\d_]")
-TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
+LETTER = regex(r"[^\W\d_]")
+TAG = regex(r"""<[/?!]?[^\s<>"'/=]+""")
 """The beginning of a tag in XML, with its name."""
 
 

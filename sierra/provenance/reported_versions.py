@@ -10,7 +10,6 @@ hash serves that purpose.
 from __future__ import annotations
 
 import contextlib
-import re
 import resource
 import subprocess
 import tempfile
@@ -24,6 +23,7 @@ from sierra.store.layout import user_versions
 from sierra.util import bounded_program
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
 TIMEOUT_S = 10.0
@@ -32,7 +32,7 @@ MAX_OUTPUT = 1 << 16
 MAX_LENGTH = 200
 MAX_ENTRIES = 1024
 LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
-COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
+COLOUR = regex(rb"\x1b\[[0-9;:]*m")
 """Select Graphic Rendition (ECMA-48, 8.3.117), the only control sequence that does not move the cursor."""
 MARK = "SIERRA_VERSION_ASKED"
 

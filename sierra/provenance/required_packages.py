@@ -6,14 +6,14 @@ container, the image has its own packages, so that nothing is checked.
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Sequence
 from importlib import metadata
 
 from sierra.config.project_file import Project
+from sierra.util.lazy_patterns import regex
 
-NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
+NAME = regex(r"[A-Za-z0-9][\w.-]*")
 PYTHON = "{python}"
 
 

@@ -5,16 +5,16 @@ This decides nothing. It is only for the proposal of what to declare as volatile
 
 from __future__ import annotations
 
-import re
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from sierra.util.arrow_columns import values_of
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
+WORDS = regex(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 """The words of a name such as `wall_time`, `cpuSeconds` or `RTF`."""
 CLOCKS = frozenset(
     [
@@ -47,7 +47,7 @@ PERHAPS = frozenset(
 EPOCH = (1e9, 4.2e9)
 """Seconds since 1970, from 2001 to 2103."""
 SCALES = (1.0, 1e3, 1e6, 1e9)
-DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d:\d\d|[A-Z][a-z]{2} [A-Z][a-z]{2} +\d+ ")
+DATE = regex(r"\d{4}-\d\d-\d\d|\d\d:\d\d:\d\d|[A-Z][a-z]{2} [A-Z][a-z]{2} +\d+ ")
 
 
 class Clock(StrEnum):

@@ -7,12 +7,12 @@ clock without days is not continued after midnight: its time goes back then, whi
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Any
 
 from sierra.store.sql_names import identifier, quote
+from sierra.util.lazy_patterns import regex
 
 DAY = 86_400
 CLOCK = r"(?:(0|[1-9][0-9]{0,6}):(?:[01]?[0-9]|2[0-3])|[0-9]{1,5}):[0-5][0-9]:(?:[0-5][0-9]|60)(?:[.,][0-9]+)?"
@@ -24,7 +24,7 @@ MOMENT = (
 )
 ZONE = r"(?:[Zz]|UTC|:[0-9.,]+ ?[-+][0-9:]+)$"
 """The zone at the end of a moment."""
-STAMP = re.compile(r"DATE|TIMESTAMP\w*( WITH TIME ZONE)?")
+STAMP = regex(r"DATE|TIMESTAMP\w*( WITH TIME ZONE)?")
 """DuckDB's types of moments."""
 UNIT = "s"
 SECONDS = "# seconds of "

@@ -12,11 +12,13 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.store.duckdb_file_io import steady
 from sierra.store.local_connection import local
+from sierra.store.rest_rows import RestRows
 from sierra.util import open_files
 from sierra.util.lazy_dataclasses import dataclass
 
@@ -60,6 +62,11 @@ class Connection:
         """Record a setting that a statement is about to change, so that it is reset at the end."""
         if setting := re.match(r"SET (\w+)", statement):
             self._settings.append(setting[1])
+
+    @property
+    def rest(self) -> RestRows:
+        """The rows of segments that the database holds."""
+        return self._open.rest
 
     def take_over(self, wanted: Callable[[Views], bool]) -> Views | None:
         """Return the views that the last snapshot has left here, if they are wanted; otherwise drop them."""
@@ -142,6 +149,8 @@ class _Open:
     """The limit on its memory, the index that is attached, and the folders that it may read."""
     spills: str
     """The folder that exists when a query was too large for the memory."""
+    rest: RestRows = field(default_factory=RestRows)
+    """The rows that it holds."""
     views: Views | None = None
     """The views in it, if the next snapshot may use them."""
 

@@ -12,7 +12,6 @@ through a symbolic link.
 from __future__ import annotations
 
 import os
-import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,8 +20,9 @@ from types import TracebackType
 from sierra.errors import Missing
 from sierra.store.sql_names import quote
 from sierra.store.verified_files import verify
+from sierra.util.lazy_patterns import regex
 
-ODD = re.compile(r"^~|[*?\[\\\udc80-\udcff]")
+ODD = regex(r"^~|[*?\[\\\udc80-\udcff]")
 """The parts of a path that DuckDB does not take literally: patterns, the home folder, bytes that are not UTF-8, and a backslash
 in the path of an attached file.
 """

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import errno
 import json
-import re
 from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.store.duckdb_file_io import plain
+from sierra.util.lazy_patterns import regex
 from sierra.util.shortage import lacking, shortage
 
-NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
+NESTED = regex(r'"exception_message":("(?:[^"\\]|\\.)*")')
 """The pattern of a writing thread's error, which is JSON within another error."""
-OF_INDEX = re.compile(r' Did you mean "index_[0-9a-f]{16}\.[^?]*\?')
+OF_INDEX = regex(r' Did you mean "index_[0-9a-f]{16}\.[^?]*\?')
 """The pattern of a proposal to use a table of the index, whose name is `sierra.store.index_reader.DATABASE`."""
 MOST = 400
 

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from sierra.store.store import Snapshot, Store
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import counted, few, verb
 
 
@@ -28,7 +29,7 @@ CURES = {
 }
 """Remedies for errors that runs print, by where they print them; `pattern` finds those that were seen."""
 NAMED = 3
-WORD = re.compile(r"(?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*:")
+WORD = regex(r"(?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*:")
 """The beginning of most messages: an error word, or the name of an exception."""
 LAST = """
 WITH last AS (

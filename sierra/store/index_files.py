@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import shutil
 import tempfile
 import weakref
@@ -31,13 +30,14 @@ from sierra.store.schema import RECORDED
 from sierra.store.verified_files import begins_with
 from sierra.util.fs import UNFINISHED_END, replacing
 from sierra.util.hashing import sha256, sha256_file
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import remove_abandoned
 
 FORMAT = 5
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
-NAME = re.compile(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
-UNFINISHED = re.compile(rf"\.{NAME.pattern}{UNFINISHED_END}")
+NAME = regex(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
+UNFINISHED = regex(rf"\.{NAME.pattern}{UNFINISHED_END}")
 IN_MEMORY = 64 << 20
 """The size up to which an index is read into memory."""
 

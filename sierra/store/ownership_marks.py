@@ -16,7 +16,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,10 +24,11 @@ from sierra.errors import Damaged, Missing
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.util.fs import write_once
 from sierra.util.hashing import sha256
+from sierra.util.lazy_patterns import regex
 from sierra.worker import worker
 
-ID = re.compile(rb"([0-9a-f]{32})\n")
-SESSION = re.compile(r"[0-9a-f]{16}")
+ID = regex(rb"([0-9a-f]{32})\n")
+SESSION = regex(r"[0-9a-f]{16}")
 SIGNED = {"pid", "where"}
 """The fields that an owner file has at least."""
 MOST = 1 << 16

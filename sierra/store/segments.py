@@ -53,6 +53,7 @@ from sierra.store.verified_files import are_sound, changed, hash_written, lost, 
 from sierra.util.fs import UNFINISHED_END, inside, is_gone
 from sierra.util.hashing import sha256
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import lacking
 
@@ -70,9 +71,9 @@ OUTPUT = "output."
 SUFFIX = ".parquet"
 NOTICED = frozenset(("objects.parquet", "images.parquet"))
 """Files with contents that records name by a hash: whatever needs a lost one says that it is missing."""
-NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
+NAME = regex(r"[0-9a-f]{12}-([0-9a-f]{16})")
 """The pattern of a segment's name."""
-NUMBERED = re.compile(r"output\.([1-9][0-9]{0,8})((?:~[0-9]+)?)")
+NUMBERED = regex(r"output\.([1-9][0-9]{0,8})((?:~[0-9]+)?)")
 OUTPUTS = "OUTPUTS"
 REPLACES = "REPLACES"
 AFTER = "AFTER"

@@ -10,12 +10,12 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import re
 import stat
 from collections.abc import Callable
 from pathlib import Path
 
 from sierra.store.layout import StorePaths
+from sierra.util.lazy_patterns import regex
 from sierra.util.log_handlers import Lines, listen
 
 LARGEST = 1 << 19
@@ -88,7 +88,7 @@ def old(path: Path) -> Path:
     return path.with_suffix(".old")
 
 
-NAME = re.compile(r"[0-9a-f]{16}\.(log|old)")
+NAME = regex(r"[0-9a-f]{16}\.(log|old)")
 
 
 def logs(store: StorePaths) -> list[Path]:

@@ -24,6 +24,7 @@ from sierra.store.sql_result import few_rows
 from sierra.store.statement_worker import PART
 from sierra.store.store import Snapshot, Store
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,7 +34,7 @@ OFFSET = 4
 """The bytes that Arrow needs for a text in addition to those of its characters."""
 TELLING_NAN = frozenset(("isfinite", "isnan"))
 """Functions of a statement that considers NaN itself."""
-STAR = re.compile(r"(?i)(?:\b(?:select|distinct)|[.,]|columns\s*\()\s*\*|\bcolumns\b|\bunpivot\b")
+STAR = regex(r"(?i)(?:\b(?:select|distinct)|[.,]|columns\s*\()\s*\*|\bcolumns\b|\bunpivot\b")
 """A part of a statement that uses columns without naming them."""
 
 

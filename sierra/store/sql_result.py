@@ -12,6 +12,8 @@ from datetime import UTC, date, datetime, time, timedelta
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from sierra.util.lazy_patterns import regex
+
 if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
@@ -40,9 +42,9 @@ INSTANT = "TIMESTAMP WITH TIME ZONE"
 INTEGER = r"U?(TINY|SMALL|BIG|HUGE)INT|U?INTEGER"
 NUMBER = rf"{INTEGER}|DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)"
 """The types of whole numbers, and of all numbers, as regular expressions."""
-SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBER}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
+SIMPLE = regex(rf"(VARCHAR|BOOLEAN|{NUMBER}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
 """The types of values that are the same as Python objects from DuckDB and from Arrow; `HUGEINT` is more exact."""
-TIMES = re.compile(r"DATE|TIME|BIT|INTERVAL")
+TIMES = regex(r"DATE|TIME|BIT|INTERVAL")
 """A pattern in the names of types with values that Python cannot hold: infinity, years before 1 and after 9999, for example."""
 HELD = {
     "DATE": "#{0} BETWEEN DATE '0001-01-01' AND DATE '9999-12-31'",
@@ -53,7 +55,7 @@ HELD = {
     "BIT": "false",
 }
 """Conditions that a value of a type can be a Python object, by the type; those of TIMESTAMP_S and _MS are TIMESTAMP's."""
-NEVER_HELD = re.compile(r"_NS\b|INTERVAL")
+NEVER_HELD = regex(r"_NS\b|INTERVAL")
 """A pattern in the names of types with values that Python never holds: nanoseconds and intervals."""
 NESTED_HELD = r"NOT regexp_matches(#{0}::VARCHAR, 'infinity|\(BC\)|\d{{5,}}-\d\d-\d\d|24:00:00')"
 """The condition for values of other types, such as lists of dates; also false if they have a text like such a time."""

@@ -15,7 +15,6 @@ import atexit
 import contextlib
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 from sierra.store import statement_worker
 from sierra.store.local_connection import local
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,7 +44,7 @@ OF_SHORTAGE = (signal.SIGKILL, signal.SIGABRT)
 """The signals that end a process for which there is no memory: from the system, and from itself."""
 OBJECT = 64
 """The memory of a Python object within a row, or of the row itself, in bytes."""
-SETTING = re.compile(r"(?:SET|RESET)\s+(\w+)")
+SETTING = regex(r"(?:SET|RESET)\s+(\w+)")
 """The beginning of a statement that changes a setting, with its name."""
 
 Kept: TypeAlias = "tuple[int, dict[str, Any], pa.Table | None]"

@@ -37,6 +37,7 @@ from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
 from sierra.store.views import KEPT_OBJECTS, Views, lists_tables, recording, tables_of
 from sierra.util.fs import is_gone, write_whole
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
 
@@ -57,7 +58,7 @@ NOTE = "sierra:note"
 GITIGNORE = b"*\n"
 UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
 """The name prefixes of unfinished files while a store is created."""
-PREFIX = re.compile(r"[0-9a-f]{4,64}")
+PREFIX = regex(r"[0-9a-f]{4,64}")
 KINDS = {int: "BIGINT", float: "DOUBLE"}
 """The SQL types of the numbers in temporary tables."""
 
@@ -65,7 +66,7 @@ KINDS = {int: "BIGINT", float: "DOUBLE"}
 Converted = TypeVar("Converted")
 
 
-DESCRIBES = re.compile(r"(?i)\s*(describe|summarize)\b")
+DESCRIBES = regex(r"(?i)\s*(describe|summarize)\b")
 DURATIONS = f"""
 SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND lower(output) = lower($output)
     AND contains(table_layout, '"{DURATION}"') AND execution IN ({{executions}}) ORDER BY table_layout
@@ -447,7 +448,10 @@ class Snapshot:
         kept = self._opened.take_over(lambda views: not self._fresh and views.serves(self.listing, within, replays))
         if kept is not None:
             return kept.moved(lambda: self.connection, self.listing, self._index)
-        return Views(lambda: self.connection, self.listing, within, replays, self._index)
+        if self._fresh:
+            self._opened.rest.clear(self._opened.cursor.execute)
+        rest = None if self._fresh or self._given[0] is not None else self._opened.rest
+        return Views(lambda: self.connection, self.listing, within, replays, self._index, rest)
 
     @property
     def segments(self) -> Sequence[Segment]:

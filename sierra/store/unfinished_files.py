@@ -7,15 +7,15 @@ Only folders with SIERRA's mark are looked at, and there only hidden names: file
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.store.layout import DRAWN, ProjectPaths
 from sierra.util import scratch
+from sierra.util.lazy_patterns import regex
 from sierra.worker import worker
 
-WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}\.(\d+)")
+WRITTEN = regex(r"\..+\.[0-9a-f]{8}\.(\d+)")
 """The names of files that are written whole: the process is their last part."""
 
 

@@ -15,6 +15,7 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.index_reader import IN_SEGMENTS, Index
 from sierra.store.listing import Listing
+from sierra.store.rest_rows import RestRows
 from sierra.store.row_types import Key
 from sierra.store.schema import DERIVED, LATER, RECORDED, columns_with
 from sierra.store.segments import Segment, is_first_part
@@ -22,6 +23,7 @@ from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import Fetch, Held, Relation, Source, relation
 from sierra.store.verified_files import verify
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -79,15 +81,17 @@ class Views:
         within: str | None = None,
         replays: Sequence[str] = (),
         index: Index | None = None,
+        rest: RestRows | None = None,
     ) -> None:
         """`connection` returns the connection, free for a statement. `replays` are those that count: see `Store.replayed`.
 
-        `index`: the index of the segments that are not in `listing.rest`.
+        `index`: the index of the segments that are not in `listing.rest`. `rest`: the rows of these that the connection holds.
         """
         self._connection = connection
         self._within = within
         self._replays = replays
         self._index = index
+        self._rest = rest
         self._files: dict[str, list[str]] = {}
         self._outputs: dict[str, list[str]] = {}
         first = dict(index.spellings()) if index else {}
@@ -288,7 +292,9 @@ class Views:
     def _records(self, name: str, *, older: bool) -> str:
         """Return the relation of records in all segments; `older`: no file has the later columns."""
         parts = [self._index.rows(name)] if self._index and self._index.holds(name) and name not in IN_SEGMENTS else []
-        if files := self._files_of(name):
+        if held := self._held(name):
+            parts.append(held)
+        elif files := self._files_of(name):
             source = (
                 records(name, files) if older else read_parquet(files, union=name in LATER, check=name not in self.unchecked)
             )
@@ -298,6 +304,19 @@ class Views:
             parts.append(source)
         source = parts[0] if len(parts) == 1 else f"(SELECT * FROM {parts[0]} UNION ALL BY NAME SELECT * FROM {parts[1]})"
         return counting(source, self._replays) if name == "executions" and self._replays else source
+
+    def _held(self, name: str) -> str:
+        """Return the relation of the rows in the files of a table that the connection holds; "" if it does not."""
+        import duckdb
+
+        files = self._files.get(name)
+        if self._rest is None or not files or name in (*IN_SEGMENTS, "experiments") or self.unchecked:
+            return ""
+        try:
+            return self._rest.relation(name, files, self._connection().execute)
+        except duckdb.Error as error:  # whoever reads the files tells more
+            check_shortage(error)
+            return ""
 
     def _files_of(self, name: str) -> list[str]:
         """Return the files of a table of records that are read, in the order of their segments."""
@@ -773,11 +792,9 @@ def counting(executions: str, replays: Sequence[str]) -> str:
     )
 
 
-NAMED = re.compile(
-    r'(?:\b(?:from|join|describe|summarize|table|show)\b|[,(])\s*(?:"((?:[^"]|"")+)"|([^\W\d]\w*))', re.IGNORECASE
-)
-ALL = re.compile(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
-LISTS = re.compile(r"\b(?:show|describe\s*(?:$|[^\s\w\"(]))|\b(?:pg|sqlite)_\w", re.IGNORECASE | re.DOTALL)
+NAMED = regex(r'(?:\b(?:from|join|describe|summarize|table|show)\b|[,(])\s*(?:"((?:[^"]|"")+)"|([^\W\d]\w*))', re.IGNORECASE)
+ALL = regex(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
+LISTS = regex(r"\b(?:show|describe\s*(?:$|[^\s\w\"(]))|\b(?:pg|sqlite)_\w", re.IGNORECASE | re.DOTALL)
 """Further ways to list tables or databases: only those that exist on the connection."""
 
 

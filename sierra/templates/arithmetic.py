@@ -25,6 +25,7 @@ from sierra.errors import ConfigError
 from sierra.model import Value
 from sierra.util.float_range import TOO_LARGE, TOO_SMALL, out_of_range
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 MAX_LENGTH = 200
 """Maximum number of characters of one expression; this limits its nesting depth."""
@@ -34,7 +35,7 @@ _PLAIN = 1 << 62
 
 Number = int | float
 
-_PIECE = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
+_PIECE = regex(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
 CHOSEN = ("controller", "scenario")
 """Names that have a value only if the user chooses one."""
 _CONSTANTS: Mapping[str, Number] = {"pi": math.pi}

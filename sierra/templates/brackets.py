@@ -5,12 +5,12 @@ A new member gets the white space of the member beside it. The first of a node's
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 from sierra.templates.notation import Kind, Node
+from sierra.util.lazy_patterns import regex
 
-_BLANK = re.compile(r"\s*")
+_BLANK = regex(r"\s*")
 
 
 def insert(text: str, node: Node, member: str, at: int | None) -> str:

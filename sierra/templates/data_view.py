@@ -18,17 +18,18 @@ from sierra.errors import TemplateError
 from sierra.templates import xpath_time_limit
 from sierra.templates.notation import Address, Edit, Kind, Node, Notation, decoded
 from sierra.templates.xml_characters import replaced
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element
-_NAME = re.compile("[A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff][A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff0-9.-]*")
+_NAME = regex("[A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff][A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff0-9.-]*")
 """A key that is a name in XPath; libxml2 has an old definition of letters outside of Latin-1."""
-_TOKEN = re.compile(
+_TOKEN = regex(
     r"""\s*(?: (?P<literal> '[^']*' | "[^"]*") | (?P<number> \d+(?:\.\d*)? | \.\d+) | (?P<name> [^\W\d][\w.-]*)
     | (?P<sign> // | :: | \.\. | != | <= | >= | [^\s]) )""",
     re.VERBOSE,
 )
-_STEP = re.compile(r"\s*[\w*@.]")
+_STEP = regex(r"\s*[\w*@.]")
 _OPERATORS = frozenset({"and", "or", "div", "mod"})
 _ENDS = frozenset({")", "]", ".", ".."})
 """Signs that end an operand; the others are operators, or expect one more step."""

@@ -15,16 +15,17 @@ from typing import ClassVar
 
 from sierra.templates.notation import Kind, Node, Notation, Unfit, failure
 from sierra.templates.tree import TreeTemplate
+from sierra.util.lazy_patterns import regex
 
-_LINE = re.compile(r"[^\n]*\n?")
-_HEADER = re.compile(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")
-_SIGN = re.compile("[=:]")
-_COMMENT = re.compile(r"(?:^|\s)[#;]")
-_LONE_RETURN = re.compile(r"\r(?!\n)")
-_REFERENCE = re.compile(r"%[%(]")
+_LINE = regex(r"[^\n]*\n?")
+_HEADER = regex(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")
+_SIGN = regex("[=:]")
+_COMMENT = regex(r"(?:^|\s)[#;]")
+_LONE_RETURN = regex(r"\r(?!\n)")
+_REFERENCE = regex(r"%[%(]")
 """A `%` that Python's configparser replaces."""
 _BLANKS = " \t\f\r\n"
-_KEY = re.compile(r"[\w.*\[\]-]+")
+_KEY = regex(r"[\w.*\[\]-]+")
 
 
 class IniNotation:

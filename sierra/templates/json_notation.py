@@ -7,14 +7,14 @@ document, and other encodings than UTF-8.
 from __future__ import annotations
 
 import json
-import re
 from json.decoder import scanstring  # type: ignore[attr-defined]
 
 from sierra.templates import brackets
 from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, failure, too_large
+from sierra.util.lazy_patterns import regex
 
-_SPACE = re.compile(r"[ \t\n\r]*")
-_WORD = re.compile(r"[A-Za-z_+-]?[\w.+-]*")
+_SPACE = regex(r"[ \t\n\r]*")
+_WORD = regex(r"[A-Za-z_+-]?[\w.+-]*")
 _WORDS = {"true": Kind.BOOLEAN, "false": Kind.BOOLEAN, "null": Kind.NULL}
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import outside
 
 Find = Callable[[str], Sequence[object]]
@@ -18,8 +19,8 @@ Find = Callable[[str], Sequence[object]]
 Names = Callable[[str, str, str], list[str]]
 """A function that returns the different names one step (`/` or `//`) away from a path: attributes if the last is `@`."""
 
-_SIMPLE_STEP = re.compile(r"(/{0,2})(@?)([^\s/@*.\[\]()|]+)((?:\[.*\])?)", re.DOTALL)
-_SIMPLE_PREDICATE = re.compile(r"""\[\s*@([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')\s*\]""")
+_SIMPLE_STEP = regex(r"(/{0,2})(@?)([^\s/@*.\[\]()|]+)((?:\[.*\])?)", re.DOTALL)
+_SIMPLE_PREDICATE = regex(r"""\[\s*@([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')\s*\]""")
 
 
 def nearest(path: str, find: Find, names: Names) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import field
 from decimal import Decimal
@@ -12,6 +11,7 @@ from typing import Protocol
 from sierra.errors import TemplateError
 from sierra.util.float_range import TOO_LARGE, out_of_range
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 
 Span = tuple[int, int]
@@ -23,7 +23,7 @@ DEPTH = 100
 """Maximum depth of a document."""
 LONGEST = 400
 """Maximum number of characters of a number."""
-NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
+NUMBER = regex(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 """A number as all formats write it."""
 
 

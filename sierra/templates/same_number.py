@@ -7,18 +7,18 @@ may be a version that differs from `1.1`; `-0` differs from `0`.
 
 from __future__ import annotations
 
-import re
 from fractions import Fraction
 
 from sierra.util.float_range import out_of_range
+from sierra.util.lazy_patterns import regex
 
 LONGEST = 60
 """Maximum number of characters of a text that may be a number."""
 _BLANKS = " \t\n\r\f\v"
 """White space that programs skip before a number; they do not skip a no-break space."""
-_NUMBER = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
-_DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-_VERSION = re.compile(r"\.[0-9]*[1-9]0+(?:[eE]|\Z)")
+_NUMBER = regex(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_DECIMAL = regex(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_VERSION = regex(r"\.[0-9]*[1-9]0+(?:[eE]|\Z)")
 """Decimals that end with zeros after other digits."""
 
 

@@ -25,10 +25,11 @@ from sierra.model import Change, Value
 from sierra.templates.base import Document, Files, Rendered, Renderer, Template, read
 from sierra.util.hashing import sha256
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import read_regular
 from sierra.util.text import few, one_line
 
-_PREFIX = re.compile(r"\s*([A-Za-z_]\w*):(?=[/(])")
+_PREFIX = regex(r"\s*([A-Za-z_]\w*):(?=[/(])")
 
 
 def of_project(project: Project, root: Path) -> Template:

@@ -26,10 +26,11 @@ from sierra.templates.base import FOLDERS, Rendered
 from sierra.templates.notation import decoded, failure
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import few, one_line
 
-_PATH = re.compile(r"/{0,2}([A-Za-z_]\w*)")
-_NAME = re.compile(r"[A-Za-z_]\w*")
+_PATH = regex(r"/{0,2}([A-Za-z_]\w*)")
+_NAME = regex(r"[A-Za-z_]\w*")
 
 
 def _delimited(placeholder: str) -> str:

@@ -18,20 +18,21 @@ from sierra.errors import TemplateError
 from sierra.templates import brackets
 from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, Span, Unfit, failure, too_large
 from sierra.templates.tree import TreeTemplate
+from sierra.util.lazy_patterns import regex
 
 Key = tuple[str, Span]
-_FILLER = re.compile(r"(?:[ \t\r\n]|\#[^\n]*)*")
-_BLANK = re.compile(r"[ \t]*")
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_FILLER = regex(r"(?:[ \t\r\n]|\#[^\n]*)*")
+_BLANK = regex(r"[ \t]*")
+_BARE = regex(r"[A-Za-z0-9_-]+")
 _TEXTS = (
-    ('"""', re.compile(r'"""(?:[^"\\]|\\.|"{1,2}(?!"))*"{3,5}', re.DOTALL)),
-    ("'''", re.compile(r"'''(?:[^']|'{1,2}(?!'))*'{3,5}", re.DOTALL)),
-    ('"', re.compile(r'"(?:[^"\\\n]|\\.)*"')),
-    ("'", re.compile(r"'[^'\n]*'")),
+    ('"""', regex(r'"""(?:[^"\\]|\\.|"{1,2}(?!"))*"{3,5}', re.DOTALL)),
+    ("'''", regex(r"'''(?:[^']|'{1,2}(?!'))*'{3,5}", re.DOTALL)),
+    ('"', regex(r'"(?:[^"\\\n]|\\.)*"')),
+    ("'", regex(r"'[^'\n]*'")),
 )
-_WORD = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:][^\s,\]}#]*|[^\s,\]}#]+")
-_MOMENT = re.compile(r"[0-9:.TtZz+ -]+")
-_PLACE = re.compile(r" \(at line ([0-9]+), column ([0-9]+)\)| \(at end of document\)")
+_WORD = regex(r"[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:][^\s,\]}#]*|[^\s,\]}#]+")
+_MOMENT = regex(r"[0-9:.TtZz+ -]+")
+_PLACE = regex(r" \(at line ([0-9]+), column ([0-9]+)\)| \(at end of document\)")
 
 
 class TomlNotation:

@@ -14,7 +14,6 @@ A value of another type is an error. A list, a table or `null` cannot be set.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import ClassVar
@@ -31,10 +30,11 @@ from sierra.templates.nearest_path import nearest
 from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, unfit_number
 from sierra.templates.same_number import is_lost, same
 from sierra.util.hashing import sha256
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 
-_ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
-_ONE_EXPRESSION = re.compile(r"\{[^{}]*\}")
+_ONE_NAME = regex(r"\{[A-Za-z_]\w*\}")
+_ONE_EXPRESSION = regex(r"\{[^{}]*\}")
 
 
 class TreeTemplate:

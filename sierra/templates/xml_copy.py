@@ -6,7 +6,6 @@ What no change touches is copied from the original's text: whole elements, or th
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Callable, Iterable, Iterator
 
 from lxml import etree
@@ -15,8 +14,9 @@ from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.templates.xml_markup import attributes, decoded, name_in, tag_end
 from sierra.templates.xml_scan import Edits, Scan, Unspliced, prefix_of
 from sierra.templates.xml_view import XML, Element, Place, View, declarations, is_text, parser, reason
+from sierra.util.lazy_patterns import regex
 
-_ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
+_ONE_NAME = regex(r"\{[A-Za-z_]\w*\}")
 """A tag such as `{controller}`; any other `{…}` in a tag is a namespace."""
 _SECTION = "<![CDATA["
 Prefixes = dict[str | None, str | None]

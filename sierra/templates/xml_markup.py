@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from sierra.errors import TemplateError
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 _UNMARKED = ((b"<\0", "utf-16-le"), (b"\0<", "utf-16-be"))
@@ -20,7 +21,7 @@ _PIECEWISE = ("utf-8", "utf-16-le", "utf-16-be", "ascii", "iso8859-1", "iso8859-
 """Encodings that all libraries read alike, and in which the bytes of a text are the bytes of its pieces."""
 _SKIPPED = r"<!--.*?-->|<\?.*?\?>"
 _QUOTED = r""" "[^"]*+" | '[^']*+' """
-_MARKUP = re.compile(
+_MARKUP = regex(
     rf"""{_SKIPPED} | (?P<cdata> <!\[CDATA\[.*?\]\]> )
     | (?P<doctype> <!DOCTYPE (?: [^\[\]<>"']++ | {_QUOTED} | \[ (?: {_SKIPPED} | {_QUOTED} | [^\]"'] )*+ \] )*+ > )
     | (?P<tag> <[^!?] (?: [^<>"']++ | {_QUOTED} )*+ > )
@@ -28,11 +29,11 @@ _MARKUP = re.compile(
     re.DOTALL | re.VERBOSE,
 )
 """The markup of a document that is known to be well-formed; also references to entities that an external DTD may define."""
-_ENTITY = re.compile(rf"{_SKIPPED} | {_QUOTED} | <!ENTITY\s+(?P<name>(?:%\s+)?[^\s]+)", re.DOTALL | re.VERBOSE)
-_NAME = re.compile(r"[^ \t\r\n/>=]+")
-_ATTRIBUTE = re.compile(r"""[ \t\r\n]+([^ \t\r\n=/>]+)[ \t\r\n]*=[ \t\r\n]*(?:"([^"]*)"|'([^']*)')""")
-_CDATA = re.compile(r"<!\[CDATA\[(.*?)\]\]>", re.DOTALL)
-_REFERENCE = re.compile(r"&(?:#x([0-9a-fA-F]+)|#([0-9]+)|([^;]+));")
+_ENTITY = regex(rf"{_SKIPPED} | {_QUOTED} | <!ENTITY\s+(?P<name>(?:%\s+)?[^\s]+)", re.DOTALL | re.VERBOSE)
+_NAME = regex(r"[^ \t\r\n/>=]+")
+_ATTRIBUTE = regex(r"""[ \t\r\n]+([^ \t\r\n=/>]+)[ \t\r\n]*=[ \t\r\n]*(?:"([^"]*)"|'([^']*)')""")
+_CDATA = regex(r"<!\[CDATA\[(.*?)\]\]>", re.DOTALL)
+_REFERENCE = regex(r"&(?:#x([0-9a-fA-F]+)|#([0-9]+)|([^;]+));")
 _PREDEFINED = {"lt": "<", "gt": ">", "amp": "&", "quot": '"', "apos": "'"}
 _IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 _IN_ATTRIBUTE = _IN_TEXT | str.maketrans({"\n": "&#10;", "\t": "&#9;"})

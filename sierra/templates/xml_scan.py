@@ -7,7 +7,6 @@ be those that lxml has read; otherwise the document is refused.
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import zip_longest
@@ -18,8 +17,9 @@ from sierra.errors import TemplateError
 from sierra.templates.xml_markup import Attribute, Mark, attributes, decoded, marks, name_in, read_source, unreadable
 from sierra.templates.xml_view import XML, Element, Place, View, differ, parse, parser
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-_PLAIN = re.compile(r"[A-Za-z0-9_.,;:/+ -]*")
+_PLAIN = regex(r"[A-Za-z0-9_.,;:/+ -]*")
 """A text that is written as it is."""
 
 

@@ -18,6 +18,7 @@ from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
 from sierra.templates.xml_markup import Source, decoded
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element
@@ -28,7 +29,7 @@ DEFAULT = "_"
 """The prefix that paths give to the document's default namespace."""
 XML = "http://www.w3.org/XML/1998/namespace"
 _BLANKS = " \t\r\n"
-_SECTION = re.compile(r"\s*<!\[CDATA\[(?:(?!\]\]>).)*+\]\]>\s*", re.DOTALL)
+_SECTION = regex(r"\s*<!\[CDATA\[(?:(?!\]\]>).)*+\]\]>\s*", re.DOTALL)
 """A text that is one CDATA section."""
 
 

@@ -21,14 +21,15 @@ import yaml
 from sierra.templates import brackets
 from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, Unfit, failure, is_float, too_large
 from sierra.templates.tree import TreeTemplate
+from sierra.util.lazy_patterns import regex
 
 MOST = 1_000_000
 """Maximum number of nodes of a document after its aliases are expanded."""
-_BOTH = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:[eE][+-][0-9]+)?)?")
+_BOTH = regex(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:[eE][+-][0-9]+)?)?")
 """A number in YAML 1.1 and 1.2."""
 _NULLS = frozenset({"", "~", "null", "Null", "NULL"})
 _BOOLEANS = frozenset({"true", "True", "TRUE", "false", "False", "FALSE"})
-_DOUBTFUL = re.compile(
+_DOUBTFUL = regex(
     r"""[yYnN] | yes | Yes | YES | no | No | NO | on | On | ON | off | Off | OFF | = | <<
     | [-+]?[0-9][0-9_,]*(?:\.[0-9_]*)?(?:[eE][-+]?[0-9]+)? | [-+]?\.[0-9_]+(?:[eE][-+]?[0-9]+)? | [-+]?0[xob][0-9a-fA-F_]+
     | [-+]?[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)? | [-+]?\.(?:inf|Inf|INF) | \.(?:nan|NaN|NAN)
@@ -36,9 +37,9 @@ _DOUBTFUL = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 """Texts that some programs read as a boolean, a number or a date, and others as something else."""
-_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*(?: [A-Za-z0-9_./-]+)*")
-_UNPRINTABLE = re.compile("[^\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
-_PROPERTIES = re.compile(r"(?:[&!]\S*\s+)*")
+_PLAIN = regex(r"[A-Za-z_][A-Za-z0-9_./-]*(?: [A-Za-z0-9_./-]+)*")
+_UNPRINTABLE = regex("[^\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
+_PROPERTIES = regex(r"(?:[&!]\S*\s+)*")
 
 
 class YamlNotation:

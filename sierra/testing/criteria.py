@@ -12,7 +12,6 @@ AssertionError with one line, even if Python runs with `-O`.
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -24,8 +23,9 @@ from sierra.design.query import grammar, ranges
 from sierra.errors import QueryError
 from sierra.model import Criterion, Value
 from sierra.testing.assertions import holds, says_what_its_options_are
+from sierra.util.lazy_patterns import regex
 
-NAME = re.compile(r"[A-Za-z_]+")
+NAME = regex(r"[A-Za-z_]+")
 OTHER_PROCESS = """
 import sys
 sys.path[:] = {path!r}

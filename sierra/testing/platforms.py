@@ -12,7 +12,6 @@ claim is one function, and can be called alone. A broken claim raises AssertionE
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from itertools import chain
 from pathlib import Path
@@ -25,6 +24,7 @@ from sierra.design.platforms.base import Following, Placing, Platform, Reader, R
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Set
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
+from sierra.util.lazy_patterns import regex
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arch", "arguments"))
 """Placeholders that a command may contain in braces; `sierra.execution.commands` describes each."""
@@ -36,10 +36,10 @@ DOCUMENTS = (b"<a/>", b"", b"\xff\x00not text\n")
 Make = type[Platform]
 """The class of a platform."""
 
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
-_FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_SEEDLESS = re.compile(r"\{[^{}]*\b(seed|run)\b[^{}]*\}")
+_NAME = regex(r"[A-Za-z_][A-Za-z0-9_]*")
+_PLACEHOLDER = regex(r"\{([a-z_]+)\}")
+_FILE = regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_SEEDLESS = regex(r"\{[^{}]*\b(seed|run)\b[^{}]*\}")
 
 
 def check(make: Make, project: Project, template: Reader, examples: Mapping[str, Criterion]) -> None:

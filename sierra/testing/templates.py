@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Sequence
 
 from sierra.errors import ConfigError, SierraError, TemplateError
@@ -23,6 +22,7 @@ from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Template
 from sierra.templates.same_number import same
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 Make = Callable[[bytes, str], Template]
 NAME = "the template of a trial"
@@ -33,7 +33,7 @@ TEXTS = ("two words", " blanks ", "it's", '"q"', "<a>&amp;", "a=b", "#c; d", "x\
 """Texts that a format must keep as they are, or refuse."""
 GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"<", b"{", b"[" * 10_000, b"=\n=", b"\xef\xbb\xbf", bytes(range(256)))
 NOWHERE = ("no_path_of_a_template_is_called_so", "//no_path_of_a_template_is_called_so", "")
-_FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_FILE = regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
+
+from sierra.util.lazy_patterns import regex
 
 TOO_LARGE = "it is too large"
 TOO_SMALL = "it is too close to 0"
-_DIGITS = re.compile(r"[+-]?[0-9_.]*[1-9]")
+_DIGITS = regex(r"[+-]?[0-9_.]*[1-9]")
 
 
 def out_of_range(number: str) -> str:

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import json
 import os
-import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
@@ -14,6 +13,7 @@ from typing import Any
 
 from sierra.errors import Damaged
 from sierra.util.hashing import sha256, unsealed
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import read_regular
 
 
@@ -96,7 +96,7 @@ def fitting(name: str) -> str:
     return f"{data[: MOST_BYTES - 11].decode('utf-8', 'ignore')}_{sha256(data)[:10]}"
 
 
-ESCAPED = re.compile(rb"\\x([0-9a-f]{2})")
+ESCAPED = regex(rb"\\x([0-9a-f]{2})")
 UNFINISHED_END = r"(\.[0-9a-f]{8})?\.\d+"
 """The end of names by `unfinished_beside`, as a regular expression. Earlier versions wrote only the id of the process."""
 

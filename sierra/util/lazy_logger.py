@@ -11,10 +11,12 @@ import re
 import sys
 from collections.abc import Sequence
 
+from sierra.util.lazy_patterns import regex
+
 DEBUG, INFO, WARNING = 10, 20, 30
-SECRET = re.compile(r"(?i)(--?[\w-]*(?:pass|token|secret|key|cred|auth)[\w-]*=)(.+)", re.DOTALL)
-ASSIGNED = re.compile(r"((?:--[\w-]+=)?(?:[\w-]+,)*[A-Za-z_]\w*=)(.*)", re.DOTALL)
-USER = re.compile(r"//[^/@\s]*@")
+SECRET = regex(r"(?i)(--?[\w-]*(?:pass|token|secret|key|cred|auth)[\w-]*=)(.+)", re.DOTALL)
+ASSIGNED = regex(r"((?:--[\w-]+=)?(?:[\w-]+,)*[A-Za-z_]\w*=)(.*)", re.DOTALL)
+USER = regex(r"//[^/@\s]*@")
 
 
 class Log:

@@ -29,6 +29,7 @@ from sierra.containers.images.image import Image
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
+from sierra.util.lazy_patterns import regex
 
 SCRIPT = Path(__file__).with_name("environment.sh")
 SOURCED = "/.singularity.d/env/99-zz-sierra.sh"
@@ -36,7 +37,7 @@ SOURCED = "/.singularity.d/env/99-zz-sierra.sh"
 
 Apptainer sources the scripts there in the order of their names.
 """
-NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+NAME = regex(r"[A-Za-z_][A-Za-z0-9_]*")
 PREFIX = "SIERRA__"
 MARK = "SIERRA_CONTAINERS_OF"
 """The variable by which a client's session is found.
@@ -44,12 +45,12 @@ MARK = "SIERRA_CONTAINERS_OF"
 It is first in the client's environment, then in the configuration (JSON) of the process that becomes the container's parent.
 """
 FAILED = 255
-FATAL = re.compile(r"FATAL: +(.*)")
-COMMAND = re.compile(
+FATAL = regex(r"FATAL: +(.*)")
+COMMAND = regex(
     r'".*": executable file not found|stat .*: (no such file|not a directory|permission denied)'
     r"|^(permission denied|is a directory)$|exec .* failed|fork/exec|exec format error"
 )
-IMAGE = re.compile(r"could not open image|image format not recognized|failed to retrieve path|mount.*(rootfs|squashfs)")
+IMAGE = regex(r"could not open image|image format not recognized|failed to retrieve path|mount.*(rootfs|squashfs)")
 
 
 class Apptainer(WithoutOptions):

@@ -24,6 +24,7 @@ from sierra.containers.engines.client_errors import mounted
 from sierra.containers.engines.hosts import HERE, Host, handed_on, run
 from sierra.containers.engines.on_host import ROOT
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 NAMES = ("apptainer", "singularity")
 MIN_VERSIONS = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
@@ -31,11 +32,11 @@ MAPPED, SQUASHFS = "mapped", "squashfs"
 ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths,hostfs")
 ALONE = ("--net", "--network=none")
 LIMITS = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
-SETTLED = re.compile(
+SETTLED = regex(
     r"\s*(bind path|config (passwd|group|resolv_conf)|mount hostfs|always use (nv|rocm)|systemd cgroups)\s*=", re.IGNORECASE
 )
 """The settings of the administrator's configuration that are replaced."""
-HANDED_ON = re.compile(
+HANDED_ON = regex(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|(APPTAINER|SINGULARITY)_(TMPDIR|CACHEDIR|CONFIGDIR)"
 )
 """The variables of the caller's environment that the engine needs.

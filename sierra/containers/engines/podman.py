@@ -8,7 +8,6 @@ and waits for orphans. A run sees neither the container's name nor podman's own 
 from __future__ import annotations
 
 import math
-import re
 import subprocess
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
@@ -26,18 +25,19 @@ from sierra.containers.images.image import Image, Kind, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
+from sierra.util.lazy_patterns import regex
 
 LABEL = "org.sierra.session"
 CID = "\0/.cid"
-HANDED_ON = re.compile(
+HANDED_ON = regex(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|CONTAINERS_\w+|STORAGE_\w+|BUILDAH_\w+|SSL_CERT_\w+"
 )
 """The variables of the caller's environment that podman itself needs."""
 MAX_FILES = 16384
 """The greatest number of open files, and of processes, in a container. Some hosts do not allow podman's own, higher default."""
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
-INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
-ERROR = re.compile(r"Error: (.*)")
+INIT = regex(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
+ERROR = regex(r"Error: (.*)")
 
 
 class Podman(WithoutOptions):

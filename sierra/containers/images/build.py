@@ -9,7 +9,6 @@ one time: SOURCE_DATE_EPOCH, or else EPOCH. Permissions do not depend on the use
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import stat
 import subprocess
@@ -22,10 +21,11 @@ from sierra.containers.images.containerfile_folder import CONTAINERFILE, ROOTFS,
 from sierra.containers.images.image import Image
 from sierra.containers.images.resolve import named, tag
 from sierra.errors import ConfigError, Missing
+from sierra.util.lazy_patterns import regex
 
 TAR = "rootfs.tar"
 EPOCH = 1700000000
-ERROR = re.compile(r"(E: |ERROR|error|dpkg: error|.*:\d+: (fatal )?error: )")
+ERROR = regex(r"(E: |ERROR|error|dpkg: error|.*:\d+: (fatal )?error: )")
 """The beginning of a line that reports an error: from apt, pip, dpkg or a compiler."""
 
 

@@ -15,7 +15,6 @@ by processor. It is the same on every host, whichever of the images executes a r
 from __future__ import annotations
 
 import platform
-import re
 from collections.abc import Mapping
 from enum import StrEnum
 
@@ -24,12 +23,13 @@ from sierra.util import processors
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView, as_texts
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.processors import ARCH
 
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH that engines use if an image does not set one."""
 
-ID = re.compile(r"(sha256|squashfs):[0-9a-f]{64}")
+ID = regex(r"(sha256|squashfs):[0-9a-f]{64}")
 
 
 class Kind(StrEnum):

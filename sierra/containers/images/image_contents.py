@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -30,11 +29,12 @@ from sierra.store.row_types import ImageRow
 from sierra.util.fs import UNFINISHED_END, write_whole
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView, as_object
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import read_regular, read_regular_text
 
 FORMAT = 1
-UNFINISHED = re.compile(rf"\.(saved\.\w+\.\d+|(image\.json|files\.jsonl){UNFINISHED_END}|rootfs\.(sqfs|\d+)\.\d+)")
-FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
+UNFINISHED = regex(rf"\.(saved\.\w+\.\d+|(image\.json|files\.jsonl){UNFINISHED_END}|rootfs\.(sqfs|\d+)\.\d+)")
+FOLDER = regex(r"[a-z0-9]+-[0-9a-f]{64}")
 EXECUTABLE = 0o111
 STORED = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
 """The fields of `Contents` that are stored as they are."""

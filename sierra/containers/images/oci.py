@@ -14,7 +14,6 @@ import contextlib
 import gzip
 import io
 import json
-import re
 import tarfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -26,6 +25,7 @@ from sierra.errors import Damaged, Missing
 from sierra.util.hashing import sha256
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"
@@ -36,8 +36,8 @@ MAX_LAYERS = 512
 MIN_BOUND = 256 << 20
 MAX_EXPANSION = 200
 """The greatest ratio of a layer's unpacked size to its size. MIN_BOUND bytes are always allowed. Gzip can reach 1032."""
-DIGEST = re.compile(r"sha256:([0-9a-f]{64})")
-HEX = re.compile(r"(?:^|/)([0-9a-f]{64})(?:\.json)?$")
+DIGEST = regex(r"sha256:([0-9a-f]{64})")
+HEX = regex(r"(?:^|/)([0-9a-f]{64})(?:\.json)?$")
 COMPRESSED = {b"\x28\xb5\x2f\xfd": "zstd", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
 DEPTH = 4
 

@@ -6,11 +6,12 @@ Formats: deb-control(5) paragraphs in `var/lib/dpkg/status` (or one file each in
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 
+from sierra.util.lazy_patterns import regex
+
 STATUS, STATUS_D, APK = "var/lib/dpkg/status", "var/lib/dpkg/status.d/", "lib/apk/db/installed"
-METADATA = re.compile(r"(?:^|/)[^/]+\.(?:dist-info/METADATA|egg-info/PKG-INFO)$")
+METADATA = regex(r"(?:^|/)[^/]+\.(?:dist-info/METADATA|egg-info/PKG-INFO)$")
 LISTS, HEAD = 64 << 20, 1 << 16
 """The greatest number of bytes that are read of a manager's list, and of one distribution's metadata."""
 

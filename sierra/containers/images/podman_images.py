@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import resource
 import secrets
 import shutil
@@ -29,6 +28,7 @@ from sierra.store.layout import user_images
 from sierra.util.cache import Cache
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
 from sierra.util.lazy_logger import Log
+from sierra.util.lazy_patterns import regex
 from sierra.util.signals import noted
 from sierra.worker import worker
 
@@ -44,7 +44,7 @@ CONFIGURATION = ("storage.conf", "containers.conf")
 FOLDERS = ("/usr/share/containers", "/etc/containers")
 VARIABLES = ("CONTAINERS_CONF", "CONTAINERS_STORAGE_CONF", "STORAGE_DRIVER", "STORAGE_OPTS", "XDG_DATA_HOME", "HOME")
 """The environment variables that decide where podman stores images."""
-ARCHIVE = re.compile(r"\* (docker|oci)-archive: (?!loading index)")
+ARCHIVE = regex(r"\* (docker|oci)-archive: (?!loading index)")
 """The beginning of the line in which podman says why an archive cannot be loaded, after `payload does not match`.
 
 It tries all formats, and has a line for each of them. That of an archive of another kind says that it has no index.

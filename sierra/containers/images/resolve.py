@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +14,11 @@ from sierra.errors import ConfigError, Damaged, Missing
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util import processors
+from sierra.util.lazy_patterns import regex
 from sierra.util.processors import ARCH
 
 TAG = "localhost/sierra/"
-FOLDER = re.compile(r"[a-z0-9]+(?:[._-]+[a-z0-9]+)*")
+FOLDER = regex(r"[a-z0-9]+(?:[._-]+[a-z0-9]+)*")
 SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,6 +26,7 @@ from sierra.containers.images.streams import PIECE
 from sierra.errors import Damaged, Missing
 from sierra.util.json_types import as_object
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
 LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"
@@ -43,7 +43,7 @@ ARCHITECTURES = (
 """The names of architectures 01, 02, and so on."""
 MAX_TEXT = 4 << 20
 ENVIRONMENT_FILE, LABELS_FILE = ".singularity.d/env/10-docker2singularity.sh", ".singularity.d/labels.json"
-EXPORT = re.compile(r'export ([A-Za-z_]\w*)="(?:\$\{\1:-"?)?([^"$`\\]*)"?\}?"')
+EXPORT = regex(r'export ([A-Za-z_]\w*)="(?:\$\{\1:-"?)?([^"$`\\]*)"?\}?"')
 WANTED = 1 << 20
 
 

@@ -23,6 +23,7 @@ from sierra.containers.images.merge_layers import Entry, Type, Wanted
 from sierra.containers.images.streams import PIECE, fed
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.util.hashing import sha256_file
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
 MAGIC = b"hsqs"
@@ -31,7 +32,7 @@ MAKE = (
     *("-comp", "zstd", "-Xcompression-level", "6", "-quiet", "-no-progress"),
 )
 MAX_LINE = 1 << 16
-LINE = re.compile(rb"((?:[^\\ ]|\\.)+) (\w) (.*)", re.DOTALL)
+LINE = regex(rb"((?:[^\\ ]|\\.)+) (\w) (.*)", re.DOTALL)
 TYPES: dict[bytes, Type] = {b"D": "folder", b"S": "link", b"R": "file", b"L": "file"}
 DATA = b"# START OF DATA - DO NOT MODIFY\n"
 

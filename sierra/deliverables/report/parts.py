@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from sierra.deliverables.html.sections import svg_address
 from sierra.util.html_elements import Markup, Node, element, joined
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-CODE = re.compile(r"\$b\b")
+CODE = regex(r"\$b\b")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ as tables, and other versions of matplotlib draw other pictures of the same numb
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 from sierra.deliverables.record import Content, Recorder, origin_of, parsing
@@ -19,9 +18,10 @@ from sierra.errors import Missing, SierraError
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import digest, sha256
+from sierra.util.lazy_patterns import regex
 from sierra.util.version import __version__
 
-PICTURE = re.compile(rb'src="data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"')
+PICTURE = regex(rb'src="data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"')
 UNNAMED = f'<meta name="{ORIGIN}" content="">'.encode()
 SIERRA = f"sierra-experiments=={__version__}"
 AGAIN = "write it again with: sierra report"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 
 from sierra.deliverables import comparison, declared_tables, paper_tables
@@ -24,9 +23,10 @@ from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import digits_apart, few, short_number
 
-WIDTH = re.compile(rb'<svg\b[^>]*? width="([0-9.]+)pt"')
+WIDTH = regex(rb'<svg\b[^>]*? width="([0-9.]+)pt"')
 WIDE = 400.0
 """The width in points above which a figure takes a whole row: those for two columns of a paper."""
 SERIES = 8

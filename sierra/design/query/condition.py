@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import difflib
 import operator
-import re
 from collections.abc import Callable, Mapping, Sequence
 
 from sierra.design.query import grammar
 from sierra.errors import QueryError
 from sierra.model import Axis, Batch, Value
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import few
 
 EXAMPLE = "population_size<=4 and noise=0,0.5"
@@ -30,9 +30,9 @@ ORDERED: Mapping[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
 }
-_COMPARISON = re.compile(r"\s*(?P<name>[A-Za-z_][A-Za-z0-9_]*)\s*(?P<operator><=|>=|!=|=|<|>)\s*(?P<values>[^<>=!\s]+)\s*")
-_AND = re.compile(r"\sand\s")
-_BLANKS = re.compile(r"\s*,\s*")
+_COMPARISON = regex(r"\s*(?P<name>[A-Za-z_][A-Za-z0-9_]*)\s*(?P<operator><=|>=|!=|=|<|>)\s*(?P<values>[^<>=!\s]+)\s*")
+_AND = regex(r"\sand\s")
+_BLANKS = regex(r"\s*,\s*")
 
 
 @dataclass(frozen=True, slots=True)

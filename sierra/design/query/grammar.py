@@ -49,28 +49,29 @@ from sierra.model import (
     VariableDensity,
 )
 from sierra.store.schema import RESERVED
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import outside
 
 """`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""
 MONTE_CARLO = "montecarlo"
 VARIABLE_DENSITY = "population_variable_density"
 
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_ITEM = re.compile(r"(?=[.-]*[A-Za-z0-9_])[A-Za-z0-9_.-]+")
-_DOTS = re.compile(r"([+-]?[0-9]+(?:\.[0-9]+)?)\.{2,3}([+-]?[0-9]+(?:\.[0-9]+)?)")
+_NAME = regex(r"[A-Za-z_][A-Za-z0-9_]*")
+_ITEM = regex(r"(?=[.-]*[A-Za-z0-9_])[A-Za-z0-9_.-]+")
+_DOTS = regex(r"([+-]?[0-9]+(?:\.[0-9]+)?)\.{2,3}([+-]?[0-9]+(?:\.[0-9]+)?)")
 """A range as other languages write it; as a name, it would be one value."""
-_WHOLE = re.compile(r"[+-]?[0-9]+")
-_ALMOST_NUMBER = re.compile(
+_WHOLE = regex(r"[+-]?[0-9]+")
+_ALMOST_NUMBER = regex(
     r"[+-]?(?:[0-9][0-9_]*(?:[.p][0-9_]*)?(?:e[+-]?[0-9]*)?|\.[0-9_]+(?:e[+-]?[0-9]*)?|nan|inf|infinity)", re.I
 )
 
 _STEP = r"([+-]?[0-9]+(?:p[0-9]+)?)"
-_STEPS = re.compile(rf"{_STEP}\.{_STEP}\.{COUNT}")
-_GROWTH = re.compile(rf"{_STEP}\.I{_STEP}\.{COUNT}")
-_ONLY_COUNT = re.compile(COUNT)
+_STEPS = regex(rf"{_STEP}\.{_STEP}\.{COUNT}")
+_GROWTH = regex(rf"{_STEP}\.I{_STEP}\.{COUNT}")
+_ONLY_COUNT = regex(COUNT)
 
 
-_RANGE_NAME = re.compile(r"[A-Za-z_]+")
+_RANGE_NAME = regex(r"[A-Za-z_]+")
 NO_OPTIONS: Tables = {}
 
 

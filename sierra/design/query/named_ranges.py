@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import ClassVar
 
 from sierra.config.field_types import Table
@@ -10,11 +9,12 @@ from sierra.config.plugin_registry import NoOptions
 from sierra.design.query.numbers import COUNT, whole
 from sierra.errors import QueryError
 from sierra.model import Linear, Log
+from sierra.util.lazy_patterns import regex
 
 LINEAR_COUNT = 10
 """Default number of values of `.Linear100`, without `.C`."""
-_LOG = re.compile(r"[+-]?[0-9]+")
-_LINEAR = re.compile(rf"([+-]?[0-9]+)(?:\.{COUNT})?")
+_LOG = regex(r"[+-]?[0-9]+")
+_LINEAR = regex(rf"([+-]?[0-9]+)(?:\.{COUNT})?")
 
 
 class LogRange:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from fractions import Fraction
 
 from sierra.errors import QueryError
 from sierra.util.float_range import out_of_range
+from sierra.util.lazy_patterns import regex
 
 DIGITS = 40
 """Maximum number of characters of a number, so that parsing is always fast."""
 COUNT = r"C([+-]?[0-9]+)"
 """The pattern of a count, as in `C5`."""
-NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
-_LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
+NUMBER = regex(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_LEADING_ZERO = regex(r"[+-]?0[0-9]")
 
 
 def decimal(word: str) -> float:

@@ -45,7 +45,7 @@ class QueryRequest(Table):
 class RequestFile(BaseModel):
     """A file with a request: the JSON of a dry run. Other keys are ignored."""
 
-    model_config = ConfigDict(frozen=True, title="query.json")
+    model_config = ConfigDict(frozen=True, title="query.json", defer_build=True)
 
     request: QueryRequest = Field(description="the query")
     batch: str | None = Field(None, description="id of the batch that the query expanded to")

@@ -11,21 +11,21 @@ characters than letters, digits, `_` and `-` are written in double quotes.
 
 from __future__ import annotations
 
-import re
 from math import isfinite
 
 from sierra.errors import QueryError
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 EXAMPLE = "ci(coverage) < 0.02"
 MEAN = "mean"
 _NAME = r'(?:"[^"]+"|[\w-]+)'
-_CONDITION = re.compile(
+_CONDITION = regex(
     rf"\s*ci\s*\(\s*(?:(?P<statistic>[\w.]+)\s*\(\s*)?(?:(?P<table>{_NAME})\s*\.\s*)?(?P<column>{_NAME})\s*(?P<closed>\)\s*)?\)"
     r"\s*(?P<operator><=?|>=?|=)\s*(?P<limit>[^\s%]+)\s*(?P<percent>%?)\s*"
 )
-_AND = re.compile(r"\sand\s(?=\s*ci\b)")
-_PLAIN = re.compile(r"[\w-]+")
+_AND = regex(r"\sand\s(?=\s*ci\b)")
+_PLAIN = regex(r"[\w-]+")
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ from sierra.util import bounded_program
 from sierra.util.kept_log import kept_of
 from sierra.util.lazy_dataclasses import dataclass
 from sierra.util.lazy_logger import Log
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 from sierra.worker import worker
 
@@ -45,7 +46,7 @@ log = Log(__name__)
 EPOCH = "315532800"
 """The time that compilers put into products (1980-01-01): the same for each build; earlier times do not fit into archives."""
 LOG = "log"
-ERROR = re.compile(r"\b(error|undefined reference)\b", re.IGNORECASE)
+ERROR = regex(r"\b(error|undefined reference)\b", re.IGNORECASE)
 """Pattern of the line of a log that probably says why a build failed."""
 SHOWN = 200
 """The largest number of characters of that line that are shown."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import shutil
 from collections.abc import Iterator
@@ -24,12 +23,13 @@ from sierra.util import processors
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.processors import ARCH
 
 PLATFORM = "build"
 """The platform in the specification of a build."""
 KNOWN = ("project", "python", "arch")
-FLAGS = re.compile(r"\w*FLAGS|CMAKE_\w+|" + "|".join(variable for variable, _ in LANGUAGES))
+FLAGS = regex(r"\w*FLAGS|CMAKE_\w+|" + "|".join(variable for variable, _ in LANGUAGES))
 """Pattern of the names of variables that hold compilers or their flags."""
 
 

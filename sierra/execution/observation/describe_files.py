@@ -8,7 +8,6 @@ Files of the system and of installed distributions are no data.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePosixPath
@@ -16,15 +15,16 @@ from pathlib import PurePosixPath
 from sierra.execution.observation.current_files import GPU
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import RecordedProgram
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import counted, few
 
 NAMED = 4
-PYTHON = re.compile(r"python(\d(?:\.\d+)?t?)?")
-VERSION = re.compile(r"\d+(?:\.\d+)+[\w.+-]*")
-SHARED = re.compile(r"\.so(?:\.\d+)*$")
+PYTHON = regex(r"python(\d(?:\.\d+)?t?)?")
+VERSION = regex(r"\d+(?:\.\d+)+[\w.+-]*")
+SHARED = regex(r"\.so(?:\.\d+)*$")
 PLUGIN, LIBRARY, OTHER = "plug-in", "library", "other file"
-LOADER = re.compile(r"ld(?:32|64|-[\w.+-]+)?\.so(?:\.\d+)*")
-OF_PYTHON = re.compile(r"/lib(?:32|64)?/python3?(?:\.\d+t?)?/|/(?:site|dist)-packages/|/pyvenv\.cfg$")
+LOADER = regex(r"ld(?:32|64|-[\w.+-]+)?\.so(?:\.\d+)*")
+OF_PYTHON = regex(r"/lib(?:32|64)?/python3?(?:\.\d+t?)?/|/(?:site|dist)-packages/|/pyvenv\.cfg$")
 OF_SYSTEM = ("/usr/", "/lib", "/etc/", "/bin/", "/sbin/", "/opt/", "/var/", "/run/", "/nix/", "/gnu/")
 COMMON = frozenset(
     (

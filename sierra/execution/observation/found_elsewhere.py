@@ -7,13 +7,14 @@ library is installed, so its content says nothing. What counts is where it finds
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 from collections.abc import Iterable, Mapping
 
+from sierra.util.lazy_patterns import regex
+
 CACHE = "/etc/ld.so.cache"
-LINE = re.compile(r"\s*(\S+) \((.*)\) => (.*)")
+LINE = regex(r"\s*(\S+) \((.*)\) => (.*)")
 LIMIT_S = 30
 
 

@@ -17,19 +17,20 @@ from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
 from sierra.store.layout import CONFIG, FIGURES, LOCK, STORE
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import read_regular
 
 OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, *LEFT_OUT))
 """Names in the project's folder that no run needs."""
 PROJECT = "{project}"
-PACKAGES = re.compile(r".*/(?:site|dist)-packages")
-METADATA = re.compile(r".*\.(?:dist|egg)-info")
-STARTED = re.compile(r".*\.(?:pth|egg-link)|(?:site|user)customize.*")
+PACKAGES = regex(r".*/(?:site|dist)-packages")
+METADATA = regex(r".*\.(?:dist|egg)-info")
+STARTED = regex(r".*\.(?:pth|egg-link)|(?:site|user)customize.*")
 """Files in a folder of packages that Python executes when it starts."""
-STANDARD = re.compile(r".*/lib(?:64)?/python3[^/]*/(?!(?:site|dist)-packages/).*\.py")
+STANDARD = regex(r".*/lib(?:64)?/python3[^/]*/(?!(?:site|dist)-packages/).*\.py")
 """Python's own library."""
 PROGRAMS = "{prefix}/bin"
-OF_TOOLS = re.compile(r"(?i:(?:de)?activate(?:_this)?(?:\.\w+)?|pydoc\.bat)|python(?:\d(?:\.\d+)?t?)?")
+OF_TOOLS = regex(r"(?i:(?:de)?activate(?:_this)?(?:\.\w+)?|pydoc\.bat)|python(?:\d(?:\.\d+)?t?)?")
 """Names in that folder that depend on the tool that made the environment: scripts for shells, and links to Python."""
 
 

@@ -38,6 +38,7 @@ from sierra.model import (
     VariableDensity,
 )
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"
@@ -72,7 +73,7 @@ CRITERIA: Mapping[str, str] = {
 
 _SIDE = r"([0-9]{1,9}(?:\.[0-9]{1,9})?)"
 _SIZE = f"{_SIDE}x{_SIDE}(?:x{_SIDE})?"
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
+_NUMBER = regex(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
 _MICROMETRE = Fraction(1, 10**6)
 
 _TAG = r"^[A-Za-z_][A-Za-z0-9_.-]*$"

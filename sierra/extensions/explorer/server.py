@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hmac
 import json
-import re
 import secrets
 import socket
 import threading
@@ -31,6 +30,7 @@ from sierra.extensions.explorer.ranges import BadRange, Range
 from sierra.extensions.explorer.tickets import Made
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_logger import Log
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -40,7 +40,7 @@ ADDRESS = "127.0.0.1"
 KEY_HEADER = "X-Sierra-Token"
 LONGEST = 1 << 20
 """The most bytes of a question."""
-DIGITS = re.compile(r"[0-9]{1,10}")
+DIGITS = regex(r"[0-9]{1,10}")
 SILENCE_S = 30.0
 """The seconds in which a client must begin a request, and then those in which it must have sent all of it."""
 HEADERS = {

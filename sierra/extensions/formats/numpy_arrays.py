@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import re
 import struct
 import zipfile
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING
 from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.rewriting import Source
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x93NUMPY"
 INDICES = "ijklmnop"
-SHAPE = re.compile(rb"'shape': *\(([0-9, ]*)\)")
+SHAPE = regex(rb"'shape': *\(([0-9, ]*)\)")
 VALUE = "value"
 
 

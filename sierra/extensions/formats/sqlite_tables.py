@@ -15,11 +15,12 @@ from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
 from sierra.ingest.sqlite_file import opened
 from sierra.store.sql_names import identifier
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-STATEMENT = re.compile(r"\s*(select|with)\b", re.IGNORECASE)
+STATEMENT = regex(r"\s*(select|with)\b", re.IGNORECASE)
 
 
 class SqliteTables(Columnar):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
@@ -10,11 +9,12 @@ from pydantic import Field
 
 from sierra.config.field_types import NotNegative
 from sierra.config.output_tables import PLACEHOLDER, Output, Proposal
+from sierra.util.lazy_patterns import regex
 
 COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
-DATABASE = re.compile(r"\.db3(\.gz|\.zst)?$")
+DATABASE = regex(r"\.db3(\.gz|\.zst)?$")
 
 
 class BagOutput(Output):

@@ -8,7 +8,6 @@ meaning.
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from xml.sax.saxutils import quoteattr
@@ -19,6 +18,7 @@ from sierra.extensions.sierra1.yaml_values import Plain
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.base import Template
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 SETS = ("attr_change", "attr_add")
 RENAMES = ("element_change", "tag_change")
@@ -26,7 +26,7 @@ ADDS = ("element_add", "tag_add")
 REMOVES = ("element_remove", "tag_remove")
 LONGEST = 2000
 """Maximum number of characters of the attributes of an element."""
-_TAG = re.compile(r"[A-Za-z_][\w.-]*")
+_TAG = regex(r"[A-Za-z_][\w.-]*")
 
 
 @dataclass(slots=True)

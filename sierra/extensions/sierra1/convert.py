@@ -33,6 +33,7 @@ from sierra.store.layout import CONFIG
 from sierra.templates.base import Template
 from sierra.util.fs import write_whole
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
 
@@ -53,10 +54,10 @@ PLACES = (
     (".//arena/*[@id='wall_west']/body", "position", "0,{y / 2},0"),
 )
 """The start area and the walls of SIERRA 1.x, of an arena of a scenario's size."""
-SETUP = re.compile(r"exp_setup\.T([0-9]{1,9})(?:\.K([0-9]{1,5}))?(?:\.N[0-9]+)?")
+SETUP = regex(r"exp_setup\.T([0-9]{1,9})(?:\.K([0-9]{1,5}))?(?:\.N[0-9]+)?")
 LENGTH, TICKS = 5000, 5
 """The defaults of SIERRA 1.x for ARGoS: seconds, and ticks per second."""
-SCENARIO = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\.([0-9]+)x([0-9]+)(?:x([0-9]+))?")
+SCENARIO = regex(r"([A-Za-z_][A-Za-z0-9_]*)\.([0-9]+)x([0-9]+)(?:x([0-9]+))?")
 NOT_READ = {
     "collate.yaml": "every column of an output can be queried: sierra sql",
     "models.yaml": "models are Python; declare them as [models.NAME] with a command",

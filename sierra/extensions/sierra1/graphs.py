@@ -19,6 +19,7 @@ from dataclasses import field
 from sierra.extensions.sierra1.old_project import OldProject
 from sierra.extensions.sierra1.yaml_values import Plain
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 Entry = dict[str, str | bool]
 """A table of `sierra.toml` with simple values."""
@@ -38,7 +39,7 @@ OTHERS = {
 IGNORED = ("backend", "points", "legend")
 """Keys that only concern the look."""
 LABELS = {"title": "title", "xlabel": "xlabel", "ylabel": "ylabel", "zlabel": "ylabel"}
-_ESCAPED = re.compile(r"\\([#%&_])")
+_ESCAPED = regex(r"\\([#%&_])")
 
 
 @dataclass(slots=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 from sierra.errors import Missing, UsageError
 from sierra.extensions.sierra1.yaml_values import Plain, values
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
 CONTROLLERS = "config/controllers.yaml"
@@ -23,11 +24,9 @@ LARGEST = 1_000_000
 """Maximum number of files that are looked at, and of bytes of a file that is read."""
 LEFT_OUT = {".git", ".sierra", "build", "node_modules", "__pycache__", ".venv", "venv"}
 SCRIPTS = (".sh", ".rc", ".bash", "rc")
-_SCENARIO = re.compile(
-    r"""["']([A-Z][A-Za-z0-9_]{0,60})["']\s*:|^class\s+(?!Base)([A-Z][A-Za-z0-9_]{0,60}?)Generator\b""", re.M
-)
-_CHANGE = re.compile(r"""\bAttrChange\(\s*(["'])([^"'\n\\]{1,200})\1\s*,\s*(["'])([\w:.-]{1,80})\3""")
-_CALL = re.compile(r"(?:^|[\s;&|(])sierra(?:-cli)?[ \t]+(?=[-\\])(.*)$", re.M)
+_SCENARIO = regex(r"""["']([A-Z][A-Za-z0-9_]{0,60})["']\s*:|^class\s+(?!Base)([A-Z][A-Za-z0-9_]{0,60}?)Generator\b""", re.M)
+_CHANGE = regex(r"""\bAttrChange\(\s*(["'])([^"'\n\\]{1,200})\1\s*,\s*(["'])([\w:.-]{1,80})\3""")
+_CALL = regex(r"(?:^|[\s;&|(])sierra(?:-cli)?[ \t]+(?=[-\\])(.*)$", re.M)
 
 
 @dataclass(frozen=True, slots=True)

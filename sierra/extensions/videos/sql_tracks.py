@@ -5,7 +5,6 @@ A statement reads the rows of some consecutive times, so that memory does not gr
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun, Frame, OutputTable
 from sierra.store.sql_names import identifier, quote
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import like
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MOST_CELLS = 10_000
 """The largest number of rows, and of columns, that a matrix with `fill` has."""
-GLOB = re.compile(r"[*?[]")
+GLOB = regex(r"[*?[]")
 """A character that makes the name of a file a pattern."""
 AT_ONCE = 200_000
 """The number of rows that one statement reads, unless a single time has more."""

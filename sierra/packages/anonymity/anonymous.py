@@ -27,6 +27,7 @@ from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
 from sierra.store.store import Store
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import counted, few
 
 DATE = "2000-01-01"
@@ -35,7 +36,7 @@ NOBODY = Author(name="Anonymous", affiliation="Anonymous")
 SUBMODULES = "SELECT DISTINCT submodules FROM sources WHERE submodules IS NOT NULL ORDER BY ALL"
 COMMITS = "the recorded commits of submodules are packed with their ids, authors, dates and messages: {}"
 """A note: the tree of the source has the ids of these commits, and only the commits prove what the submodules had."""
-HEADER = re.compile(r"\s*\[")
+HEADER = regex(r"\s*\[")
 NAMES = """
 SELECT sha256, 'output ' || path || ' of run ' || run[:10] FROM all_artifacts WHERE kind <> 'log'
 UNION ALL SELECT sha256, path || ' of run ' || run[:10] FROM all_artifacts WHERE kind = 'log'

@@ -32,6 +32,7 @@ from sierra.packages.anonymity.identifying_words import Word
 from sierra.packages.anonymity.word_search import Found, Search
 from sierra.store.segments import own_table
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -62,8 +63,8 @@ UNREADABLE = (
     *(OSError, EOFError, ValueError, RuntimeError, NotImplementedError),
     *(zlib.error, lzma.LZMAError, zipfile.BadZipFile, tarfile.TarError),
 )
-PDF_STREAM = re.compile(rb"stream\r?\n(.*?)endstream", re.DOTALL)
-PDF_HEX = re.compile(rb"<((?:[0-9A-Fa-f]{2}\s*){4,})>")
+PDF_STREAM = regex(rb"stream\r?\n(.*?)endstream", re.DOTALL)
+PDF_HEX = regex(rb"<((?:[0-9A-Fa-f]{2}\s*){4,})>")
 PROGRAMS = (b"#!", b"\x7fE", b"MZ")
 """The first bytes of programs, which may have a zip at their end."""
 OBJECTS = ["sha256", "part", "size", "content"]

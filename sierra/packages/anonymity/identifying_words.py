@@ -22,6 +22,7 @@ from sierra.errors import Missing
 from sierra.packages.anonymity.redact_rows import HIDDEN
 from sierra.provenance.source.git import Git
 from sierra.store.store import Store
+from sierra.util.lazy_patterns import regex
 
 GENERAL = frozenset(
     (
@@ -39,13 +40,13 @@ FORGES = frozenset(
     )
 )
 """Hosts that anybody may use."""
-PSEUDONYM = re.compile(r"host-\d+")
+PSEUDONYM = regex(r"host-\d+")
 """Names of hosts in records that were rewritten before: see `sierra.packages.anonymity.redact_store`."""
 SHORTEST = 2
 """The number of characters of the shortest word that is searched."""
 DEPTH = 2
 """The number of parts of a path such as `/home`, which shows nothing."""
-ADDRESS = re.compile(r"(?:[\w.+-]+://)?(?:[^@/\s]*@)?(?P<host>\w[\w.-]*)(?::\d+)?[:/]+(?P<path>[^\s?#]*)")
+ADDRESS = regex(r"(?:[\w.+-]+://)?(?:[^@/\s]*@)?(?P<host>\w[\w.-]*)(?::\d+)?[:/]+(?P<path>[^\s?#]*)")
 HOSTS = """
 SELECT host FROM executions UNION SELECT host FROM environments UNION SELECT host FROM builds UNION SELECT node FROM attempts
 UNION SELECT host FROM robots WHERE host IS NOT NULL ORDER BY ALL

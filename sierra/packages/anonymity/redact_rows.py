@@ -6,7 +6,6 @@ Names of hosts and folders are replaced by pseudonyms, the same one for the same
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterable, Mapping
 from itertools import groupby
 from operator import attrgetter
@@ -19,15 +18,16 @@ from sierra.provenance import environment, source
 from sierra.store.row_types import TABLES, EnvironmentRow, FileReadRow, IsolationRow, SourceRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import digest
+from sierra.util.lazy_patterns import regex
 
 HIDDEN = "redacted"
-SYSTEM = re.compile(r"/(usr|lib|lib32|lib64|libx32|bin|sbin|etc|proc|sys|dev)(/|\Z)")
+SYSTEM = regex(r"/(usr|lib|lib32|lib64|libx32|bin|sbin|etc|proc|sys|dev)(/|\Z)")
 """Folders that belong to the operating system."""
-PLACEHOLDERS = re.compile(r"\{(project|prefix|gpu|run|mount)\}(/|\Z)")
+PLACEHOLDERS = regex(r"\{(project|prefix|gpu|run|mount)\}(/|\Z)")
 """The beginnings of paths in folders that the records name no further."""
-ROBOT = re.compile(r"\{robot ([^}]*)\}")
+ROBOT = regex(r"\{robot ([^}]*)\}")
 """The beginning of the name of a file on a robot."""
-LOCAL = re.compile(r"LANG|LANGUAGE|LC_.*|TZ")
+LOCAL = regex(r"LANG|LANGUAGE|LC_.*|TZ")
 """Environment variables that show where somebody lives."""
 LEFT_OUT = "redacted: files outside the project and the operating system are not listed"
 LOADED = ("executed", "read", "linked")

@@ -20,13 +20,14 @@ from typing import IO, NamedTuple
 from urllib.parse import quote
 
 from sierra.packages.anonymity.identifying_words import Word
+from sierra.util.lazy_patterns import regex
 
 SEPARATORS = ("", " ", "_", "-", ".", "+", "%20", ", ", "\\ ")
 WHOLE = 4
 """Words up to this number of characters count only where no letters are beside them."""
 TINY = 3
 """Words up to this number of characters count in binary data only within readable text."""
-READABLE = re.compile(rb"[\x20-\x7e\t\r\n]{8,}")
+READABLE = regex(rb"[\x20-\x7e\t\r\n]{8,}")
 CHUNK = 8 << 20
 WIDTHS = {"utf-8": 1, "latin-1": 1, "utf-16-le": 2, "utf-16-be": 2, "utf-32-le": 4, "utf-32-be": 4}
 """The encodings in which a word is searched, and the bytes of one character of Latin letters."""

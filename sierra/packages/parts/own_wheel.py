@@ -28,16 +28,17 @@ from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.dependency_model import normalized
 from sierra.provenance.pythons import OWN
 from sierra.util.hashing import sha256_file
+from sierra.util.lazy_patterns import regex
 
 TAG = "py3-none-any"
 LOCK = "extra_metadata/requirements.lock"
 """The lock in SIERRA's metadata, with all extras."""
 KEPT = ("METADATA", "entry_points.txt", "licenses/", "extra_metadata/")
 """The files of SIERRA's metadata that belong to the wheel. The others are written by the program that installed it."""
-LEFT_OUT = re.compile(r"__pycache__|.*\.py[co]|\.(?!gitignore$).*|.*~|.*\.(orig|rej)")
+LEFT_OUT = regex(r"__pycache__|.*\.py[co]|\.(?!gitignore$).*|.*~|.*\.(orig|rej)")
 """Files and folders that programs, editors and merges leave among the code of an editable installation."""
-ENTRY = re.compile(r"(?m)^(?=[A-Za-z0-9])")
-VIA = re.compile(r"(?m)^ +# +(?:via +)?([A-Za-z0-9][\w.-]*)")
+ENTRY = regex(r"(?m)^(?=[A-Za-z0-9])")
+VIA = regex(r"(?m)^ +# +(?:via +)?([A-Za-z0-9][\w.-]*)")
 
 
 class Locked(NamedTuple):

@@ -13,15 +13,15 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from sierra.util.lazy_patterns import regex
+
 TEXT = 8000
 """A content without NUL in this many bytes at its beginning is a text, as git decides it."""
 LONGEST = 512
 """The number of bytes in which a form is recognized."""
-NAMED = re.compile(
-    r"(?:.*[_-])?(?:TOKEN|SECRET|PASSWORD|PASSWD|CREDENTIALS?|(?:API|ACCESS|SECRET|PRIVATE)[_-]?KEY)", re.IGNORECASE
-)
+NAMED = regex(r"(?:.*[_-])?(?:TOKEN|SECRET|PASSWORD|PASSWD|CREDENTIALS?|(?:API|ACCESS|SECRET|PRIVATE)[_-]?KEY)", re.IGNORECASE)
 """Names of variables whose values are secrets."""
-PLACEHOLDER = re.compile(r"[$%{<*].*|x+|\.+", re.IGNORECASE | re.DOTALL)
+PLACEHOLDER = regex(r"[$%{<*].*|x+|\.+", re.IGNORECASE | re.DOTALL)
 """Values that stand for a secret."""
 
 
@@ -34,27 +34,25 @@ class Shape(NamedTuple):
 
 
 SHAPES = (
-    Shape(
-        "a private key", b"PRIVATE KEY-----", re.compile(rb"-----BEGIN (?:[A-Z]+ )*PRIVATE KEY-----\s+[A-Za-z0-9+/=:,\s-]{40}")
-    ),
+    Shape("a private key", b"PRIVATE KEY-----", regex(rb"-----BEGIN (?:[A-Z]+ )*PRIVATE KEY-----\s+[A-Za-z0-9+/=:,\s-]{40}")),
     *(
-        Shape("a token of GitHub", literal, re.compile(literal + rb"[A-Za-z0-9]{36,}\b"))
+        Shape("a token of GitHub", literal, regex(literal + rb"[A-Za-z0-9]{36,}\b"))
         for literal in (b"ghp_", b"gho_", b"ghu_", b"ghs_", b"ghr_")
     ),
-    Shape("a token of GitHub", b"github_pat_", re.compile(rb"github_pat_\w{40,}")),
-    Shape("a token of GitLab", b"glpat-", re.compile(rb"glpat-[\w-]{20,}")),
-    Shape("a key of AWS", b"AKIA", re.compile(rb"\bAKIA(?![A-Z0-9]{9}EXAMPLE)[A-Z2-7]{16}\b")),
-    Shape("a key of Google", b"AIza", re.compile(rb"\bAIza[\w-]{35}(?![\w-])")),
-    Shape("a token of Slack", b"xox", re.compile(rb"\bxox[abeoprs]-\d[\w-]{20,}")),
-    Shape("a token of Hugging Face", b"hf_", re.compile(rb"\bhf_[A-Za-z]{34}\b")),
-    Shape("a token of npm", b"npm_", re.compile(rb"\bnpm_[A-Za-z0-9]{36}\b")),
-    Shape("a token of PyPI", b"pypi-AgE", re.compile(rb"\bpypi-AgE[\w-]{50,}")),
+    Shape("a token of GitHub", b"github_pat_", regex(rb"github_pat_\w{40,}")),
+    Shape("a token of GitLab", b"glpat-", regex(rb"glpat-[\w-]{20,}")),
+    Shape("a key of AWS", b"AKIA", regex(rb"\bAKIA(?![A-Z0-9]{9}EXAMPLE)[A-Z2-7]{16}\b")),
+    Shape("a key of Google", b"AIza", regex(rb"\bAIza[\w-]{35}(?![\w-])")),
+    Shape("a token of Slack", b"xox", regex(rb"\bxox[abeoprs]-\d[\w-]{20,}")),
+    Shape("a token of Hugging Face", b"hf_", regex(rb"\bhf_[A-Za-z]{34}\b")),
+    Shape("a token of npm", b"npm_", regex(rb"\bnpm_[A-Za-z0-9]{36}\b")),
+    Shape("a token of PyPI", b"pypi-AgE", regex(rb"\bpypi-AgE[\w-]{50,}")),
     Shape(
         "a password in an address",
         b"://",
-        re.compile(rb"\b[a-z][a-z0-9+.-]*://[^\s/:@\"'<>{}$]*:(?![$%{<*]|x+@|\.+@)[^\s/@\"'<>{}]+@[\w\[]", re.IGNORECASE),
+        regex(rb"\b[a-z][a-z0-9+.-]*://[^\s/:@\"'<>{}$]*:(?![$%{<*]|x+@|\.+@)[^\s/@\"'<>{}]+@[\w\[]", re.IGNORECASE),
     ),
-    Shape("a token in an address", b"://", re.compile(rb"\bhttps?://(?=[^/@\s]*\d)[A-Za-z0-9_-]{20,}@[\w\[]", re.IGNORECASE)),
+    Shape("a token in an address", b"://", regex(rb"\bhttps?://(?=[^/@\s]*\d)[A-Za-z0-9_-]{20,}@[\w\[]", re.IGNORECASE)),
 )
 
 

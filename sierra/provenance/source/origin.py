@@ -12,12 +12,13 @@ import re
 from collections.abc import Mapping
 
 from sierra.provenance.source.git import Git
+from sierra.util.lazy_patterns import regex
 
 DIGITS = 12
 """Digits of a commit in a description; by default, git would choose their number by the size of the clone."""
-URL = re.compile(r"(?s)(?P<scheme>(?:[\w.+-]+::)?[\w.+-]+://)(?P<rest>.*)")
-OF_REMOTES = re.compile(r"(?s)remote\..*\.url|branch\..*\.remote")
-HOST = re.compile(r"(?:\[[0-9A-Fa-f:.%]*\]|[^\s:@/]*)(?::\d*)?(?=/|\Z)")
+URL = regex(r"(?s)(?P<scheme>(?:[\w.+-]+::)?[\w.+-]+://)(?P<rest>.*)")
+OF_REMOTES = regex(r"(?s)remote\..*\.url|branch\..*\.remote")
+HOST = regex(r"(?:\[[0-9A-Fa-f:.%]*\]|[^\s:@/]*)(?::\d*)?(?=/|\Z)")
 
 
 def describe(git: Git, commit: str | None, *, dirty: bool) -> str | None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 
-ANYWHERE = re.compile(rb"(?:.*/)?(?:README[^/]*|[^/]+\.md)", re.IGNORECASE | re.DOTALL)
-TOP = re.compile(
+from sierra.util.lazy_patterns import regex
+
+ANYWHERE = regex(rb"(?:.*/)?(?:README[^/]*|[^/]+\.md)", re.IGNORECASE | re.DOTALL)
+TOP = regex(
     rb"(?:LICEN[CS]E|COPYING|CITATION|CHANGELOG|CONTRIBUTING|AUTHORS)(?:\.(?:txt|cff|rst|bib))?|codemeta\.json|"
     rb"\.zenodo\.json|docs(?:/.*)?",
     re.IGNORECASE | re.DOTALL,

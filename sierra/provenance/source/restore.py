@@ -9,7 +9,6 @@ A manifest may come from an untrusted place, so no path in it may leave the fold
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Container
 from functools import partial
 from pathlib import Path
@@ -32,11 +31,12 @@ from sierra.provenance.source.manifest import (
 from sierra.provenance.source.selection import shown
 from sierra.provenance.source.stored_repositories import Content, data, nested
 from sierra.provenance.source.worktree_snapshot import of_tree
+from sierra.util.lazy_patterns import regex
 from sierra.util.scratch import scratch
 
 UNFINISHED = ".sierra-source-"
 """The beginning of the names of folders into which git writes."""
-HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
+HASH = regex("[0-9a-f]{40}|[0-9a-f]{64}")
 FETCH = "run sierra source fetch (after sierra source push has been run where the source was recorded)"
 
 

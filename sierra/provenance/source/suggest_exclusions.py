@@ -10,19 +10,21 @@ import json
 import re
 from collections.abc import Iterable
 
-FOLDERS = re.compile(
+from sierra.util.lazy_patterns import regex
+
+FOLDERS = regex(
     r"(results?|outputs?|out|logs?|figures?|figs?|plots?|papers?|thesis|docs?|notes|slides|videos?|data|datasets?)", re.I
 )
 """Folders that are unlikely to contain code. Runs may read `data`, so only the user can exclude it."""
-FILES = re.compile(
+FILES = regex(
     r"(readme|licen[cs]e|copying|change(s|log)|history|news|authors|contribut(ing|ors)|citation|notes?|todo)(\.(txt|cff|html?))?"
     r"|nohup\.out|.*\.(md|rst|adoc|org|tex|bib|pdf|png|jpe?g|gif|svg|eps|mp4|webm|docx?|odt|pptx?|odp|log|ipynb)",
     re.I,
 )
 """Files that are unlikely to be code."""
-TOOLS = re.compile(r"\.(git.*|vscode|idea|editorconfig|pre-commit-config\.ya?ml)")
+TOOLS = regex(r"\.(git.*|vscode|idea|editorconfig|pre-commit-config\.ya?ml)")
 """Files and folders that tools keep beside the code."""
-OFTEN_READ = re.compile(r"data|datasets?", re.I)
+OFTEN_READ = regex(r"data|datasets?", re.I)
 MAX_NAMES = 12
 """Maximum number of names in a proposal."""
 ONLY_SAID = "[source] paths selects the code"

@@ -50,6 +50,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.lazy_logger import Log
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import counted, few, verb
 from sierra.worker import array_task, worker
 
@@ -67,11 +68,11 @@ LAST_WORD_S = 20.0
 STOPPING_S = 60.0
 UNREACHABLE_S = 20.0
 """Seconds that the scheduler may be unreachable while jobs are to be cancelled. After that, the next command cancels them."""
-TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
+TIMED = regex(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """Matches an end reason that means that the element's time was over."""
-ASKED = re.compile(r"asked to end after (\d+) s$")
+ASKED = regex(r"asked to end after (\d+) s$")
 """Matches an element's own message that it was asked to end; the number is the time that it had lasted."""
-MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
+MISHAP = regex(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
 """Matches a scheduler's end reason that means that nobody ended the element on purpose."""
 PROGRAMS = (
     *(Path(str(one.__file__)) for one in (worker, array_task, machine)),

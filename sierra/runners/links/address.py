@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from pathlib import Path
 
 from sierra.errors import UsageError
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-NAME = re.compile(r"([^\s@:-][^\s@:]*@)?[^\s@-][^\s@]*")
+NAME = regex(r"([^\s@:-][^\s@:]*@)?[^\s@-][^\s@]*")
 PORTS = range(1, 1 << 16)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 from pathlib import Path
@@ -12,10 +11,11 @@ from sierra.errors import Missing
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
 from sierra.runners.links.base import Link
 from sierra.runners.robots.agent_messages import Record
+from sierra.util.lazy_patterns import regex
 from sierra.util.processors import NAMES, can_execute
 from sierra.worker import worker
 
-IN_CODE = re.compile(f"(?:{ON_ROBOT}|{PROJECT})/([^:;,=]+)")
+IN_CODE = regex(f"(?:{ON_ROBOT}|{PROJECT})/([^:;,=]+)")
 """A path in the code: on a robot, or in a container there."""
 EMULATORS = "/proc/sys/fs/binfmt_misc/qemu-"
 """The beginning of the kernel's names for emulators of other processors, which end with that of qemu."""

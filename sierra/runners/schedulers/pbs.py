@@ -43,6 +43,7 @@ from sierra.runners.schedulers.qsub import Dialect
 from sierra.runners.schedulers.refusals import PBS, about
 from sierra.util.fs import write_whole
 from sierra.util.lazy_logger import Log
+from sierra.util.lazy_patterns import regex
 
 log = Log(__name__)
 
@@ -63,20 +64,20 @@ SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin", "SBATCH_EXPORT": "ALL"}
 """Environment of the SLURM wrapper, in addition to HANDED_ON. SLURM's sbatch passes its whole environment to the job, so the
 wrapper sees almost nothing. If sbatch were told to pass on nothing, it would start a login shell on the node for each task and
 wait for it, which may take minutes."""
-OPENPBS = re.compile(r"pbs_version\s*=\s*(\S+)")
-JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
-UNREACHABLE = re.compile(
+OPENPBS = regex(r"pbs_version\s*=\s*(\S+)")
+JOB = regex(r"\d+(\[\])?(\.\S+)?")
+UNREACHABLE = regex(
     r"cannot connect|connection (refused|reset|timed)|connection table full|no free connections"
     r"|communication failure|protocol (error|failure)|premature end of message|shutting down|end of file|timed out"
     r"|unable to contact slurm|zero bytes|transport|could not establish a configuration",
     re.IGNORECASE,
 )
-FULL = re.compile(
+FULL = regex(
     r"maximum number of jobs|would exceed|temporarily un(available|able)|MaxSubmit|accounting/QOS policy|MaxJobCount",
     re.IGNORECASE,
 )
-GONE = re.compile(r"unknown job|has finished|invalid (for|in this) state|request invalid for (state|finished)", re.IGNORECASE)
-DEPENDENCY = re.compile(r"unknown job|dependency", re.IGNORECASE)
+GONE = regex(r"unknown job|has finished|invalid (for|in this) state|request invalid for (state|finished)", re.IGNORECASE)
+DEPENDENCY = regex(r"unknown job|dependency", re.IGNORECASE)
 
 
 class Pbs:

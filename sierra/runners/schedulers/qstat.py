@@ -21,20 +21,21 @@ from functools import lru_cache
 from sierra.runners.schedulers.base import State, Task
 from sierra.util.json_types import Json
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 Record = Mapping[str, str]
 """Attributes of a job, a queue or a server by their names in the text, for example `resources_max.walltime`; and its `id`."""
 
 ELEMENTS = "SIERRA_ELEMENTS"
 """The variable of a job that lists the elements of its tasks, by their places, if the scheduler does not know them."""
-HEAD = re.compile(r"(?:Job Id|Queue|Server):\s*(\S+)\s*")
-ATTRIBUTE = re.compile(r"(?: {4}|\t)([A-Za-z_][\w.]*) = (.*)")
-ID = re.compile(r"(\d+)(?:\[(\d*)\])?(\..+)?")
+HEAD = regex(r"(?:Job Id|Queue|Server):\s*(\S+)\s*")
+ATTRIBUTE = regex(r"(?: {4}|\t)([A-Za-z_][\w.]*) = (.*)")
+ID = regex(r"(\d+)(?:\[(\d*)\])?(\..+)?")
 """`12.pbs1`, the array `12[].pbs1`, or its element `12[3].pbs1`."""
-ELEMENT_LIST = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
+ELEMENT_LIST = regex(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
 ENDED = frozenset("FXC")
 WAITING = frozenset("QWT")
-NEVER = re.compile(r"can never run|too many failed attempts", re.IGNORECASE)
+NEVER = regex(r"can never run|too many failed attempts", re.IGNORECASE)
 FORGOTTEN = "Subjob finished"
 """The comment of an element about which OpenPBS knows nothing else."""
 HOLDS = frozenset("sop")

@@ -35,6 +35,7 @@ from sierra.runners.schedulers.refusals import SLURM, about
 from sierra.runners.schedulers.slurm_accounting_limits import Partitions, seconds
 from sierra.util import open_files
 from sierra.util.lazy_logger import Log
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import ranges
 
 log = Log(__name__)
@@ -49,7 +50,7 @@ TASK_FORMAT = "%F|%K|%T|%N|%r"
 """The array's job id, the index, the state, the node and the reason. The reason is free text, and so comes last."""
 KINDS, SHOWN_KINDS = "%P|%a|%l|%c|%m|%G|%f", 4
 """The partition (`*`: the default), whether it is up, its time limit, and its nodes' cores, MB, resources and features."""
-TASK_LINE = re.compile(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
+TASK_LINE = regex(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
 
 ENDED = frozenset({"BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "LAUNCH_FAILED", "NODE_FAIL"}) | frozenset(
     {"OUT_OF_MEMORY", "PREEMPTED", "RECONFIG_FAIL", "REVOKED", "TIMEOUT"}
@@ -57,7 +58,7 @@ ENDED = frozenset({"BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", 
 WAITING = frozenset({"PENDING", "REQUEUED", "REQUEUE_FED"})
 HELD = frozenset({"SPECIAL_EXIT", "REQUEUE_HOLD", "RESV_DEL_HOLD"})
 
-NEVER = re.compile(
+NEVER = regex(
     r"PartitionConfig|PartitionNodeLimit|PartitionTimeLimit|BadConstraints"
     r"|InvalidAccount|InvalidQOS|AccountNotAllowed|QOSNotAllowed|.*not permitted|.*can't use this partition"
     r"|(Assoc|QOS)Max\w+Per(Job|Node)(Limit)?|QOSMin\w+"
@@ -67,16 +68,16 @@ NEVER = re.compile(
 (AssocMaxJobs…, QOSGrp…), partitions and nodes that are down, licenses, begin times, and JobHeldUser (the user can release the
 job)."""
 
-BUSY = re.compile(r"temporarily unable to accept job|job queue full")
+BUSY = regex(r"temporarily unable to accept job|job queue full")
 """Words of sbatch when it keeps trying for two minutes."""
-LIMIT = re.compile(r"(Max|Grp)SubmitJob")
+LIMIT = regex(r"(Max|Grp)SubmitJob")
 """Words for a violated limit on the number of jobs that are there at a time."""
-UNREACHABLE = re.compile(
+UNREACHABLE = regex(
     r"unable to contact|timed out|zero bytes|communication|authentication|munge|configuration (source|file)"
     r"|in standby|unexpected message|connection (refused|reset)",
     re.IGNORECASE,
 )
-SUBMITTED = re.compile(r"^(\d+)(;\S+)?$", re.MULTILINE)
+SUBMITTED = regex(r"^(\d+)(;\S+)?$", re.MULTILINE)
 """The answer of sbatch; in a federation, with the cluster."""
 
 

@@ -18,13 +18,14 @@ from sierra.execution.commands import NAMED, SPLICED
 from sierra.setup.init import folder, variables
 from sierra.setup.init.answers import NONE
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
-JOINED = re.compile(r"(-{0,2}[A-Za-z_][\w.+/-]*)=(.+)", re.ASCII | re.DOTALL)
-OPTION = re.compile(r"-{1,2}[A-Za-z][\w.-]*", re.ASCII)
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+JOINED = regex(r"(-{0,2}[A-Za-z_][\w.+/-]*)=(.+)", re.ASCII | re.DOTALL)
+OPTION = regex(r"-{1,2}[A-Za-z][\w.-]*", re.ASCII)
+NUMBER = regex(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 OUTPUTS = frozenset(["o", "out", "output", "outdir", "outfile", "outputs", "results", "logdir"])
 HOSTS = frozenset(["address", "host", "hostname", "ip", "server"])
-LOCAL = re.compile(r"localhost|127\.[0-9.]+|0\.0\.0\.0|::1?|")
+LOCAL = regex(r"localhost|127\.[0-9.]+|0\.0\.0\.0|::1?|")
 OF_OUTPUTS = frozenset(["dir", "directory", "file", "folder", "path", "prefix", "to"])
 
 

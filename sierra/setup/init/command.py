@@ -23,11 +23,12 @@ from sierra.errors import UsageError
 from sierra.execution import commands
 from sierra.setup.init import arguments, folder, named_files
 from sierra.setup.init.answers import Ask, Question, settled
+from sierra.util.lazy_patterns import regex
 
 EXAMPLE = "python3 sim.py {input}"
 EXAMPLE_WITHOUT = "python3 sim.py --robots 4 --seed 1"
 TO_BUILD = ("Makefile", "makefile", "CMakeLists.txt", "Cargo.toml", "meson.build")
-SHELL = re.compile(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
+SHELL = regex(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
 
 
 def platform(inputs: Mapping[str, object], command: str | None) -> tuple[str, Platform]:

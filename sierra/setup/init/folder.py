@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init.answers import NONE, Ask, Question, settled
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
+from sierra.util.lazy_patterns import regex
 from sierra.util.regular_files import open_regular
 
 TEMPLATES = tuple(dict.fromkeys((".xml", *extensions.every("inputs"), *extensions.starts())))
@@ -22,8 +22,8 @@ DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
 """The endings of data files, which are templates only if there is none of the others."""
 TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")
 """The endings of texts, which are templates if they have placeholders."""
-PLACEHOLDER = re.compile(rb"\{\{[A-Za-z_]\w*\}\}")
-OF_TOOLS = re.compile(
+PLACEHOLDER = regex(rb"\{\{[A-Za-z_]\w*\}\}")
+OF_TOOLS = regex(
     r"(package|package-lock|composer|tsconfig|compile_commands|CMakePresets|CMakeUserPresets|vcpkg|launch|settings)\.json"
     r"|(pyproject|sierra|Cargo|rust-toolchain|Pipfile|poetry|uv|ruff|taplo|rustfmt)\.toml"
     r"|(tox|pytest|mypy|setup|desktop)\.ini|(gradle|log4j|sonar-project)[\w-]*\.properties"
@@ -32,7 +32,7 @@ OF_TOOLS = re.compile(
 )
 """Data files and texts of other tools, which are no templates."""
 INTERPRETERS = {".py": "python3", ".sh": "bash", ".jl": "julia", ".R": "Rscript", ".lua": "lua", ".pl": "perl", ".rb": "ruby"}
-OTHERS = re.compile(r"(package|pom|build)\.xml|(setup|conftest|test_.*|.*_test)\.py|.*\.(so|dylib)")
+OTHERS = regex(r"(package|pom|build)\.xml|(setup|conftest|test_.*|.*_test)\.py|.*\.(so|dylib)")
 """Files that are neither template nor simulator."""
 PLACES = ("build", "bin", "target/release", "src", "scripts")
 MAGIC = (b"#!", b"\x7fELF", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")

@@ -20,6 +20,7 @@ from sierra.setup.init.folder import TEMPLATES
 from sierra.store.layout import CONFIG, RUN_NAMES
 from sierra.templates.base import read
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 AT_MOST = 12
 """The largest number of further templates; the files after them lie beside the inputs."""
@@ -36,11 +37,11 @@ TREES = (
     ".properties",
 )
 """The endings of documents that can be further templates, and that can name files themselves."""
-DATA = re.compile(r".*\.(net|poly|taz|geo)\.\w+", re.I)
+DATA = regex(r".*\.(net|poly|taz|geo)\.\w+", re.I)
 """Documents that are data: networks and shapes."""
-WRITTEN = re.compile(r"output|[/@_-](log|save|write|record)(?![a-z])|results?", re.I)
+WRITTEN = regex(r"output|[/@_-](log|save|write|record)(?![a-z])|results?", re.I)
 """Paths in a document whose values name files that the program writes."""
-LACKING = re.compile(r"no such file|not found|not exist|cannot (find|open|read|load)|could ?n.t|could not|unable to|fail", re.I)
+LACKING = regex(r"no such file|not found|not exist|cannot (find|open|read|load)|could ?n.t|could not|unable to|fail", re.I)
 """Words of programs that lack a file."""
 WALKED = 5_000
 """The largest number of files of a project that are compared with what a program says."""

@@ -22,13 +22,14 @@ from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
 from sierra.templates.base import Template
+from sierra.util.lazy_patterns import regex
 from sierra.util.text import few
 
 T = TypeVar("T")
 
-NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
-COMMENTED = re.compile(r"^[ \t]*([^\s=:;#\[][^=:\n]*?)[ \t]*[=:][ \t]*[+-]?\d+(?:\.\d+)?[ \t]+[;#]", re.MULTILINE)
+NAME = regex(r"[A-Za-z_][A-Za-z0-9_]*")
+NUMBER = regex(r"[+-]?\d+(\.\d+)?")
+COMMENTED = regex(r"^[ \t]*([^\s=:;#\[][^=:\n]*?)[ \t]*[=:][ \t]*[+-]?\d+(?:\.\d+)?[ \t]+[;#]", re.MULTILINE)
 """A key with a number and a comment behind it."""
 CROWDS = frozenset(
     ["population", "robots", "agents", "swarm", "individuals", "vehicles", "drones", "boids", "ants", "particles"]

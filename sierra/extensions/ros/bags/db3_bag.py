@@ -6,14 +6,14 @@ number of messages when it closes the file. In an older database that was not cl
 
 from __future__ import annotations
 
-import re
 import sqlite3
 from collections.abc import Iterator, Mapping
 
 from sierra.extensions.ros.bags.containers import ZSTD, Bag, Channel, Message, Wanted, unpacked
 from sierra.ingest.base import UnreadableError
+from sierra.util.lazy_patterns import regex
 
-NUMBER = re.compile(r"message_count: *([0-9]+)")
+NUMBER = regex(r"message_count: *([0-9]+)")
 TABLES = ("topics", "messages")
 
 

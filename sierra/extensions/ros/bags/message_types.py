@@ -23,18 +23,19 @@ from typing import TYPE_CHECKING, Any, Literal
 from sierra.extensions.ros.bags.containers import NS, Channel, damage
 from sierra.ingest.base import UnreadableError
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from rosbags.typesys.store import Typestore
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+NAME = regex(r"[A-Za-z][A-Za-z0-9_]*")
 FIELDS, COLUMNS, ITEMS, TEXT = 10_000, 2_000, 100_000, 1 << 18
 """The limits on a type: its fields, its columns, the items of an array of fixed size, and the bytes of its definition."""
-NESTED = re.compile(r"\]\s*\[")
-EXPRESSION = re.compile(r"\([^()]*\(|<<")
+NESTED = regex(r"\]\s*\[")
+EXPRESSION = regex(r"\([^()]*\(|<<")
 """Arrays of arrays and expressions, which no generated definition has: a few of them occupy the parser for hours."""
-UNPARSED = re.compile(r'"(?:[^"\\]|\\.)*"|//[^\n]*|/\*.*?\*/', re.DOTALL)
+UNPARSED = regex(r'"(?:[^"\\]|\\.)*"|//[^\n]*|/\*.*?\*/', re.DOTALL)
 """Texts and comments in IDL."""
 PRIMITIVES = {
     "bool": "bool_",

@@ -6,7 +6,6 @@ digit, and everything between two digits. All digits have the same width.
 
 from __future__ import annotations
 
-import re
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 from unicodedata import bidirectional
@@ -16,11 +15,12 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from sierra.extensions.videos.encode import Image
 
-PARTS = re.compile(r"\d|\D+")
+PARTS = regex(r"\d|\D+")
 KEPT = 1000
 """The largest number of parts that are kept."""
 
