@@ -80,9 +80,10 @@ class Expansion:
 
     def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
         """Yield the wanted runs with their input files, in the batch's order; each is generated on demand."""
-        for cell, experiment in zip(self._design.cells, batch.experiments, strict=True):
+        for experiment in batch.experiments:
             runs = [run for run in experiment.runs if wanted(run)]
             if runs:
+                cell = self._design.cells[experiment.ordinal]
                 render = self._renderers(cell)
                 for run in runs:
                     yield run, self._files(cell, render, run.number, run.seed)

@@ -299,11 +299,14 @@ class Executor:
         return failed or self._doubted.files is None or self.plan.project.config.observe != "all"
 
     def _inputs(self, wanted: AbstractSet[str]) -> Iterator[tuple[Run, Files]]:
-        """Yield these runs with their input files, each run once."""
+        """Yield these runs with their input files, each run once; first those that are expected to take longest."""
         plan = self.plan
         unique = len(plan.batch.runs) == self._tally.total
         sent: set[str] = set()
-        for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
+        # the runner of a cluster distributes the runs itself, by the durations that it gets
+        reorders = len(wanted) > (self._options.slots or 1) and not self._runner().stays
+        batch = expected_durations.longest_first(plan, self.store, wanted) if reorders else plan.batch
+        for run, files in plan.inputs.files(batch, lambda run: run.id in wanted):
             if unique or run.id not in sent:
                 sent.update(() if unique else (run.id,))
                 yield run, files

@@ -12,9 +12,10 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 
 from sierra.execution.plan import Plan
-from sierra.model import Times, Value
+from sierra.model import Batch, Times, Value
 from sierra.store.store import Store
 from sierra.util.lazy_dataclasses import dataclass
 
@@ -38,13 +39,38 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times |
     if not known:
         return None
     order = list({run.id: run for run in plan.batch.runs if run.id in runs}.values())
-    experiments = sorted({run.experiment for run in order})
-    values = {ordinal: plan.batch.experiments[ordinal].values for ordinal in experiments}
-    exact = {ordinal: _measured(values[ordinal], known) for ordinal in experiments}
-    seconds = {ordinal: found if found is not None else estimate(values[ordinal], known) for ordinal, found in exact.items()}
+    exact = _exact(plan, known, {run.experiment for run in order})
+    seconds = _seconds(plan, known, exact)
     each = tuple(seconds[run.experiment] for run in order)
     new = tuple(place for place, run in enumerate(order) if exact[run.experiment] is None)
     return Times(each, new, _description(sum(found is not None for found in exact.values()), len(exact), plan.batch.axes))
+
+
+def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Batch:
+    """Return the batch of a plan, with the experiments whose runs are expected to take longest at its beginning.
+
+    Those that are not known to differ keep their order. `runs`: those that are to be executed.
+    """
+    wanted = {run.experiment for run in plan.batch.runs if run.id in runs}
+    known = list(_timed(plan, store)) if len(wanted) > 1 else []
+    if not known:
+        return plan.batch
+    seconds = _seconds(plan, known, _exact(plan, known, wanted))
+    order = sorted(plan.batch.experiments, key=lambda one: -seconds.get(one.ordinal, 0.0))
+    return replace(plan.batch, experiments=tuple(order))
+
+
+def _exact(plan: Plan, known: Sequence[Timed], experiments: Iterable[int]) -> dict[int, float | None]:
+    """Return for each of these experiments how long a run with the same values took; None if there was none."""
+    return {ordinal: _measured(plan.batch.experiments[ordinal].values, known) for ordinal in sorted(experiments)}
+
+
+def _seconds(plan: Plan, known: Sequence[Timed], exact: Mapping[int, float | None]) -> dict[int, float]:
+    """Return the expected seconds of a run of each of these experiments."""
+    return {
+        ordinal: found if found is not None else estimate(plan.batch.experiments[ordinal].values, known)
+        for ordinal, found in exact.items()
+    }
 
 
 def recorded(store: Store, runs: Sequence[str]) -> Times | None:

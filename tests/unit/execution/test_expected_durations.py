@@ -97,3 +97,15 @@ def test_durations_with_other_settings_count_only_if_there_are_none_with_these(s
         assert times is not None
         found[speed] = times.mean
     assert found[1] < 0.9 < found[9] == found[5]
+
+
+def test_runs_that_take_longest_are_executed_first(simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch) -> None:
+    project = sierra.open(simulate("printf 't,v\\n1,1\\n' > swarm.csv").folder)
+    known = timed("size", {1: 2.0, 2: 2.0, 8: 12.0, 4: 3.0})
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(known))
+    project.run("size=1,2,4,8", runs=2, jobs=1, figures=False)
+    order = project.sql(
+        "SELECT x.size AS size FROM executions e JOIN batch_runs USING (batch, run) "
+        "JOIN experiments x USING (batch, ordinal) ORDER BY e.started"
+    )
+    assert order.column("size").to_pylist() == [8, 8, 4, 4, 1, 1, 2, 2]
