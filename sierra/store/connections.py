@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -68,22 +68,21 @@ class Connection:
         """The rows of segments that the database holds."""
         return self._open.rest
 
-    def take_over(self, wanted: Callable[[Views], bool]) -> Views | None:
-        """Return the views that the last snapshot has left here, if they are wanted; otherwise drop them."""
+    def take_over(self, inherit: Callable[[Views], bool]) -> None:
+        """Let the views that the last snapshot has left here be inherited; otherwise drop them."""
         views, self._open.views = self._open.views, None
-        if views is None or wanted(views):
-            return views
-        self._drop(views)
-        return None
+        if views is not None and not inherit(views):
+            self._drop(views.made)
 
-    def keep(self, views: Views) -> None:
-        """Close the cursor, and keep the database for the next snapshot, perhaps with these views."""
+    def keep(self, views: Views, *, drop: bool = False) -> None:
+        """Close the cursor, and keep the database for the next snapshot, with these views unless they are to be dropped."""
         import duckdb
 
         try:
-            if views.depends_on_cursor:
-                self._drop(views)
+            if drop or views.depends_on_cursor:
+                self._drop(views.made)
             else:
+                self._drop(views.forget_contents())
                 self._open.views = views
             for setting in self._settings:
                 self.cursor.execute(reset(setting))
@@ -97,8 +96,8 @@ class Connection:
         else:
             self._open.database.close()
 
-    def _drop(self, views: Views) -> None:
-        for view in views.made:
+    def _drop(self, views: Iterable[str]) -> None:
+        for view in views:
             self.cursor.execute(f"DROP VIEW {view}")
 
     def close(self) -> None:

@@ -26,6 +26,7 @@ OWN = identifier("own segment")
 """The column of these tables with the number of a row's segment. No axis has such a name."""
 STORED = "stored_"
 """The beginning of the names of tables of results: `stored_effective` and others."""
+FIRST_FILES = "SELECT output, min(s.name || '/' || file) FROM {outputs} GROUP BY ALL"
 EQUAL = (
     *("blobs", "environments", "files_read", "images", "ingest_rules", "isolations", "listings", "programs", "shared_files"),
     *("sources", "specs"),
@@ -68,6 +69,7 @@ def read_facts(fetch: Fetch) -> Facts:
         frozenset(after for *_, ignored, _, after in segments if after is not None and not ignored),
         {name: rows for name, rows in tables.items() if name in RECORDED},
         frozenset(name for name in tables if name.startswith(STORED)),
+        dict(fetch(FIRST_FILES.format(outputs=f"{DATABASE}.outputs JOIN {DATABASE}.segments s USING (seg)"))),
     )
 
 
@@ -152,8 +154,9 @@ class Index:
 
     def spellings(self) -> dict[str, str]:
         """Return the indexed tables that runs wrote, each with the names of the first segment that has it and of the file."""
-        of = self._of_segments(f"{DATABASE}.outputs")
-        return dict(self._fetch(f"SELECT output, min(s.name || '/' || file) FROM {of} GROUP BY ALL"))
+        if not self._without:
+            return dict(self._facts.spellings)
+        return dict(self._fetch(FIRST_FILES.format(outputs=self._of_segments(f"{DATABASE}.outputs"))))
 
     def outputs(self, name: str) -> list[OutputFile]:
         """Return the indexed files of an output, whatever the case of its name, in the order of their segments."""

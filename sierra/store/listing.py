@@ -28,6 +28,8 @@ class Facts(NamedTuple):
     """The tables of records that have rows in the index, each with their number."""
     stored: frozenset[str]
     """The tables of results that the index holds (see `sierra.store.index_builder`)."""
+    spellings: Mapping[str, str]
+    """The tables that runs wrote, each with the names of the first segment that has it and of the file."""
 
     def are_sure(self, present: AbstractSet[str]) -> bool:
         """Return whether these existing segments, and no others, show which of the index's segments are current."""

@@ -66,6 +66,8 @@ KINDS = {int: "BIGINT", float: "DOUBLE"}
 Converted = TypeVar("Converted")
 
 
+PLAIN = regex(r"(?i)\s*select\b[^;]*\Z")
+"""A statement that can only be one SELECT, so that SIERRA's own ones are not parsed twice."""
 DESCRIBES = regex(r"(?i)\s*(describe|summarize)\b")
 DURATIONS = f"""
 SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND lower(output) = lower($output)
@@ -444,14 +446,13 @@ class Snapshot:
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, self.views.outputs)
 
     def _views(self, within: str | None, replays: Sequence[str]) -> Views:
-        """Return the views of these segments: those of the last snapshot, unless users' statements could list them."""
-        kept = self._opened.take_over(lambda views: not self._fresh and views.serves(self.listing, within, replays))
-        if kept is not None:
-            return kept.moved(lambda: self.connection, self.listing, self._index)
-        if self._fresh:
+        """Return the views of these segments, with those of earlier snapshots unless users' statements could list them."""
+        rest = self._opened.rest if not self._fresh and self._given[0] is None else None
+        views = Views(lambda: self.connection, self.listing, within, replays, self._index, rest)
+        self._opened.take_over(views.inherit if rest else lambda kept: False)
+        if rest is None:
             self._opened.rest.clear(self._opened.cursor.execute)
-        rest = None if self._fresh or self._given[0] is not None else self._opened.rest
-        return Views(lambda: self.connection, self.listing, within, replays, self._index, rest)
+        return views
 
     @property
     def segments(self) -> Sequence[Segment]:
@@ -473,7 +474,7 @@ class Snapshot:
         if kind is Damaged and self._attached is not None:  # no file of a segment, which is a DamagedFile
             index_files.remove(self._attached.path)
         if kind is None and not self._settled:
-            self._opened.keep(self.views)
+            self._opened.keep(self.views, drop=self._fresh)
         else:
             self._opened.close()
         self.unlock()
@@ -536,7 +537,7 @@ class Snapshot:
         import duckdb
 
         with self.errors():
-            read = self._only_reads(text, parameters)
+            read = self._only_reads(text, parameters, theirs=theirs)
             if theirs and lists_tables(text):  # also those of the index
                 self._leave_index()
             try:
@@ -633,14 +634,15 @@ class Snapshot:
             self.derived.make(name)
         return self.derived.list() if tables is None else []
 
-    def _only_reads(self, text: str, parameters: Mapping[str, object]) -> str:
+    def _only_reads(self, text: str, parameters: Mapping[str, object], *, theirs: bool) -> str:
         """Return the statement without EXPLAIN, after checking that it only reads. Raises SqlError."""
         text = re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text)
-        named = kinds(self.connection, text)
-        if len(named) != 1:
-            raise SqlError(f"use one statement at a time; this is {len(named)}")
-        if named != ["SELECT"]:
-            raise SqlError(f"the store is read-only here; {named[0]} statements are not allowed")
+        if theirs or not PLAIN.match(text):
+            named = kinds(self.connection, text)
+            if len(named) != 1:
+                raise SqlError(f"use one statement at a time; this is {len(named)}")
+            if named != ["SELECT"]:
+                raise SqlError(f"the store is read-only here; {named[0]} statements are not allowed")
         for value in parameters.values():
             if isinstance(value, str):
                 checked(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -122,6 +121,10 @@ class Views:
         self.made: list[str] = []
         """The existing views as SQL identifiers."""
         self._defined = False
+        self._from_rest: set[str] = set()
+        """The tables of records whose views read rows that the connection holds."""
+        self._from_files: set[str] = set()
+        """The tables of records whose views read files."""
 
     @property
     def depends_on_cursor(self) -> bool:
@@ -129,23 +132,35 @@ class Views:
         touched = self.__dict__.get("_partly_stored", False)
         return self._defined or self._settled or touched or bool(self.unchecked or self.notes or self._unsaid)
 
-    def serves(self, listing: Listing, within: str | None, replays: Sequence[str]) -> bool:
-        """Check whether these views are those of such a snapshot, and verify their files again."""
-        mine = self._listing
-        same = (mine.rest, mine.without, self._within, self._replays) == (listing.rest, listing.without, within, replays)
-        if not same or mine.facts is not listing.facts:
+    def forget_contents(self) -> list[str]:
+        """Forget the views of recorded contents, which are made by what exists at that time; return them as SQL identifiers."""
+        found = [name for name in ("objects", KEPT_OBJECTS) if name in self._made]
+        self._made.difference_update(found)
+        names = [identifier(name) for name in found]
+        self.made = [name for name in self.made if name not in names]
+        return names
+
+    def inherit(self, kept: Views) -> bool:
+        """Use the views that an earlier snapshot has made, if they are those that this one would make; return whether they are.
+
+        So they are if this snapshot has the same segments, or further ones whose rows the connection holds.
+        """
+        mine, theirs = self._listing, kept._listing
+        same = (mine.without, self._within, self._replays) == (theirs.without, kept._within, kept._replays)
+        if not same or mine.facts is not theirs.facts or self._files.keys() != kept._files.keys():
+            return False
+        added = {name for name, files in self._files.items() if files != kept._files[name]}
+        if added & kept._from_files or (added and kept._read):
             return False
         try:
-            self.verify()
+            verify(path for name in kept._made for path in (*self._files_of(name), *kept._read.get(name, ())))
+            if not all(self._held(name) for name in added & kept._from_rest):
+                return False
         except Damaged:  # whoever makes a view of that file says so
             return False
+        self._made, self.made, self._read, self.sql_names = kept._made, kept.made, kept._read, kept.sql_names
+        self._from_files, self._from_rest = kept._from_files, kept._from_rest
         return True
-
-    def moved(self, connection: Callable[[], DuckDBPyConnection], listing: Listing, index: Index | None) -> Views:
-        """Return these views for another cursor on the same database."""
-        other = copy.copy(self)
-        other._connection, other._listing, other._index = connection, listing, index
-        return other
 
     def _execute(self, statement: str, parameters: Mapping[str, str] | None = None) -> DuckDBPyConnection:
         """Execute a statement of these views. Raises Damaged for errors in the store's files, Missing for a lack."""
@@ -293,8 +308,10 @@ class Views:
         """Return the relation of records in all segments; `older`: no file has the later columns."""
         parts = [self._index.rows(name)] if self._index and self._index.holds(name) and name not in IN_SEGMENTS else []
         if held := self._held(name):
+            self._from_rest.add(name)
             parts.append(held)
         elif files := self._files_of(name):
+            self._from_files.add(name)
             source = (
                 records(name, files) if older else read_parquet(files, union=name in LATER, check=name not in self.unchecked)
             )
@@ -326,6 +343,7 @@ class Views:
 
     def _experiments(self) -> str:
         """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
+        self._from_files.add("experiments")
         found = relation(self._fetch, self._experiment_sources(self._within) or self._experiment_sources())
         self._note("experiments", found, {name: name for name in found.types})
         return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"

@@ -107,11 +107,12 @@ def leaves_rows(snapshot: Snapshot) -> None:
 @pytest.mark.integration
 @pytest.mark.parametrize("before", [is_asked, sets, makes, goes_wrong, leaves_rows])
 def test_a_query_finds_no_state_of_the_preceding_one(store: Store, before: Callable[[Snapshot], None]) -> None:
-    with store.snapshot() as snapshot:
+    with store.snapshot(theirs=True) as snapshot:
         found = seen(snapshot)
-    with store.snapshot() as snapshot:
-        before(snapshot)
-    with store.snapshot() as snapshot:
+    for theirs in (True, False):
+        with store.snapshot(theirs=theirs) as snapshot:
+            before(snapshot)
+    with store.snapshot(theirs=True) as snapshot:
         assert seen(snapshot) == found
         assert snapshot.sql("SELECT count(*) AS n FROM runs").to_pylist()[0]["n"] > 0
         with pytest.raises(SqlError):

@@ -38,6 +38,16 @@ def test_rows_of_later_segments_are_added(project: Project) -> None:
         assert project.store.rows(BY_BATCH) == others(project.store).rows(BY_BATCH)
 
 
+def test_a_first_row_of_a_table_is_seen(project: Project) -> None:
+    stores.ask(project.root, "n=1")
+    assert project.store.values(int, "SELECT count(*) FROM trials") == [0]
+    run = project.store.values(str, "SELECT execution FROM executions LIMIT 1")[0]
+    assert project.store.values(int, "SELECT count(*) FROM all_judgements WHERE status = 'ok'") == [2]
+    project.mark_trial(run, valid=False, reason="seen to fall")
+    assert project.store.values(int, "SELECT count(*) FROM trials") == [1]
+    assert project.store.values(int, "SELECT count(*) FROM all_judgements WHERE status = 'ok'") == [1]
+
+
 def test_users_statements_list_none_of_these_tables(project: Project) -> None:
     stores.ask(project.root, "n=1")
     assert project.store.values(int, COUNT) == [2]
