@@ -74,11 +74,12 @@ class PackageManifest(_Part):
 
 
 BATCHES = """
-SELECT b.batch, b.query, count(DISTINCT m.ordinal) AS experiments, count(DISTINCT m.run) AS runs,
-count(DISTINCT f.run) AS successful
-FROM batches b JOIN batch_runs m USING (batch) LEFT JOIN effective f ON f.run = m.run AND f.batch = m.batch
-GROUP BY ALL
+SELECT batch, query, experiments, runs, coalesce(successful, 0) AS successful
+FROM batches JOIN (
+    SELECT batch, count(DISTINCT ordinal) AS experiments, count(DISTINCT run) AS runs FROM batch_runs GROUP BY batch
+) USING (batch) LEFT JOIN (SELECT batch, count(DISTINCT run) AS successful FROM effective GROUP BY batch) USING (batch)
 """
+"""SQL: the batches. A join of all runs would need much more memory."""
 
 
 class _Batch(NamedTuple):

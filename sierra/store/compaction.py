@@ -179,7 +179,7 @@ def _tables_of_staying(group: Group, drop: Mapping[str, AbstractSet[str]]) -> Ab
         return None
     paths = [segment.files["artifacts"] for segment in group if "artifacts" in segment.files]
     verify(paths)
-    named = (output for part in _staying(paths, drop) for output in part.column("output").to_pylist())
+    named = (output for part in _staying(paths, drop, (*drop, "output")) for output in part.column("output").to_pylist())
     return {output.lower() for output in named if output is not None}
 
 
@@ -233,11 +233,13 @@ def _is_in(column: pa.Array, values: AbstractSet[str]) -> pa.BooleanArray:
     return pc.is_in(column, value_set=pa.array(sorted(values), pa.string()))
 
 
-def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iterator[pa.Table]:
-    """Yield the kept rows of tables of records, some rows at a time."""
+def _staying(
+    paths: Sequence[str], drop: Mapping[str, AbstractSet[str]], columns: Sequence[str] | None = None
+) -> Iterator[pa.Table]:
+    """Yield the kept rows of tables of records, some rows at a time, with all columns or with these."""
     for path in paths:
         with _readable(path), pq.ParquetFile(path) as file:
-            for batch in file.iter_batches(LINES):
+            for batch in file.iter_batches(LINES, columns=columns):
                 for column, values in drop.items():
                     batch = batch.filter(pc.invert(_is_in(batch.column(column), values)))
                 if batch.num_rows:
