@@ -20,7 +20,7 @@ from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 from sierra.util import processors
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.processors import ARCH
 
 if TYPE_CHECKING:

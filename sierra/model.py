@@ -11,12 +11,11 @@ All dataclasses here are frozen. This module reads no files and imports only the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, replace
 from enum import StrEnum
 from fractions import Fraction
 from typing import Any, Literal, NamedTuple
 
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""

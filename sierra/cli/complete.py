@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject

@@ -14,7 +14,7 @@ import typer
 from sierra.cli import complete
 from sierra.cli.output import note, print_json, readable
 from sierra.errors import UsageError
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     from sierra.api import Project

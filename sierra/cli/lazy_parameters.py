@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from typer.core import TyperCommand, TyperGroup
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     from typer._click.core import Context, Parameter

@@ -26,7 +26,7 @@ from sierra.cli.arguments import (
 )
 from sierra.cli.output import note, print_json, table
 from sierra.errors import SierraError, UsageError
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, size
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from sierra.cli.arguments import Long
 from sierra.cli.output import as_json, cells, note, short_id, table, terminal_width
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 from sierra.errors import SierraError
 from sierra.store.layout import user_state
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.signals import raise_in_handler
 
 WELCOME = "End each SQL statement with a semicolon. .help shows help; .quit, exit or Ctrl-D quits."

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_
 from sierra.config.deliverable_tables import ListOfWords, known_method
 from sierra.config.field_types import OF_RUN, Finite, Line, Positive, Table, Words
 from sierra.model import Measure
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 DECISIONS = ("sql", "value", "order", "equivalence")
 """The ways to decide a claim."""

@@ -15,8 +15,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 from sierra.model import Value
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 _PARAMETER = r"\{[A-Za-z_][A-Za-z0-9_]*\}"
 _WORD = rf"(?:[A-Za-z0-9_]|{_PARAMETER})"

@@ -26,8 +26,7 @@ from pydantic import (
 from sierra.config import extensions
 from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
 from sierra.model import Measure
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints
 
 from sierra.config.field_types import Size, Table
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 Relation = Literal[
     "isSupplementTo",

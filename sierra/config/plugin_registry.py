@@ -23,7 +23,7 @@ from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
 from sierra.config.validate import options
 from sierra.errors import ConfigError, PluginError, SierraError
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

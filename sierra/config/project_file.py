@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -63,7 +62,7 @@ from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT, RUN_STDERR, RUN_STDOUT
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.processors import ARCH
 from sierra.util.regular_files import read_regular_text
 from sierra.util.text import like

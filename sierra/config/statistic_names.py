@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sierra.config.plugin_registry import STATISTICS
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 CENSORED = ("km_median", "restricted_mean")
 """The statistics of times of which some are censored; they need all times of an experiment, and are no plug-ins."""

@@ -15,7 +15,7 @@ from sierra.config.cluster_table import SETTINGS, ClusterTable
 from sierra.config.field_types import NAME, Table
 from sierra.config.find_project import TOO_DEEP
 from sierra.errors import ConfigError
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 KEYS_OF_PROJECTS = {"outputs", "figures"}
 """Keys by which a model of a whole `sierra.toml` is known."""

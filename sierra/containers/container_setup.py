@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -22,8 +21,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.row_types import IsolationRow
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import RecordValue
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex, replace
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from sierra.containers.engines.base import HERE, RUN
 from sierra.model import Result
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 SHELL = "/bin/sh"
 PIPE = ".start"

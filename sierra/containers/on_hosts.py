@@ -8,7 +8,6 @@ from __future__ import annotations
 import posixpath
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.execution_tables import Container
@@ -21,7 +20,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.model import Client, Limits, Result, RunSpec
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import StorePaths
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.processors import name_of
 
 

@@ -30,7 +30,7 @@ from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import read_regular
 
 Between = Callable[[str], Compared]

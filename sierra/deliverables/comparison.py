@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -26,7 +25,7 @@ from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted, few, like
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.fs import fitting, write_whole
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import like
 from sierra.util.version import __version__
 

@@ -17,7 +17,7 @@ from sierra.errors import DamagedFile, Missing, NotFound, SierraError
 from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import NOTE, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 
 if TYPE_CHECKING:

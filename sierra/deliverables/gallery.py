@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,7 +33,7 @@ from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted, like
 
 if TYPE_CHECKING:

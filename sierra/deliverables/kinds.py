@@ -9,7 +9,7 @@ from sierra.config import extensions
 from sierra.config.field_types import Table
 from sierra.config.project_file import KEYS
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject, Project

@@ -18,8 +18,7 @@ from sierra.execution import targets
 from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
 from sierra.util.html_elements import element, joined
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from sierra.model import Value
 from sierra.stats.comparison.model import Cell, Sample
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 if TYPE_CHECKING:

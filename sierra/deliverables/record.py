@@ -23,8 +23,7 @@ from sierra.store.store import Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256_file
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.version import __version__
 
 

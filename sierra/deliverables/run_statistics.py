@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ from sierra.store.public_result import Result
 from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from sierra.deliverables.paper_tables import Cell, PaperTable, plain
 from sierra.errors import UsageError
 from sierra.model import Value
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

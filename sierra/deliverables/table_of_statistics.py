@@ -18,7 +18,7 @@ from sierra.model import Axis, Value
 from sierra.stats.rounding import rounded
 from sierra.store.samples import Frame
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -19,7 +19,6 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from functools import cached_property
 
 from sierra.config import group_names
@@ -48,7 +47,7 @@ from sierra.model import (
     Value,
 )
 from sierra.templates.base import FOLDERS, PORTS, Template
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 GROUPED = ("controller", "scenario")
 AT_MOST = 1_000_000

@@ -11,14 +11,12 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from sierra.design import seeds
 from sierra.errors import QueryError, TemplateError
 from sierra.model import Cell, Change, Design, Set, Value
 from sierra.templates.base import Rendered, Template
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex, replace
 
 MARKS = ("sierraMarkInPlaceOfAValue", "8150376429918273641")
 """A text, and a number for places in templates that accept only numbers."""

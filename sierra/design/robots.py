@@ -21,7 +21,7 @@ from sierra.model import Value
 from sierra.templates.base import Files
 from sierra.util.hashing import canonical
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 FILE = "sierra_robots.json"
 """The name of the input file."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 
 from sierra.config.change_tables import VALUE
 from sierra.config.project_file import Project
@@ -24,7 +23,7 @@ from sierra.model import Value
 from sierra.templates.arithmetic import fill
 from sierra.templates.base import Files
 from sierra.util.hashing import canonical
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 FILE = "sierra_values.json"
 """The name of the input file."""

@@ -18,7 +18,7 @@ from sierra.design.run_values import Declared
 from sierra.errors import ConfigError
 from sierra.execution import commands
 from sierra.model import Around, RunSpec, Service
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 KNOWN = tuple(name for name in OWN_PLACEHOLDERS if name != "arguments")
 OF_ONE_RUN = ("input", "seed")

@@ -12,7 +12,7 @@ from sierra.ingest.recording_context import Context
 from sierra.runners.base import Runner
 from sierra.runners.cluster.submission_record import Submission
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from sierra.errors import ConfigError
 from sierra.store.layout import STORE
 from sierra.util.hashing import merkle, sha256_file
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.processors import ARCH
 
 NEVER = frozenset((".git", STORE))

@@ -13,7 +13,6 @@ import shutil
 import tempfile
 from collections.abc import Callable, Container, Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import field, replace
 from pathlib import Path, PurePosixPath
 
 from sierra.errors import Missing
@@ -26,7 +25,7 @@ from sierra.provenance.hash_cache import VENV
 from sierra.store.layout import FIGURES, STORE
 from sierra.util.fs import inside, unescaped
 from sierra.util.hashing import sha256_file
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 
 def programs_in(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import NamedTuple
@@ -24,7 +23,7 @@ from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.store import PREFIX, Store
 from sierra.util.fs import read_record
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 AT_ONCE = 8
 """Parallel queries to schedulers; one that cannot be reached takes long to fail."""

@@ -50,7 +50,7 @@ from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files
 from sierra.util import processors
 from sierra.util.hashing import digest_plain
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.worker import worker
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from sierra.execution.plan import Plan
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.execution.reuse import State, foreseen, states
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

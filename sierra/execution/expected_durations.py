@@ -12,12 +12,11 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 
 from sierra.execution.plan import Plan
 from sierra.model import Batch, Times, Value
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 STEEPEST = 4.0
 """Highest power with which a run's duration may grow; `MOST` is the greatest factor."""

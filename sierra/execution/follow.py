@@ -16,7 +16,7 @@ from sierra.ingest.recorder import Recorder
 from sierra.model import Purpose, Status
 from sierra.runners.base import Look, Runner, Work
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.signals import noted
 
 POLL_S, WATCHED_S = 0.05, 0.01

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from sierra.errors import Damaged
 from sierra.execution import sessions
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

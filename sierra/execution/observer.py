@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sierra.model import Status
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)

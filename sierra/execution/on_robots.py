@@ -23,7 +23,7 @@ from sierra.execution.plan import Plan
 from sierra.ingest.robot_files import FOLDERS, OF_ROBOT
 from sierra.runners.base import Runner, RunsMembers, check_members
 from sierra.templates.base import Files
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 OF_PLACE = regex(rf"(\./)?([0-9]+/|{'|'.join(map(re.escape, FOLDERS))})")
 

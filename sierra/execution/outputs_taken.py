@@ -17,7 +17,7 @@ from sierra.store.sql_result import NUMBER as NUMBER_TYPE
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 OWN = ("run", "execution", "file")

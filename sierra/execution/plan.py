@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from typing import Protocol
 
 from sierra.config.output_tables import Output, Success
@@ -24,7 +23,7 @@ from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.templates.base import Files
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 
 class Inputs(Protocol):

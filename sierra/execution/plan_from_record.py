@@ -10,7 +10,6 @@ import contextlib
 import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output, Success
@@ -42,7 +41,7 @@ from sierra.store.store import Store
 from sierra.templates.base import Files
 from sierra.util.fs import inside
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 AT_A_TIME = 512
 """Number of runs whose input files are in memory at a time."""

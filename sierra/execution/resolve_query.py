@@ -10,7 +10,7 @@ from sierra.design.query.query_request import QueryRequest
 from sierra.errors import QueryError
 from sierra.execution import targets
 from sierra.model import Query, Set
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 BARE = regex(r"[^\W\d]\w*")
 """Pattern of a word that is not a criterion, because it has no range."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import field, replace
 from typing import NamedTuple
 
 from sierra.execution.observation import reusable_executions, stale_sessions
@@ -14,7 +13,7 @@ from sierra.execution.observation.reusable_executions import Reusable
 from sierra.execution.plan import Plan, context
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 MANY = 4
 """Ratio of executions to runs above which the query selects these runs only; that is fast, and takes memory."""

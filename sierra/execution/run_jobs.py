@@ -6,7 +6,6 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.execution_tables import Container
@@ -37,7 +36,7 @@ from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from dataclasses import field
 
 from sierra.execution.observer import Observer
 from sierra.execution.supervised.supervisor import Supervisor
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

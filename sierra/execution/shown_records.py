@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, fields
+from dataclasses import fields
 from datetime import datetime
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
@@ -28,7 +28,7 @@ from sierra.store.row_types import (
 )
 from sierra.store.sql_result import SqlValue
 from sierra.util.json_types import Json
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import size
 
 if TYPE_CHECKING:

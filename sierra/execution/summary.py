@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sierra.model import Value
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     from sierra.execution.outputs_taken import TakenOutputs

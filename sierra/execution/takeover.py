@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import replace
 
 from sierra.errors import Busy, Missing, NotFound
 from sierra.execution import sessions, sum_up
@@ -18,7 +17,7 @@ from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.submission_record import Submission
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 PATIENCE_S = 60.0
 """Maximum seconds to wait until the process that follows a session ends it after another process cancelled it."""

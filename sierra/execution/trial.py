@@ -11,7 +11,6 @@ import json
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field, replace
 from pathlib import Path
 
 from sierra import runners
@@ -36,7 +35,7 @@ from sierra.store.table_layout import Columns, TableLayout
 from sierra.templates.base import Files
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.worker import worker
 
 UNCHANGED = "montecarlo.C1"

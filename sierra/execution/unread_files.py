@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import field
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -24,8 +23,7 @@ from sierra.config.plugin_registry import READERS
 from sierra.ingest import text_headers
 from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 
 NUMBER = regex("[0-9]+")
 NAMED: Mapping[str, str] = {

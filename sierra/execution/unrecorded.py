@@ -11,7 +11,7 @@ from sierra.errors import SierraError
 from sierra.store import ownership_marks
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 from sierra.util.text import one_line
 

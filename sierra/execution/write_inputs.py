@@ -35,8 +35,7 @@ from sierra.store.segments import disk_errors
 from sierra.templates.base import PORTS
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.scratch import scratch
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"

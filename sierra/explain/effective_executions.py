@@ -16,7 +16,7 @@ from sierra.explain.diff.model import Difference
 from sierra.store.recorded_files import Place
 from sierra.store.store import Snapshot
 from sierra.store.views import LATEST
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import few
 
 SHOWN = 4

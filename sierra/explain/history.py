@@ -19,7 +19,7 @@ from sierra.model import Purpose
 from sierra.store.row_types import SessionRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, few
 
 SHOWN = 4

@@ -16,7 +16,7 @@ from sierra.explain.diff.model import Difference
 from sierra.explain.why_new_runs import other_programs, why_other
 from sierra.store.row_types import BatchRow
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.explain.why_new_runs import NewRuns
 from sierra.store.recorded_files import where
 from sierra.store.store import Found, Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 BATCHES = 10
 """Maximum number of batches in the answer."""

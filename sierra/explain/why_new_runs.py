@@ -13,7 +13,7 @@ from sierra.explain.diff.model import Difference
 from sierra.provenance import fingerprint_programs
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

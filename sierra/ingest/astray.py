@@ -19,7 +19,7 @@ from sierra.model import IN_PROJECT, Result, Status
 from sierra.store.layout import RUN_HOME, SessionPaths
 from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import few
 
 NAMED = 3

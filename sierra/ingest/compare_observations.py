@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import few
 
 NAMED = 3

@@ -25,7 +25,7 @@ from sierra.store.store import Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
 from sierra.store.views import ORDER
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, verb
 
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"

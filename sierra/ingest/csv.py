@@ -21,7 +21,7 @@ from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import csv_given
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import unmarked
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""

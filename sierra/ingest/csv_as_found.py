@@ -29,7 +29,7 @@ from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.text_headers import keys_of
 from sierra.store.connections import Database
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 BLANKS = "blanks"
 """The delimiter that stands for one or more blanks or tabs."""

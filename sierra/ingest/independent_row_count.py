@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from sierra.ingest.model import Written
 from sierra.model import OutputFile
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.worker import worker
 
 if TYPE_CHECKING:

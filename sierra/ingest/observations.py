@@ -11,7 +11,7 @@ from sierra.model import Result
 from sierra.store.row_types import ChannelRow, FileReadRow, FileWrittenRow, ListingRow, ObservationRow
 from sierra.util.fs import read_record
 from sierra.util.hashing import digest
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.worker.worker import OBSERVED
 
 WRITTEN = "written"

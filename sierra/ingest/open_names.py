@@ -13,7 +13,7 @@ from itertools import takewhile
 from pathlib import PurePosixPath
 
 from sierra.ingest.match_outputs import table_name
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 NUMBERS = regex(r"([0-9]+(?:[-_.: T]?[0-9]+)*)")
 """Numbers that belong together, such as a date and a time."""

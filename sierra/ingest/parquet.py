@@ -22,7 +22,7 @@ from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import differing_by_case, identifier
 from sierra.store.type_inference import DURATION, EMPTY, is_inexact, is_number, kind_of, widest
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.shortage import PASSING, lacking
 
 if TYPE_CHECKING:

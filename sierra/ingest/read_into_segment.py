@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +21,7 @@ from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import OUTPUT, Writer
 from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 class TableFile(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import field
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
@@ -19,8 +18,7 @@ from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import digest
 from sierra.util.json_types import Json, JsonView
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 
 ID, SESSION = regex("[0-9a-f]{64}"), regex("[0-9a-f]{16}")
 UNREAD = {"units", "rates", "time", "ticks_per_second", "tolerance", "ordered", "volatile"}

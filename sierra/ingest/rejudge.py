@@ -25,7 +25,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import UTC, datetime
 from functools import partial
 from itertools import islice
@@ -52,7 +51,7 @@ from sierra.store.store import Snapshot, Store
 from sierra.util.chunking import by_weight
 from sierra.util.fs import inside
 from sierra.util.hashing import digest_plain
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.worker import worker
 
 AT_A_TIME = 4_000

@@ -25,7 +25,7 @@ from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 from sierra.store.segments import disk_errors
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 LINE = regex(r"\bline (\d+): ")
 COMPRESSED = (".gz", ".zst")

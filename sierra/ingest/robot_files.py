@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 
 from sierra.config.output_tables import Output
 from sierra.model import BASE, OutputFile, Result
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 OF_ROBOT = "{robot}"
 COLUMN = "robot"

@@ -14,7 +14,7 @@ from pathlib import Path
 from sierra.store.endings import Kind
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
 from sierra.util.kept_log import kept_of
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import one_line
 
 READ = 1 << 16

@@ -12,7 +12,7 @@ from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 STOPPED = {
     Status.TIMEOUT: "ran longer than its limit ([limits] wall)",

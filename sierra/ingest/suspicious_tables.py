@@ -29,7 +29,7 @@ from sierra.store.type_inference import AS_TEXT, DURATION
 from sierra.store.union_files import TEXT
 from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, few, verb
 
 COMMENT = "the first line is a comment; begin with the column names, without {mark!r} ({keys} leaves comments out)"

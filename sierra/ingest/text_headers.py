@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from sierra.ingest.delimiters import DELIMITERS, delimiter_of, reads_as_number, split
 from sierra.store.sql_names import unmarked
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 BLANKS = "blanks"
 READ = 1 << 16

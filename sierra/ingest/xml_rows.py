@@ -17,7 +17,6 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from typing import BinaryIO, Protocol
 from xml.parsers import expat
 
@@ -28,8 +27,7 @@ from sierra.ingest.model import PLAIN, Part, Shape, Written
 from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex, replace
 
 STEP = regex(r"(//?)([^/]+)")
 TAG = regex(

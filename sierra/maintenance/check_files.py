@@ -14,7 +14,6 @@ import re
 import stat
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import field, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -47,8 +46,7 @@ from sierra.store.store import CACHEDIR
 from sierra.store.views import ONCE
 from sierra.util.fs import UNFINISHED_END
 from sierra.util.hashing import sha256, unsealed
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex, replace
 from sierra.util.shortage import shortage
 
 ASIDE = regex(rf"{NAME.pattern}(\.\d+)?")

@@ -18,7 +18,7 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.store import Snapshot, check_free
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.shortage import shortage
 from sierra.util.text import few
 

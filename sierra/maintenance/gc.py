@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from pathlib import Path
 
 from sierra.containers.images.image_contents import unfinished
@@ -32,7 +31,7 @@ from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util import scratch
 from sierra.util.chunking import by_weight
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted
 from sierra.worker import worker
 

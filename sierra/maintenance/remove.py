@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import field, replace
 from enum import Enum
 
 from sierra.errors import Busy, NotFound
@@ -31,7 +30,7 @@ from sierra.store.schema import RECORDED, columns_with
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import few
 
 KINDS = ("batch", "experiment", "run", "execution", "study")

@@ -21,7 +21,6 @@ import contextlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,7 +41,7 @@ from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, NAME, Seg
 from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.lazy_logger import Log
 from sierra.util.regular_files import read_regular
 from sierra.util.text import counted

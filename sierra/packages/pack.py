@@ -38,7 +38,7 @@ from sierra.packages.parts import (
 )
 from sierra.packages.subject import Made, Member, Options, Part, Subject
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.scratch import scratch
 
 SCRATCH = ".sierra-package-"

@@ -10,7 +10,7 @@ from typing import IO, Literal
 from sierra.config.project_file import LoadedProject
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, sha256_file
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import open_regular
 
 ImageForm = Literal["oci", "sif", "both", "none"]

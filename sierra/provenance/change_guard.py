@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -23,7 +22,7 @@ from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import REPOSITORY, parts, read
 from sierra.provenance.source.selection import shown
 from sierra.util.hashing import CHUNK
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.regular_files import open_regular
 
 State = tuple[int, int, int, int] | None

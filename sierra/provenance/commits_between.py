@@ -19,8 +19,7 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.provenance.source import origin
 from sierra.provenance.source.git import ALWAYS, OFFLINE, Git, environment, foreign, in_repository
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 SHOWN = 20
 """Maximum number of commits that are listed."""

@@ -12,8 +12,7 @@ from pathlib import Path
 from sierra.model import IN_PROJECT
 from sierra.store.row_types import ProgramRow
 from sierra.util.hashing import digest
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 INSTALLED = ": installed distributions"
 """Suffix of the name for all distributions of a Python; the path of that entry is a list of folders, as in PATH."""

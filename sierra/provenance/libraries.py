@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sierra.util import bounded_program
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 SYSTEM = regex(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
 LOADER = regex(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")

@@ -27,8 +27,7 @@ from sierra.provenance.hash_cache import VENV, HashCache
 from sierra.util import bounded_program
 from sierra.util.hashing import digest
 from sierra.util.json_types import as_object
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 NAME = regex(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"

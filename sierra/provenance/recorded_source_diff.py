@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +17,7 @@ from sierra.provenance.commits_between import HASH
 from sierra.provenance.source.capture import SWHID
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import REPOSITORY, parts, read
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.textdiff import patch
 
 COLORLESS = ("--no-color", "--no-ext-diff", "--no-textconv", "--find-renames=100%")

@@ -22,7 +22,7 @@ from sierra.errors import Missing
 from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 
 LIBRARY = regex(r".*\.so(?:\.\d\w*)*")

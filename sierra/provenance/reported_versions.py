@@ -23,7 +23,7 @@ from sierra.store.layout import user_versions
 from sierra.util import bounded_program
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 
 TIMEOUT_S = 10.0

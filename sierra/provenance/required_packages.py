@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from importlib import metadata
 
 from sierra.config.project_file import Project
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 NAME = regex(r"[A-Za-z0-9][\w.-]*")
 PYTHON = "{python}"

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from sierra.util.arrow_columns import values_of
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -19,7 +18,7 @@ from sierra.config.output_tables import Tolerance
 from sierra.replay.clock_columns import Clock, clock_of
 from sierra.store.type_inference import BESIDE
 from sierra.util.arrow_columns import values_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:

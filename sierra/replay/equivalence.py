@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -19,7 +18,7 @@ from sierra.stats import aggregate as stats
 from sierra.stats import equivalence
 from sierra.store.samples import Column, Frame
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted
 
 Number = float | Fraction

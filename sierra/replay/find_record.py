@@ -16,7 +16,7 @@ from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import field
-
 from sierra.containers.images.image import AnyImage
 from sierra.replay.variation import Variation
 from sierra.replay.verdicts import Tolerances
 from sierra.store.recorded_files import ChosenExecution
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -43,7 +42,7 @@ from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow, ReplayRow
 from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.lazy_logger import Log
 from sierra.util.text import counted, like
 from sierra.util.version import __version__

@@ -16,7 +16,7 @@ from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.unchanged_files import FOUND_ELSEWHERE, changes, with_other_programs
 from sierra.provenance import tracer
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import few
 
 SHOWN = 5

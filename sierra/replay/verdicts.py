@@ -18,7 +18,7 @@ from sierra.store.recorded_files import ChosenExecution
 from sierra.store.row_types import EquivalenceRow, VerdictRow
 from sierra.store.store import Found
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 Tolerances = Mapping[str, Mapping[str, Tolerance]]
 """Tolerances by output (`*`: all) and column (`*`: all others)."""

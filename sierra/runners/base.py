@@ -12,7 +12,6 @@ import contextlib
 import os
 import shutil
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
@@ -24,7 +23,7 @@ from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Program
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import SessionPaths
 from sierra.util.json_types import JsonView, RecordValue
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 from sierra.model import LateFiles, OutputFile, Result
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView, RecordValue
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import open_regular
 
 if TYPE_CHECKING:

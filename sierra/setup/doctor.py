@@ -19,7 +19,7 @@ from sierra.errors import SierraError
 from sierra.provenance.machine import usable_cores
 from sierra.store.layout import ProjectPaths, StorePaths, user_settings
 from sierra.util import processors
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.worker import worker
 
 State = Literal["ok", "absent", "missing"]

@@ -13,7 +13,6 @@ import shlex
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from sierra.runners.robots.fleet_table import FleetTable, RobotTable
 from sierra.runners.robots.trial import CHECK_S
 from sierra.setup.doctor import Check, State
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.worker.clock_watch import ClockWatch
 
 PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from sierra.setup.published_schemas import Note, json_schema
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 CHANGES, TOLERANCES = "change", "tolerance"
 """The tables whose keys many keys have."""

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import field
 from functools import cache
 from pathlib import Path
 from statistics import NormalDist
@@ -42,7 +41,7 @@ from sierra.stats.order_statistics import ranks
 from sierra.store.rounded_times import PART
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.fs import fitting
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, n_of, verb
 
 if TYPE_CHECKING:

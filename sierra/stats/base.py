@@ -8,11 +8,10 @@ Others are entry points of the group `sierra.statistics` (see `sierra.plugin`). 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 from sierra.config.field_types import Table
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 LEVEL = 0.95
 """The confidence of intervals, if nothing else is requested."""

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from math import isfinite
 
 from sierra.stats import student_t
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 NEVER = 1e-15
 """The probability at each end of a distribution that an integral leaves out."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from decimal import Decimal
 from math import isclose
 
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 ALONE = 4
 """The number of significant digits of a number without an uncertainty."""

@@ -31,7 +31,7 @@ from sierra.stats import student_t
 from sierra.stats.aggregate import HERE, Frame
 from sierra.stats.base import LEVEL, Estimate
 from sierra.stats.selection import with_estimates
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import Any
 
 from sierra.store.sql_names import identifier, quote
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 DAY = 86_400
 CLOCK = r"(?:(0|[1-9][0-9]{0,6}):(?:[01]?[0-9]|2[0-3])|[0-9]{1,5}):[0-5][0-9]:(?:[0-5][0-9]|60)(?:[.,][0-9]+)?"

@@ -12,7 +12,6 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -20,7 +19,7 @@ from sierra.store.duckdb_file_io import steady
 from sierra.store.local_connection import local
 from sierra.store.rest_rows import RestRows
 from sierra.util import open_files
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

@@ -14,7 +14,6 @@ import contextlib
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 from sierra.errors import SierraError, SqlError
@@ -24,7 +23,7 @@ from sierra.store.duckdb_messages import explain
 from sierra.store.schema import TABLE_NAMES
 from sierra.store.sql_names import identifier
 from sierra.store.views import Views, tables_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import like
 
 if TYPE_CHECKING:

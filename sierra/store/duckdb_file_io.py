@@ -20,7 +20,7 @@ from types import TracebackType
 from sierra.errors import Missing
 from sierra.store.sql_names import quote
 from sierra.store.verified_files import verify
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 ODD = regex(r"^~|[*?\[\\\udc80-\udcff]")
 """The parts of a path that DuckDB does not take literally: patterns, the home folder, bytes that are not UTF-8, and a backslash

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.store.duckdb_file_io import plain
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.shortage import lacking, shortage
 
 NESTED = regex(r'"exception_message":("(?:[^"\\]|\\.)*")')

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import counted, few, verb
 
 

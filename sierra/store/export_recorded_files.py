@@ -34,7 +34,7 @@ from sierra.store.recorded_files import (
 )
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 NAMED_AT_MOST = 8
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)

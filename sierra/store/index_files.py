@@ -30,7 +30,7 @@ from sierra.store.schema import RECORDED
 from sierra.store.verified_files import begins_with
 from sierra.util.fs import UNFINISHED_END, replacing
 from sierra.util.hashing import sha256, sha256_file
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import remove_abandoned
 

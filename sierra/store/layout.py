@@ -47,7 +47,7 @@ from typing import ClassVar, Protocol
 
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 CONFIG = "sierra.toml"
 LOCK = "sierra.lock"

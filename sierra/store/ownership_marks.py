@@ -24,7 +24,7 @@ from sierra.errors import Damaged, Missing
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.util.fs import write_once
 from sierra.util.hashing import sha256
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.worker import worker
 
 ID = regex(rb"([0-9a-f]{32})\n")

@@ -19,7 +19,7 @@ from sierra.store.segments import Segment
 from sierra.store.store import Found, Snapshot
 from sierra.store.verified_files import verify
 from sierra.store.views import KEPT_OBJECTS, ORDER
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import natural
 
 if TYPE_CHECKING:

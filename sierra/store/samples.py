@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import field
 from decimal import Decimal
 from functools import partial
 from math import isfinite
@@ -35,7 +34,7 @@ from sierra.store.union_files import Relation, relation
 from sierra.store.verified_files import verify
 from sierra.store.views import files_with
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.scratch import scratch
 from sierra.util.text import counted, like, one_line
 

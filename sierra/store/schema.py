@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 from sierra.store import row_types
 from sierra.store.row_mapper import without_facts
 from sierra.store.row_types import ROWS, Of, Redaction
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -38,7 +38,6 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -52,8 +51,7 @@ from sierra.store.verified_files import MANIFEST as MANIFEST
 from sierra.store.verified_files import are_sound, changed, hash_written, lost, verify
 from sierra.util.fs import UNFINISHED_END, inside, is_gone
 from sierra.util.hashing import sha256
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex, replace
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import lacking
 

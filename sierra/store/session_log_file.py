@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from sierra.store.layout import StorePaths
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.log_handlers import Lines, listen
 
 LARGEST = 1 << 19

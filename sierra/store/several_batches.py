@@ -23,8 +23,7 @@ from sierra.store.sql_names import identifier
 from sierra.store.sql_result import few_rows
 from sierra.store.statement_worker import PART
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 if TYPE_CHECKING:
     import pyarrow as pa

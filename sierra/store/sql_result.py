@@ -12,7 +12,7 @@ from datetime import UTC, date, datetime, time, timedelta
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     import duckdb

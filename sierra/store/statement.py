@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 from sierra.errors import SqlError
 from sierra.store.sql_names import identifier
 from sierra.store.statement_worker import kind
 from sierra.util.json_types import Json
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import half_character
 
 if TYPE_CHECKING:

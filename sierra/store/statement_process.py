@@ -24,8 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from sierra.store import statement_worker
 from sierra.store.local_connection import local
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 if TYPE_CHECKING:
     import pyarrow as pa

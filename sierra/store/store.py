@@ -37,7 +37,7 @@ from sierra.store.type_inference import DURATION
 from sierra.store.verified_files import verify
 from sierra.store.views import KEPT_OBJECTS, Views, lists_tables, recording, tables_of
 from sierra.util.fs import is_gone, write_whole
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 from sierra.util.shortage import shortage
 

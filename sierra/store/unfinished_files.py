@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sierra.store.layout import DRAWN, ProjectPaths
 from sierra.util import scratch
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.worker import worker
 
 WRITTEN = regex(r"\..+\.[0-9a-f]{8}\.(\d+)")

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from functools import reduce
 from operator import or_
 from typing import NamedTuple
@@ -40,7 +39,7 @@ from sierra.store.type_inference import (
     widest,
 )
 from sierra.store.verified_files import verify
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 Fetch = Callable[[str], list[RawRow]]
 """A function that executes a statement and returns its rows."""

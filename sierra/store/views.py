@@ -22,7 +22,7 @@ from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import Fetch, Held, Relation, Source, relation
 from sierra.store.verified_files import verify
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

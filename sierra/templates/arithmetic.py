@@ -24,8 +24,7 @@ from functools import lru_cache
 from sierra.errors import ConfigError
 from sierra.model import Value
 from sierra.util.float_range import TOO_LARGE, TOO_SMALL, out_of_range
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 MAX_LENGTH = 200
 """Maximum number of characters of one expression; this limits its nesting depth."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sierra.templates.notation import Kind, Node
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 _BLANK = regex(r"\s*")
 

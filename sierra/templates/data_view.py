@@ -18,7 +18,7 @@ from sierra.errors import TemplateError
 from sierra.templates import xpath_time_limit
 from sierra.templates.notation import Address, Edit, Kind, Node, Notation, decoded
 from sierra.templates.xml_characters import replaced
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 from sierra.templates.notation import Kind, Node, Notation, Unfit, failure
 from sierra.templates.tree import TreeTemplate
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 _LINE = regex(r"[^\n]*\n?")
 _HEADER = regex(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")

@@ -23,7 +23,7 @@ from lxml import etree
 
 from sierra.errors import TemplateError
 from sierra.templates.xml_view import DEFAULT, Element, declarations, parse
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.textdiff import patch
 
 Shape: TypeAlias = tuple[str, frozenset[tuple[str, str]], str, tuple[int, ...]]

@@ -11,7 +11,7 @@ from json.decoder import scanstring  # type: ignore[attr-defined]
 
 from sierra.templates import brackets
 from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, failure, too_large
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 _SPACE = regex(r"[ \t\n\r]*")
 _WORD = regex(r"[A-Za-z_+-]?[\w.+-]*")

@@ -10,8 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import outside
 
 Find = Callable[[str], Sequence[object]]

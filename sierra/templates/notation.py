@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field
 from decimal import Decimal
 from enum import StrEnum
 from typing import Protocol
 
 from sierra.errors import TemplateError
 from sierra.util.float_range import TOO_LARGE, out_of_range
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 from sierra.util.text import one_line
 
 Span = tuple[int, int]

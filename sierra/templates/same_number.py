@@ -10,7 +10,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from sierra.util.float_range import out_of_range
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 LONGEST = 60
 """Maximum number of characters of a text that may be a number."""

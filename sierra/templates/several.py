@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -24,8 +23,7 @@ from sierra.errors import ConfigError, Missing, TemplateError
 from sierra.model import Change, Value
 from sierra.templates.base import Document, Files, Rendered, Renderer, Template, read
 from sierra.util.hashing import sha256
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex, replace
 from sierra.util.regular_files import read_regular
 from sierra.util.text import few, one_line
 

@@ -26,7 +26,7 @@ from sierra.templates.base import FOLDERS, Rendered
 from sierra.templates.notation import decoded, failure
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import few, one_line
 
 _PATH = regex(r"/{0,2}([A-Za-z_]\w*)")

@@ -18,7 +18,7 @@ from sierra.errors import TemplateError
 from sierra.templates import brackets
 from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, Span, Unfit, failure, too_large
 from sierra.templates.tree import TreeTemplate
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 Key = tuple[str, Span]
 _FILLER = regex(r"(?:[ \t\r\n]|\#[^\n]*)*")

@@ -30,7 +30,7 @@ from sierra.templates.nearest_path import nearest
 from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, unfit_number
 from sierra.templates.same_number import is_lost, same
 from sierra.util.hashing import sha256
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import one_line
 
 _ONE_NAME = regex(r"\{[A-Za-z_]\w*\}")

@@ -45,7 +45,7 @@ from sierra.templates.xml_copy import XmlCopy
 from sierra.templates.xml_scan import Edit, Edits, Scan, Unspliced
 from sierra.templates.xml_view import Place, Slot, View, differ, value_of, who
 from sierra.util.hashing import sha256
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import one_line
 
 

@@ -14,7 +14,7 @@ from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.templates.xml_markup import attributes, decoded, name_in, tag_end
 from sierra.templates.xml_scan import Edits, Scan, Unspliced, prefix_of
 from sierra.templates.xml_view import XML, Element, Place, View, declarations, is_text, parser, reason
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 _ONE_NAME = regex(r"\{[A-Za-z_]\w*\}")
 """A tag such as `{controller}`; any other `{…}` in a tag is a namespace."""

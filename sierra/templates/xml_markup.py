@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from sierra.errors import TemplateError
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 _UNMARKED = ((b"<\0", "utf-16-le"), (b"\0<", "utf-16-be"))

@@ -16,8 +16,7 @@ from lxml import etree
 from sierra.errors import TemplateError
 from sierra.templates.xml_markup import Attribute, Mark, attributes, decoded, marks, name_in, read_source, unreadable
 from sierra.templates.xml_view import XML, Element, Place, View, differ, parse, parser
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 _PLAIN = regex(r"[A-Za-z0-9_.,;:/+ -]*")
 """A text that is written as it is."""

@@ -17,8 +17,7 @@ from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
 from sierra.templates.xml_markup import Source, decoded
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element

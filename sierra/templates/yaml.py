@@ -21,7 +21,7 @@ import yaml
 from sierra.templates import brackets
 from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, Unfit, failure, is_float, too_large
 from sierra.templates.tree import TreeTemplate
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 MOST = 1_000_000
 """Maximum number of nodes of a document after its aliases are expanded."""

@@ -23,7 +23,7 @@ from sierra.design.query import grammar, ranges
 from sierra.errors import QueryError
 from sierra.model import Criterion, Value
 from sierra.testing.assertions import holds, says_what_its_options_are
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 NAME = regex(r"[A-Za-z_]+")
 OTHER_PROCESS = """

@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from sierra.testing.assertions import holds, is_one_line, wait
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.worker import file_trace
 from sierra.worker.file_trace import LISTS, Contents, Observation, Trace, Way
 

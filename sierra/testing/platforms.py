@@ -24,7 +24,7 @@ from sierra.design.platforms.base import Following, Placing, Platform, Reader, R
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Set
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arch", "arguments"))
 """Placeholders that a command may contain in braces; `sierra.execution.commands` describes each."""

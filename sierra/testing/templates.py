@@ -21,8 +21,7 @@ from sierra.model import Set, Value
 from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Template
 from sierra.templates.same_number import same
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 Make = Callable[[bytes, str], Template]
 NAME = "the template of a trial"

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO
 
 from sierra.util import open_files
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.signals import noted
 from sierra.worker import worker
 

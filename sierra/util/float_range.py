@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 TOO_LARGE = "it is too large"
 TOO_SMALL = "it is too close to 0"

@@ -13,7 +13,7 @@ from typing import Any
 
 from sierra.errors import Damaged
 from sierra.util.hashing import sha256, unsealed
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import read_regular
 
 

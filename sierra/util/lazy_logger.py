@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Sequence
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 DEBUG, INFO, WARNING = 10, 20, 30
 SECRET = regex(r"(?i)(--?[\w-]*(?:pass|token|secret|key|cred|auth)[\w-]*=)(.+)", re.DOTALL)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 MAX_SIZE = 4 << 20
 """The size in bytes beyond which files are not compared by lines."""

@@ -29,7 +29,7 @@ from sierra.containers.images.image import Image
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 SCRIPT = Path(__file__).with_name("environment.sh")
 SOURCED = "/.singularity.d/env/99-zz-sierra.sh"

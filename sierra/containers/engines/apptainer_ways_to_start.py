@@ -13,7 +13,6 @@ import contextlib
 import glob
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -23,8 +22,7 @@ from sierra.containers.engines.capabilities import CPUS, PIDS, Dependencies, Fou
 from sierra.containers.engines.client_errors import mounted
 from sierra.containers.engines.hosts import HERE, Host, handed_on, run
 from sierra.containers.engines.on_host import ROOT
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex, replace
 
 NAMES = ("apptainer", "singularity")
 MIN_VERSIONS = {"apptainer": (1, 1), "singularity-ce": (3, 10)}

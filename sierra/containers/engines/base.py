@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import field
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
@@ -24,7 +23,7 @@ from sierra.containers.engines.hosts import Notice, OtherHost
 from sierra.containers.images.image import Image
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 INSIDE = "/run/sierra"
 """The folder in a container with SIERRA's files: `run`, `project` and, if runs share the container, `runs` and `worker.py`."""

@@ -25,7 +25,7 @@ from sierra.containers.engines.hosts import HERE, Host, OtherHost, completed
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
 from sierra.util.json_types import JsonView, as_object, as_texts
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 MAX_ENTRIES = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from sierra.containers.engines import on_host
 from sierra.errors import Missing
 from sierra.store.layout import user_apptainer
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)

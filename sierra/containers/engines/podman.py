@@ -25,7 +25,7 @@ from sierra.containers.images.image import Image, Kind, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 LABEL = "org.sierra.session"
 CID = "\0/.cid"

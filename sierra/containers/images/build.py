@@ -21,7 +21,7 @@ from sierra.containers.images.containerfile_folder import CONTAINERFILE, ROOTFS,
 from sierra.containers.images.image import Image
 from sierra.containers.images.resolve import named, tag
 from sierra.errors import ConfigError, Missing
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 TAR = "rootfs.tar"
 EPOCH = 1700000000

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from sierra.containers.images.merge_layers import Entry, listed
 from sierra.provenance.dependency_model import by_likelihood
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,7 @@ from sierra.errors import Missing
 from sierra.util import processors
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView, as_texts
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.processors import ARCH
 
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"

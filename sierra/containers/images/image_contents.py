@@ -29,7 +29,7 @@ from sierra.store.row_types import ImageRow
 from sierra.util.fs import UNFINISHED_END, write_whole
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView, as_object
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import read_regular, read_regular_text
 
 FORMAT = 1

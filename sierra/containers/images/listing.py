@@ -12,7 +12,7 @@ from sierra.containers.images.pins import all_pinned
 from sierra.containers.images.resolve import named
 from sierra.errors import SierraError
 from sierra.store.layout import StorePaths
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 class State(StrEnum):

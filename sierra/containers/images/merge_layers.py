@@ -20,14 +20,14 @@ import json
 import posixpath
 import tarfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, field, replace
+from dataclasses import asdict
 from operator import itemgetter
 from typing import BinaryIO, Literal
 
 from sierra.containers.images.oci import Archive
 from sierra.containers.images.streams import PIECE, content, members
 from sierra.errors import Damaged
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 MAX_FILES = 1_000_000
 WHITEOUT, OPAQUE, AUFS = ".wh.", ".wh..wh..opq", ".wh..wh."

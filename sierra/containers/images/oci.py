@@ -24,8 +24,7 @@ from sierra.containers.images.streams import PIECE, ForwardStream, Hashed, Reada
 from sierra.errors import Damaged, Missing
 from sierra.util.hashing import sha256
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.regular_files import open_regular
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"

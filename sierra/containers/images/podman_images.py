@@ -27,8 +27,8 @@ from sierra.errors import Damaged, Missing
 from sierra.store.layout import user_images
 from sierra.util.cache import Cache
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
+from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
-from sierra.util.lazy_patterns import regex
 from sierra.util.signals import noted
 from sierra.worker import worker
 

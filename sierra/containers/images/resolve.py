@@ -14,7 +14,7 @@ from sierra.errors import ConfigError, Damaged, Missing
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util import processors
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.processors import ARCH
 
 TAG = "localhost/sierra/"

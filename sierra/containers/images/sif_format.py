@@ -25,8 +25,7 @@ from typing import BinaryIO
 from sierra.containers.images.streams import PIECE
 from sierra.errors import Damaged, Missing
 from sierra.util.json_types import as_object
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.regular_files import open_regular
 
 LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"

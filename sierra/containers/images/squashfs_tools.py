@@ -23,7 +23,7 @@ from sierra.containers.images.merge_layers import Entry, Type, Wanted
 from sierra.containers.images.streams import PIECE, fed
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.util.hashing import sha256_file
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 
 MAGIC = b"hsqs"

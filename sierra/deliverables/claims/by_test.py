@@ -15,7 +15,6 @@ probability that any is refuted by chance.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -29,7 +28,7 @@ from sierra.errors import NotFound, SierraError, UsageError
 from sierra.stats.comparison.model import Cell, Pair, Question, Sample
 from sierra.stats.comparison.wording import covers_zero
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted, few, like
 
 if TYPE_CHECKING:

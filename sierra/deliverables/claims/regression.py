@@ -34,7 +34,7 @@ from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
 from sierra.stats import rates, student_t
 from sierra.stats.rates import Interval, square_and_add
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import digits_apart, short_number
 
 

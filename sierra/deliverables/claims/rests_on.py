@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 
 from sierra.config.claim_table import Claim
 from sierra.config.project_file import LoadedProject
@@ -20,7 +19,7 @@ from sierra.errors import NotFound, UsageError
 from sierra.execution import resolve_plan, resolve_query, targets
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, few
 
 SHOWN = 3

@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 
 from sierra.deliverables.figures import bands, models, style
 from sierra.stats import words
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing

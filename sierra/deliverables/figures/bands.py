@@ -12,7 +12,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.statistic_names import quantile
 from sierra.stats.needs import Needs, Over
 from sierra.stats.words import named
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

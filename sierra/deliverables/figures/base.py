@@ -20,7 +20,7 @@ from sierra.config.field_types import Table
 from sierra.config.plugin_registry import FIGURES, NoOptions
 from sierra.model import Axis
 from sierra.stats.needs import Needs
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import matplotlib.figure

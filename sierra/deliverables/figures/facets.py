@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +13,7 @@ from sierra.deliverables.figures import style
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from sierra.config.deliverable_tables import Figure
@@ -15,7 +14,7 @@ from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats.needs import Needs
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import few, like, n_of
 
 if TYPE_CHECKING:

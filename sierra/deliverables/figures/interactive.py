@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Literal
 
@@ -19,7 +18,7 @@ from sierra.deliverables.html import Chart, ChartAxis, Content, Series, tables
 from sierra.deliverables.html.tables import Table
 from sierra.model import Axis
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.version import __version__
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from sierra.errors import UsageError
 from sierra.stats import student_t
 from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing

@@ -25,7 +25,7 @@ from matplotlib.typing import ColorType
 
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import NotInstalled
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -40,7 +40,7 @@ from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import visible
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import value_of, with_n
 from sierra.model import Axis
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing

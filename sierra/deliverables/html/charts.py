@@ -8,7 +8,7 @@ from typing import Literal
 from sierra.deliverables.html.escaping import Data
 from sierra.deliverables.html.tables import Cell, Table, exact
 from sierra.util.html_elements import Markup, element
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping
-from dataclasses import field
 
 from sierra.deliverables.html import charts, tables
 from sierra.deliverables.html.charts import Chart, chart_element
 from sierra.deliverables.html.escaping import Data, data
 from sierra.deliverables.html.tables import Table, table_element
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from sierra.deliverables.html.escaping import Data
 from sierra.util.arrow_columns import values_of
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import digits_apart, short_number
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from sierra.deliverables.models.predictions import CLOSE
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 from sierra.stats.comparison.wording import number
 from sierra.store.data_hash import data_hash
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:

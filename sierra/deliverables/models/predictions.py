@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field
 from typing import Protocol
 
 from sierra.errors import ConfigError, SierraError, UsageError
 from sierra.model import Value
 from sierra.templates import arithmetic
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, like
 
 Cells = Mapping[int, Mapping[str, Value]]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 from sierra.deliverables.figures import bands
@@ -14,7 +13,7 @@ from sierra.deliverables.models.predicted import Predicted
 from sierra.deliverables.models.predictions import NoValue, Prediction
 from sierra.errors import UsageError
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import few
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from sierra.execution import sessions, show_record, targets
 from sierra.execution.shown_records import ShownBatch
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 STATES = """
 WITH members AS (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $b),

@@ -12,7 +12,7 @@ from sierra.deliverables.report.parts import Place, Section, auto, badge, code, 
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, few
 
 KINDS = {Verdict.holds: "good", Verdict.does_not_hold: "bad", Verdict.cannot_tell: "unclear"}

@@ -18,7 +18,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 RECORDED = """
 SELECT * FROM deliverables WHERE kind = 'comparison' AND list_has_any(batches, $batches)

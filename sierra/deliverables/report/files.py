@@ -11,7 +11,7 @@ from sierra.errors import Missing, UsageError
 from sierra.store.layout import REPORTS, ProjectPaths
 from sierra.store.segments import disk_errors
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.scratch import scratch
 
 OURS = f'<meta name="generator" content="{GENERATOR} '.encode()

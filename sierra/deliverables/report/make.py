@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 
 from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables.comparison import Compared
@@ -34,7 +33,7 @@ from sierra.execution.list_batches import ListedBatch
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, Node, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 AT_MOST = 50
 """The largest number of batches that a report of all batches shows in full; of more, it only has the list."""

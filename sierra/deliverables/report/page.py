@@ -13,7 +13,7 @@ from sierra.deliverables.report.parts import Place, Section, auto, section
 from sierra.deliverables.report.reproduce import Received
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 from sierra.util.version import __version__
 

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from sierra.deliverables.html.sections import svg_address
 from sierra.util.html_elements import Markup, Node, element, joined
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 CODE = regex(r"\$b\b")
 

@@ -18,7 +18,7 @@ from sierra.errors import Missing, SierraError
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
 from sierra.util.hashing import digest, sha256
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.version import __version__
 
 PICTURE = regex(rb'src="data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"')

@@ -10,7 +10,7 @@ from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, Section, code, note, table
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.version import __version__
 
 

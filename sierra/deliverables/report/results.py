@@ -22,8 +22,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import digits_apart, few, short_number
 
 WIDTH = regex(rb'<svg\b[^>]*? width="([0-9.]+)pt"')

@@ -16,7 +16,7 @@ from sierra.stats.shipped import ORDER_STATISTICS
 from sierra.store.row_types import LookIntervalRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 
 if TYPE_CHECKING:

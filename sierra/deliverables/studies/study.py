@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import ClassVar, NamedTuple, TypeVar
 
@@ -35,7 +34,7 @@ from sierra.store.row_types import LookIntervalRow, LookRow, StudyRow
 from sierra.store.store import Store
 from sierra.store.study_records import Decision
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted, few
 
 Dated = TypeVar("Dated", StudyRow, LookRow)

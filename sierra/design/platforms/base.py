@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os.path
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
 from typing import ClassVar, Protocol, runtime_checkable
 
 from sierra.config.capture_table import Capture
@@ -20,7 +19,7 @@ from sierra.config.field_types import Table
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project
 from sierra.model import Axis, Change, Criterion, Point, Pose
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 class Reader(Protocol):

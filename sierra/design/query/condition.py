@@ -18,8 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from sierra.design.query import grammar
 from sierra.errors import QueryError
 from sierra.model import Axis, Batch, Value
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import few
 
 EXAMPLE = "population_size<=4 and noise=0,0.5"

@@ -49,7 +49,7 @@ from sierra.model import (
     VariableDensity,
 )
 from sierra.store.schema import RESERVED
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import outside
 
 """`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""

@@ -9,7 +9,7 @@ from sierra.config.plugin_registry import NoOptions
 from sierra.design.query.numbers import COUNT, whole
 from sierra.errors import QueryError
 from sierra.model import Linear, Log
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 LINEAR_COUNT = 10
 """Default number of values of `.Linear100`, without `.C`."""

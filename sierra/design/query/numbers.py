@@ -6,7 +6,7 @@ from fractions import Fraction
 
 from sierra.errors import QueryError
 from sierra.util.float_range import out_of_range
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 DIGITS = 40
 """Maximum number of characters of a number, so that parsing is always fast."""

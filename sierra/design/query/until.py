@@ -14,8 +14,7 @@ from __future__ import annotations
 from math import isfinite
 
 from sierra.errors import QueryError
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 EXAMPLE = "ci(coverage) < 0.02"
 MEAN = "mean"

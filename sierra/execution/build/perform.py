@@ -10,7 +10,6 @@ import re
 import socket
 import subprocess
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -35,9 +34,8 @@ from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util import bounded_program
 from sierra.util.kept_log import kept_of
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, regex, replace
 from sierra.util.lazy_logger import Log
-from sierra.util.lazy_patterns import regex
 from sierra.util.text import one_line
 from sierra.worker import worker
 

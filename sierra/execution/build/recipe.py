@@ -7,7 +7,6 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path, PurePosixPath
 
@@ -22,8 +21,7 @@ from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.util import processors
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex, replace
 from sierra.util.processors import ARCH
 
 PLATFORM = "build"

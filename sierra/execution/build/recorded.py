@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from sierra.config.project_file import LoadedProject
@@ -18,7 +17,7 @@ from sierra.model import IN_PROJECT, Purpose, RunSpec
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.processors import here
 from sierra.util.text import few
 

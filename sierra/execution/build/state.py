@@ -14,7 +14,7 @@ from sierra.provenance import source
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import few
 
 SHOWN = 3

@@ -10,7 +10,7 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.provenance.hash_cache import HashCache
 from sierra.util.fs import unescaped
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 GPU = "{gpu}"
 """The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""

@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from sierra.execution.observation.current_files import GPU
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import RecordedProgram
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import counted, few
 
 NAMED = 4

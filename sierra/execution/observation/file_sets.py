@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from sierra.execution.observation.current_files import Current, located
 from sierra.store.store import Snapshot
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 PROJECT = "{project}"
 TABLES = ("executions", "observations", "files_read", "listings", "files_written", "environments")

@@ -11,7 +11,7 @@ import shutil
 import subprocess
 from collections.abc import Iterable, Mapping
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 CACHE = "/etc/ld.so.cache"
 LINE = regex(r"\s*(\S+) \((.*)\) => (.*)")

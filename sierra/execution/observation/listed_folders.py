@@ -16,8 +16,7 @@ from sierra.execution.observation.file_sets import FileSets, UsedFile, located_p
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
 from sierra.store.layout import CONFIG, FIGURES, LOCK, STORE
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.regular_files import read_regular
 
 OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, *LEFT_OUT))

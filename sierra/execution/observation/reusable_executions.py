@@ -26,7 +26,7 @@ from sierra.provenance.dependency_model import Kind, Programs
 from sierra.store import spec_rows
 from sierra.store.row_types import UnusedChangeRow
 from sierra.store.store import Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, few
 
 NAMED = 3

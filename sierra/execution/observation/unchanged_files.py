@@ -10,7 +10,7 @@ from sierra.execution.observation.file_sets import FileSets, UsedFile, located_p
 from sierra.execution.observation.found_elsewhere import CACHE, LoaderCache, found_elsewhere
 from sierra.execution.observation.listed_folders import ListedFolders
 from sierra.provenance.hash_cache import HashCache
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 FOUND_ELSEWHERE = "found elsewhere"
 """The use of a library that the loader would now find in another file. The store has no such use."""

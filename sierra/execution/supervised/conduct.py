@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import field
 from datetime import UTC, datetime
 from itertools import groupby
 from typing import NamedTuple
@@ -32,7 +31,7 @@ from sierra.runners.base import NamesRobots, Runner
 from sierra.store.row_types import TrialRow
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 UNJUDGED = "nobody has judged it"
 """The reason why a trial without a verdict is not valid."""

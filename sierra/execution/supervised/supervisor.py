@@ -6,13 +6,12 @@ import contextlib
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import field
 from enum import StrEnum
 from typing import Protocol
 
 from sierra.model import Pose, Status, Value
 from sierra.runners.base import Beat
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from sierra.explain.diff import code, environment, images, query, run_inputs, us
 from sierra.explain.diff.load_sides import AFTER, BEFORE, Side, check, gather, of_batch, of_plan, pair, pair_runs
 from sierra.explain.diff.model import KINDS, Difference, Note, changed
 from sierra.store.store import Found, Snapshot, Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from sierra.store.spec_rows import run_spec
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 BEFORE, AFTER = "before", "after"
 ONE = ("run", "execution")

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import TypeAlias
 
 from sierra.util.json_types import Json
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import DIGITS, digits_apart, few, short_number
 
 Compared: TypeAlias = "bool | int | float | str | datetime | Sequence[Compared] | Mapping[str, Compared] | None"

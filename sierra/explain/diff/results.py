@@ -28,7 +28,7 @@ from sierra.stats.rates import Interval, square_and_add
 from sierra.store.samples import Frame, names_time
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, digits_apart, few, short_number
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.store import Snapshot
 from sierra.templates.input_diff import Spot, differing
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 LOOKED_AT = 40

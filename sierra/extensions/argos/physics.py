@@ -12,7 +12,7 @@ from itertools import pairwise
 from xml.sax.saxutils import quoteattr
 
 from sierra.design.query import ranges
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 _MICROMETRE = Fraction(1, 10**6)
 

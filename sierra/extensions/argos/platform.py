@@ -37,8 +37,7 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"

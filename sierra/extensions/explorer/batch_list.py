@@ -9,7 +9,7 @@ from sierra.execution import list_batches
 from sierra.execution.list_batches import ListedBatch
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 PAGE = 100
 """The largest number of batches that one answer lists."""

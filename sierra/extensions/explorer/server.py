@@ -29,8 +29,8 @@ from sierra.extensions.explorer.page import page
 from sierra.extensions.explorer.ranges import BadRange, Range
 from sierra.extensions.explorer.tickets import Made
 from sierra.util.json_types import JsonView
+from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
-from sierra.util.lazy_patterns import regex
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer

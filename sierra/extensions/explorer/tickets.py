@@ -14,7 +14,7 @@ from itertools import accumulate
 from typing import BinaryIO
 
 from sierra.extensions.explorer.checked_files import CheckedFile
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 MOST = 10_000
 """The largest number of addresses that are valid at a time: a batch may have a hundred videos."""

@@ -21,7 +21,7 @@ from sierra.stats.comparison import rank_tests
 from sierra.stats.comparison.analyse import analyse
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample, Verdict
 from sierra.stats.comparison.ties import Floats, each_alike
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 Test = Literal["nemenyi", "wilcoxon"]
 

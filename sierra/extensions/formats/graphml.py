@@ -8,7 +8,6 @@ of the file declare the names, types and defaults of values.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 from sierra.extensions.formats.columnar import Columnar, column_of
@@ -17,7 +16,7 @@ from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
 from sierra.ingest.xml_rows import count_tags, parse, pattern
 from sierra.store.type_inference import as_float
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 if TYPE_CHECKING:
     import pyarrow as pa

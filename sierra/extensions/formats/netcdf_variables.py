@@ -13,7 +13,6 @@ import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from sierra.extensions.formats.columnar import Columnar
@@ -22,7 +21,7 @@ from sierra.extensions.formats.hdf5_datasets import MAGIC as HDF5
 from sierra.extensions.formats.numpy_arrays import plain
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.rewriting import Source
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 if TYPE_CHECKING:
     import h5py

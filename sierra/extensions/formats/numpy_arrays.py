@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.rewriting import Source
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     import numpy as np

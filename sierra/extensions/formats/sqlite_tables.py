@@ -15,7 +15,7 @@ from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.rewriting import Source
 from sierra.ingest.sqlite_file import opened
 from sierra.store.sql_names import identifier
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
     import pyarrow as pa

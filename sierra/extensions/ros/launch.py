@@ -17,7 +17,7 @@ from typing import ClassVar, Protocol
 from xml.etree import ElementTree
 
 from sierra.plugin import Add, Change, Set, TemplateError, TemplateView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 ROOT = "/launch"
 SETTINGS = "sierra"

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from sierra.config.field_types import NotNegative
 from sierra.config.output_tables import PLACEHOLDER, Output, Proposal
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""

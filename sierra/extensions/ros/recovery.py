@@ -21,7 +21,7 @@ from sierra.ingest.match_outputs import claims
 from sierra.ingest.model import Written
 from sierra.ingest.rewriting import Source
 from sierra.util.fs import fitting
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 PARTIAL = "partial"
 

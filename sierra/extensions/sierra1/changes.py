@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Mapping
-from dataclasses import field
 from xml.sax.saxutils import quoteattr
 
 from sierra.errors import SierraError
@@ -17,8 +16,7 @@ from sierra.extensions.argos.platform import PLACEHOLDER, ROOT
 from sierra.extensions.sierra1.yaml_values import Plain
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.base import Template
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 
 SETS = ("attr_change", "attr_add")
 RENAMES = ("element_change", "tag_change")

@@ -11,7 +11,6 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import field
 from json import dumps
 from pathlib import Path
 
@@ -32,8 +31,7 @@ from sierra.setup.init import folder
 from sierra.store.layout import CONFIG
 from sierra.templates.base import Template
 from sierra.util.fs import write_whole
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
 

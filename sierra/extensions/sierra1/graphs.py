@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import field
 
 from sierra.extensions.sierra1.old_project import OldProject
 from sierra.extensions.sierra1.yaml_values import Plain
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 
 Entry = dict[str, str | bool]
 """A table of `sierra.toml` with simple values."""

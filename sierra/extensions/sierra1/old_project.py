@@ -14,8 +14,7 @@ from pathlib import Path
 
 from sierra.errors import Missing, UsageError
 from sierra.extensions.sierra1.yaml_values import Plain, values
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.regular_files import open_regular
 
 CONTROLLERS = "config/controllers.yaml"

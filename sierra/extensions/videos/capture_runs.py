@@ -28,7 +28,7 @@ from sierra.store.recorded_files import ChosenExecution, take
 from sierra.store.row_types import CaptureRow, RenderingRow
 from sierra.store.store import Found, Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 NO_FRAMES = "the execution left no file {!r}; see [capture]"
 NOTHING_ELSE = "no other output could be compared"

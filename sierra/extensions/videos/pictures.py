@@ -23,7 +23,7 @@ from sierra.config.output_tables import Output
 from sierra.errors import SierraError, UsageError
 from sierra.extensions.videos.encode import library
 from sierra.store.samples import ChosenRun, Frame
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 
 if TYPE_CHECKING:

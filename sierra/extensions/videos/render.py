@@ -23,7 +23,7 @@ from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 
 MARK = "Figures drawn by SIERRA: see the table deliverables."

@@ -16,7 +16,7 @@ from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun, Frame, OutputTable
 from sierra.store.sql_names import identifier, quote
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import like
 
 if TYPE_CHECKING:

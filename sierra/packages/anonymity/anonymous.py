@@ -11,7 +11,6 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from typing import Any
 
 from sierra.config.package_table import Author, Package
@@ -26,8 +25,7 @@ from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex, replace
 from sierra.util.text import counted, few
 
 DATE = "2000-01-01"

@@ -31,8 +31,7 @@ from typing import IO, TYPE_CHECKING, cast
 from sierra.packages.anonymity.identifying_words import Word
 from sierra.packages.anonymity.word_search import Found, Search
 from sierra.store.segments import own_table
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -22,7 +22,7 @@ from sierra.errors import Missing
 from sierra.packages.anonymity.redact_rows import HIDDEN
 from sierra.provenance.source.git import Git
 from sierra.store.store import Store
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 GENERAL = frozenset(
     (

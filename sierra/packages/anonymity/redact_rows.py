@@ -18,7 +18,7 @@ from sierra.provenance import environment, source
 from sierra.store.row_types import TABLES, EnvironmentRow, FileReadRow, IsolationRow, SourceRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import digest
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 HIDDEN = "redacted"
 SYSTEM = regex(r"/(usr|lib|lib32|lib64|libx32|bin|sbin|etc|proc|sys|dev)(/|\Z)")

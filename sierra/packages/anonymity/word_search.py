@@ -20,7 +20,7 @@ from typing import IO, NamedTuple
 from urllib.parse import quote
 
 from sierra.packages.anonymity.identifying_words import Word
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 SEPARATORS = ("", " ", "_", "-", ".", "+", "%20", ", ", "\\ ")
 WHOLE = 4

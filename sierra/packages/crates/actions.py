@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from sierra.packages.crates.graph import Entity, Graph, local, moment, ref
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 MOST = 2000
 """The largest number of runs with an action each."""

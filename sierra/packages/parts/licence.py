@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sierra.packages.subject import Made, Member, Subject
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 TEXT = regex(r"(?:LICEN[CS]E|COPYING|UNLICENSE)(?:[-.][A-Za-z0-9.+-]+)?", re.IGNORECASE)
 """Names of licence files, as hosts of repositories recognize them."""

@@ -14,7 +14,7 @@ from sierra.errors import ConfigError
 from sierra.packages.subject import Made, Member, Subject
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import read_regular
 
 CITATION = "CITATION.cff"

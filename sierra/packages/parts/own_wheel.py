@@ -28,7 +28,7 @@ from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.dependency_model import normalized
 from sierra.provenance.pythons import OWN
 from sierra.util.hashing import sha256_file
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 TAG = "py3-none-any"
 LOCK = "extra_metadata/requirements.lock"

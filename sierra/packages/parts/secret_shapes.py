@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 TEXT = 8000
 """A content without NUL in this many bytes at its beginning is a text, as git decides it."""

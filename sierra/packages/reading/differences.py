@@ -27,7 +27,7 @@ from sierra.store.row_types import ArtifactRow
 from sierra.store.sql_names import identifier
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, few, verb
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from sierra.errors import NotFound
 from sierra.packages.archive import Archive
 from sierra.packages.layout import DRAWN
 from sierra.packages.reading.received import Received
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 
 RECORDED = """

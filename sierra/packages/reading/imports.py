@@ -17,7 +17,6 @@ Everything appears at one moment (see `sierra.maintenance.transaction`). A secon
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -42,7 +41,7 @@ from sierra.store.segments import OUTPUT, Segment, listed
 from sierra.store.store import Snapshot, Store
 from sierra.store.views import ONCE
 from sierra.util.hashing import short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 
 Drop = dict[str, dict[str, AbstractSet[str]]]
 BY_EXECUTION, BY_JUDGEMENT, BY_SESSION = map(columns_with, (Of.EXECUTION, Of.JUDGEMENT, Of.SESSION))

@@ -20,7 +20,7 @@ from sierra.packages.parts.stored import is_record
 from sierra.store.layout import STORE, user_packages
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.scratch import scratch
 from sierra.util.version import __version__
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from sierra.deliverables.claims.model import Evaluated, Verdict
 from sierra.packages.reproduction.planned import PlannedBatch
 from sierra.replay.verdicts import Replay
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 

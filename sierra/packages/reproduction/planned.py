@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from sierra.provenance.dependency_model import INSTALLED, normalized, versions
 from sierra.store.store import Store
 from sierra.util import processors
 from sierra.util.hashing import sha256_file, short
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import one_line
 
 NONE = "none"

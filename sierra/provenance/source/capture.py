@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 
 from sierra.errors import ConfigError
@@ -26,7 +25,7 @@ from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.selection import PathSelection, inside, shown
 from sierra.store.row_types import SourceRow
 from sierra.util.hashing import digest
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000

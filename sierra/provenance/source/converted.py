@@ -25,7 +25,7 @@ from sierra.provenance.source.lfs import POINTER
 from sierra.provenance.source.manifest import Files, git_hash, parts, read, written
 from sierra.util.fs import RACY_NS, read_sealed, state, write_whole
 from sierra.util.hashing import sealed, sha256, sha256_file
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 ATTRIBUTES = ("text", "eol", "crlf", "filter", "ident", "working-tree-encoding")
 CONVERTED = f":(exclude,attr:{' '.join(f'!{name}' for name in ATTRIBUTES)})"

@@ -11,7 +11,7 @@ import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 LINK, REPOSITORY = "120000", "160000"
 """Git's modes for a symbolic link and for a repository inside a repository."""

@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 
 from sierra.provenance.source.git import Git
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 DIGITS = 12
 """Digits of a commit in a description; by default, git would choose their number by the size of the clone."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 ANYWHERE = regex(rb"(?:.*/)?(?:README[^/]*|[^/]+\.md)", re.IGNORECASE | re.DOTALL)
 TOP = regex(

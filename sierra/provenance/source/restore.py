@@ -31,7 +31,7 @@ from sierra.provenance.source.manifest import (
 from sierra.provenance.source.selection import shown
 from sierra.provenance.source.stored_repositories import Content, data, nested
 from sierra.provenance.source.worktree_snapshot import of_tree
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.scratch import scratch
 
 UNFINISHED = ".sierra-source-"

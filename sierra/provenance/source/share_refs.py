@@ -15,7 +15,7 @@ from sierra.provenance.source import origin
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import read, repositories
 from sierra.provenance.source.origin import without_credentials
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 REFS = "refs/sierra/"
 ALL = f"{REFS}*:{REFS}*"

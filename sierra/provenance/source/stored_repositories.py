@@ -13,7 +13,7 @@ from sierra.errors import Damaged
 from sierra.provenance.source.lfs import POINTER
 from sierra.provenance.source.manifest import Files, git_hash, read, tree_hash
 from sierra.util.hashing import sha256
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 Content = Callable[[str], bytes | None]
 OID = regex(rb"^oid sha256:([0-9a-f]{64})$", re.MULTILINE)

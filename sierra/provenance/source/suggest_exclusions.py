@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterable
 
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 FOLDERS = regex(
     r"(results?|outputs?|out|logs?|figures?|figs?|plots?|papers?|thesis|docs?|notes|slides|videos?|data|datasets?)", re.I

@@ -29,7 +29,6 @@ import shutil
 import stat
 import time
 from collections.abc import Iterable, Iterator, Sequence, Set
-from dataclasses import field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -43,7 +42,7 @@ from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
 from sierra.util.fs import read_sealed, write_whole
 from sierra.util.hashing import sealed
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.regular_files import read_regular
 
 MANY = 500

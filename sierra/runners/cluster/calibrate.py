@@ -24,7 +24,7 @@ from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.result_log_reader import Ended, Event, Pack
 from sierra.runners.cluster.sizing import ELEMENT_S
 from sierra.store.layout import SessionPaths
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.worker.array_task import Started
 
 TIMEOUT_S = 120.0

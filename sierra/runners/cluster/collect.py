@@ -13,7 +13,6 @@ import json
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.json_types import RecordValue
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted
 from sierra.worker import worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble

@@ -17,7 +17,7 @@ from sierra.runners.cluster.sizing import Size, size
 from sierra.runners.cluster.submission_record import UNFOLLOWED
 from sierra.runners.schedulers.base import Bounds
 from sierra.store.layout import SessionPaths
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 FILES = 14

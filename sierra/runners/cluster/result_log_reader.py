@@ -9,7 +9,6 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -18,7 +17,7 @@ from sierra.model import Result
 from sierra.runners.journal_reader import Stalled, made, result_of
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.store.segments import disk_errors
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.regular_files import open_regular
 from sierra.worker import array_task
 from sierra.worker.worker import OBSERVED

@@ -49,8 +49,8 @@ from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
+from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
-from sierra.util.lazy_patterns import regex
 from sierra.util.text import counted, few, verb
 from sierra.worker import array_task, worker
 

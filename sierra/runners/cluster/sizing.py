@@ -9,7 +9,7 @@ from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError
 from sierra.model import Times
 from sierra.runners.schedulers.base import Bounds
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 ELEMENT_S = 450.0
 """Seconds that an element should take, if this can be estimated: between 5 and 10 minutes. Shorter elements cost a scheduler

@@ -12,7 +12,7 @@ import contextlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Damaged
@@ -22,7 +22,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
 from sierra.util.json_types import Json, JsonView
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import few
 
 NAMED = 8

@@ -6,8 +6,7 @@ import shlex
 from pathlib import Path
 
 from sierra.errors import UsageError
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 NAME = regex(r"([^\s@:-][^\s@:]*@)?[^\s@-][^\s@]*")
 PORTS = range(1, 1 << 16)

@@ -8,7 +8,6 @@ starts command lines inherits from it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import ClassVar, Protocol
 
@@ -16,7 +15,7 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.errors import Missing
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 
 class Unreachable(Missing):

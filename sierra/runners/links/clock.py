@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 TRIPS = 15
 

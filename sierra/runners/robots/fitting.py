@@ -11,7 +11,7 @@ from sierra.errors import Missing
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
 from sierra.runners.links.base import Link
 from sierra.runners.robots.agent_messages import Record
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.processors import NAMES, can_execute
 from sierra.worker import worker
 

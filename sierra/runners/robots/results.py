@@ -19,7 +19,7 @@ from sierra.runners.robots.trial import OVER, STOPPED, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import KEPT, kept_of, shares
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.worker import worker
 
 INTERRUPTED = "interrupted"

@@ -11,7 +11,6 @@ unreachable for a day. Its commands are called as argv tuples, with text formats
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 from enum import StrEnum
 from pathlib import Path
 from typing import ClassVar, Protocol
@@ -19,7 +18,7 @@ from typing import ClassVar, Protocol
 from sierra.config.cluster_table import ClusterTable, check_directives
 from sierra.config.plugin_registry import SCHEDULERS
 from sierra.config.validate import options
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 NAME_LENGTH = 15
 """Length of the longest job name that all schedulers accept."""

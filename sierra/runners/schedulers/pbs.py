@@ -42,8 +42,8 @@ from sierra.runners.schedulers.base import Bounds, Limit, Request, Scheduler, St
 from sierra.runners.schedulers.qsub import Dialect
 from sierra.runners.schedulers.refusals import PBS, about
 from sierra.util.fs import write_whole
+from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
-from sierra.util.lazy_patterns import regex
 
 log = Log(__name__)
 

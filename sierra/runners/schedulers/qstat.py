@@ -20,8 +20,7 @@ from functools import lru_cache
 
 from sierra.runners.schedulers.base import State, Task
 from sierra.util.json_types import Json
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 Record = Mapping[str, str]
 """Attributes of a job, a queue or a server by their names in the text, for example `resources_max.walltime`; and its `id`."""

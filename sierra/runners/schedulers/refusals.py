@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 
 from sierra.config.cluster_table import ClusterTable
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 PLACE = ("partition", "account", "qos")
 DIRECTIVES = ("directives",)

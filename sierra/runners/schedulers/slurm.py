@@ -34,8 +34,8 @@ from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, 
 from sierra.runners.schedulers.refusals import SLURM, about
 from sierra.runners.schedulers.slurm_accounting_limits import Partitions, seconds
 from sierra.util import open_files
+from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
-from sierra.util.lazy_patterns import regex
 from sierra.util.text import ranges
 
 log = Log(__name__)

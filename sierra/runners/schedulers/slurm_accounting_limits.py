@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Missing
 from sierra.runners.schedulers.base import Limit, least
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 Ask = Callable[..., str]
 """A function that returns the output of a command with these words; it raises Missing."""

@@ -17,8 +17,7 @@ from sierra.errors import QueryError, UsageError
 from sierra.execution.commands import NAMED, SPLICED
 from sierra.setup.init import folder, variables
 from sierra.setup.init.answers import NONE
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 JOINED = regex(r"(-{0,2}[A-Za-z_][\w.+/-]*)=(.+)", re.ASCII | re.DOTALL)
 OPTION = regex(r"-{1,2}[A-Za-z][\w.-]*", re.ASCII)

@@ -23,7 +23,7 @@ from sierra.errors import UsageError
 from sierra.execution import commands
 from sierra.setup.init import arguments, folder, named_files
 from sierra.setup.init.answers import Ask, Question, settled
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 EXAMPLE = "python3 sim.py {input}"
 EXAMPLE_WITHOUT = "python3 sim.py --robots 4 --seed 1"

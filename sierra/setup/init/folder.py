@@ -14,7 +14,7 @@ from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init.answers import NONE, Ask, Question, settled
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 
 TEMPLATES = tuple(dict.fromkeys((".xml", *extensions.every("inputs"), *extensions.starts())))

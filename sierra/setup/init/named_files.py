@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 
 from sierra.errors import SierraError
@@ -19,8 +18,7 @@ from sierra.setup.init import variables
 from sierra.setup.init.folder import TEMPLATES
 from sierra.store.layout import CONFIG, RUN_NAMES
 from sierra.templates.base import read
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, field, regex
 
 AT_MOST = 12
 """The largest number of further templates; the files after them lie beside the inputs."""

@@ -22,7 +22,7 @@ from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
 from sierra.templates.base import Template
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import few
 
 T = TypeVar("T")

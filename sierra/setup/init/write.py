@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
 from functools import partial
 from itertools import count
 from json import dumps
@@ -22,7 +21,7 @@ from sierra.setup.init.answers import SHOWN
 from sierra.setup.init.source import found
 from sierra.store.layout import CONFIG
 from sierra.util.fs import write_whole
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, few, one_line
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 
 from sierra.config.field_types import Table
 from sierra.stats.comparison.model import Cell, Effect, Omnibus, Pair, Question
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 TAKES = frozenset({"pairs", "samples", "censored", "factors", "margin", "rates"})
 """Data that methods may take: runs with the same seed as pairs, runs without pairs, censored times, factors, a margin, rates.

@@ -20,7 +20,7 @@ from scipy import stats
 
 from sierra.stats.comparison import rank_distributions
 from sierra.stats.comparison.rank_distributions import Floats
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 LISTED = 2_000_000
 """The largest number of averages or differences that are listed; of more, the wanted ones are found by bisection."""

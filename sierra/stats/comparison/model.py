@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Literal
 
 from sierra.model import Value
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 VERSION = 2
 """The version of how comparisons are computed, which recorded ones keep. Version 1 had no record of it: omnibus tests decided

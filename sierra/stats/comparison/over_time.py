@@ -15,7 +15,7 @@ from scipy import stats
 
 from sierra.model import Value
 from sierra.stats.comparison.rank_tests import Floats
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 Series = Mapping[int, Floats]
 """The values of runs at common times, by seed; NaN where a run has none."""

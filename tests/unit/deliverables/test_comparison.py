@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.deliverables import record
+from sierra.deliverables import check, comparison
 from sierra.deliverables.report import comparisons
 from sierra.errors import UsageError
 from tests import projects, stores
@@ -404,7 +404,8 @@ def test_a_comparison_by_another_version_is_not_computed_again(compared: tuple[P
     made, first, second = compared
     root = stores.copy(made, tmp_path / "project")
     with pytest.MonkeyPatch.context() as older:
-        older.setattr(record, "VERSIONS", {"comparison": 3})
+        for module in (check, comparison):
+            older.setattr(module, "VERSION", 3)
         assert projects.quick(root, "compare", f"old={first}", f"new={second}", "--column", "coverage").returncode == 0
         checked = projects.quick(root, "figures", first, "--check")
         written = projects.quick(root, "report", first, "--to", str(tmp_path / "report.html"))

@@ -14,7 +14,6 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
@@ -32,7 +31,7 @@ from sierra.ingest.sqlite_file import MAGIC as SQLITE
 from sierra.ingest.sqlite_file import opened as opened_database
 from sierra.store.connections import Database
 from sierra.store.sql_names import column_names, stored_names
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import few
 
 if TYPE_CHECKING:

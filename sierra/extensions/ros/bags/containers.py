@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from typing import BinaryIO, Literal
 
 from sierra.ingest.base import UnreadableError
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 
 LARGEST = 1 << 28
 """The limit on the bytes of one message and of one chunk, decompressed."""

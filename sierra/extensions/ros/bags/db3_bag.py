@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 from sierra.extensions.ros.bags.containers import ZSTD, Bag, Channel, Message, Wanted, unpacked
 from sierra.ingest.base import UnreadableError
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import regex
 
 NUMBER = regex(r"message_count: *([0-9]+)")
 TABLES = ("topics", "messages")

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sierra.extensions.ros.bags.containers import NS, Channel, damage
 from sierra.ingest.base import UnreadableError
-from sierra.util.lazy_dataclasses import dataclass
-from sierra.util.lazy_patterns import regex
+from sierra.util.lazy_definitions import dataclass, regex
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -22,7 +22,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from sierra.deliverables.figures import style
 from sierra.errors import UsageError
 from sierra.extensions.videos.painting.text_strip import Box, TextStrip
-from sierra.util.lazy_dataclasses import dataclass
+from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
