@@ -437,6 +437,29 @@ def cpu_seconds(what: Callable[[], None]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+def cost(folder: Path, *more: str) -> None:
+    """Measure the fixed cost of commands, beside what is wanted."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_cost.py"), *more], check=True)
+
+
+def large_cost(folder: Path) -> None:
+    """Measure batches, figures, plans and packages, beside what is wanted."""
+    cost(folder, "--slow")
+
+
+def imports(folder: Path) -> None:
+    """Count the modules that commands import, beside the limits of `make check`."""
+    import tomllib
+
+    import ratchet
+
+    del folder
+    limits = tomllib.loads(ratchet.LIMITS.read_text())["imported modules"]
+    for name, count in ratchet.imported().items():
+        print(f"{f'modules imported by {name}':58} {count:5d}  (at most {limits[name]})", flush=True)
+
+
 def growth(folder: Path, *more: str) -> None:
     """Compare commands in stores of 10 and of 1,000 batches, in a separate process."""
     del folder
@@ -611,6 +634,8 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "runs": runs,
     "planning": planning,
     "commands": commands,
+    "cost": cost,
+    "imports": imports,
     "observation": observation,
     "around": around,
     "linear": linear,
@@ -634,8 +659,9 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "many": many,
     "large_clusters": large_clusters,
     "large_growth": large_growth,
+    "large_cost": large_cost,
 }
-SLOW = ("many", "large_clusters", "large_drawing", "large_growth")
+SLOW = ("large_cost", "many", "large_clusters", "large_drawing", "large_growth")
 
 if __name__ == "__main__":
     main()
