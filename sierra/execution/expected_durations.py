@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
+from sierra.errors import SierraError
 from sierra.execution.plan import Plan
 from sierra.model import Batch, Times, Value
 from sierra.store.store import Store
@@ -21,6 +22,8 @@ from sierra.util.lazy_definitions import dataclass, replace
 STEEPEST = 4.0
 """Highest power with which a run's duration may grow; `MOST` is the greatest factor."""
 MOST = 1e6
+AT_MOST = 1_000_000
+"""The number of pairs of an experiment and a timed one from which runs keep their order: about a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +35,45 @@ class Timed:
     seconds: float
 
 
+class _Known:
+    """Timed runs, all with the same variables."""
+
+    def __init__(self, runs: Sequence[Timed]) -> None:
+        self.runs = runs
+        self.slowest = max((one.seconds for one in runs), default=0.0)
+        self.slowest_by: dict[str, dict[Value | None, float]] = {}
+        """The seconds of the slowest run with each value, by variable."""
+        self._exact: dict[tuple[Value | None, ...], float] = {}
+        for one in runs:
+            for name, value in one.values.items():
+                found = self.slowest_by.setdefault(name, {})
+                found[value] = max(one.seconds, found.get(value, 0.0))
+            values = tuple(one.values.values())
+            self._exact[values] = max(one.seconds, self._exact.get(values, 0.0))
+        self.numbers = {
+            name: sorted(value for value in found if value is not None and not isinstance(value, str))
+            for name, found in self.slowest_by.items()
+        }
+        """The numeric values, by variable."""
+
+    def measured(self, values: Mapping[str, Value]) -> float | None:
+        """Return the duration of runs with all of these values; None if there are none."""
+        return self._exact.get(tuple(values[name] for name in self.slowest_by))
+
+    def near(self, name: str, value: Value) -> AbstractSet[Value | None]:
+        """Return the timed values of a variable that are this one, or next to it; all if none can be next to it."""
+        timed = self.slowest_by[name]
+        if isinstance(value, str):
+            return {None, value} if value in timed else timed.keys()
+        texts = {one for one in timed if isinstance(one, str) and value not in timed}
+        below, above = [one for one in self.numbers[name] if one <= value], [one for one in self.numbers[name] if one >= value]
+        return {None, value, *below[-1:], *above[:1], *texts}
+
+
 def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times | None:
     """Return the expected durations of these runs of a plan; None if no comparable run was timed."""
-    known = list(_timed(plan, store)) if store and runs else []
-    if not known:
+    known = _Known(tuple(_timed(plan, store)) if store and runs else ())
+    if not known.runs:
         return None
     order = list({run.id: run for run in plan.batch.runs if run.id in runs}.values())
     exact = _exact(plan, known, {run.experiment for run in order})
@@ -48,26 +86,32 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times |
 def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Batch:
     """Return the batch of a plan, with the experiments whose runs are expected to take longest at its beginning.
 
-    Those that are not known to differ keep their order. `runs`: those that are to be executed.
+    Those that are not known to differ keep their order; so do all if the durations cannot be read, or if to estimate them would
+    take longer than the order can save. `runs`: those that are to be executed.
     """
     wanted = {run.experiment for run in plan.batch.runs if run.id in runs}
-    known = list(_timed(plan, store)) if len(wanted) > 1 else []
-    if not known:
+    if len(wanted) < 2:
+        return plan.batch
+    try:
+        known = _Known(tuple(_timed(plan, store)))
+    except SierraError:  # of other batches, and whoever reads them says so
+        return plan.batch
+    if not known.runs or len(known.runs) * len(wanted) > AT_MOST:
         return plan.batch
     seconds = _seconds(plan, known, _exact(plan, known, wanted))
     order = sorted(plan.batch.experiments, key=lambda one: -seconds.get(one.ordinal, 0.0))
     return replace(plan.batch, experiments=tuple(order))
 
 
-def _exact(plan: Plan, known: Sequence[Timed], experiments: Iterable[int]) -> dict[int, float | None]:
+def _exact(plan: Plan, known: _Known, experiments: Iterable[int]) -> dict[int, float | None]:
     """Return for each of these experiments how long a run with the same values took; None if there was none."""
-    return {ordinal: _measured(plan.batch.experiments[ordinal].values, known) for ordinal in sorted(experiments)}
+    return {ordinal: known.measured(plan.batch.experiments[ordinal].values) for ordinal in sorted(experiments)}
 
 
-def _seconds(plan: Plan, known: Sequence[Timed], exact: Mapping[int, float | None]) -> dict[int, float]:
+def _seconds(plan: Plan, known: _Known, exact: Mapping[int, float | None]) -> dict[int, float]:
     """Return the expected seconds of a run of each of these experiments."""
     return {
-        ordinal: found if found is not None else estimate(plan.batch.experiments[ordinal].values, known)
+        ordinal: found if found is not None else _estimate(plan.batch.experiments[ordinal].values, known)
         for ordinal, found in exact.items()
     }
 
@@ -86,8 +130,13 @@ def recorded(store: Store, runs: Sequence[str]) -> Times | None:
 
 def estimate(values: Mapping[str, Value], known: Sequence[Timed]) -> float:
     """Return the duration in seconds of a run with values that were never timed, estimated from timed runs."""
-    near = [one for one in known if all(_is_near(name, value, one, known) for name, value in values.items())]
-    slowest = max(one.seconds for one in near or known)
+    return _estimate(values, _Known(tuple(known)))
+
+
+def _estimate(values: Mapping[str, Value], known: _Known) -> float:
+    near = {name: known.near(name, value) for name, value in values.items()}
+    slow = (one.seconds for one in known.runs if all(one.values[name] in some for name, some in near.items()))
+    slowest = max(slow, default=known.slowest)
     return slowest * math.prod(_growth(name, value, known) for name, value in values.items())
 
 
@@ -134,29 +183,12 @@ def _plain(value: object, *, numeric: bool) -> Value | None:
         return str(value)
 
 
-def _measured(values: Mapping[str, Value], known: Iterable[Timed]) -> float | None:
-    """Return the duration of runs with all of these values; None if there are none."""
-    return max((one.seconds for one in known if all(one.values[name] == values[name] for name in values)), default=None)
-
-
-def _is_near(name: str, value: Value, one: Timed, known: Sequence[Timed]) -> bool:
-    """Check whether a timed run has the same value of a variable, or a neighbouring one."""
-    timed = one.values[name]
-    if timed is None or timed == value:
-        return True
-    if isinstance(value, str) or isinstance(timed, str):
-        return value not in {other.values[name] for other in known}
-    numbers = _numbers(name, known)
-    below, above = [each for each in numbers if each <= value], [each for each in numbers if each >= value]
-    return timed in (*below[-1:], *above[:1])
-
-
-def _growth(name: str, value: Value, known: Sequence[Timed]) -> float:
+def _growth(name: str, value: Value, known: _Known) -> float:
     """Return the factor by which a run takes longer than runs with the nearest timed value; 1.0 within the timed range."""
-    numbers = _numbers(name, known)
+    numbers = known.numbers[name]
     if isinstance(value, str) or not numbers or numbers[0] <= value <= numbers[-1]:
         return 1.0
-    slowest = {number: max(one.seconds for one in known if one.values[name] == number) for number in numbers}
+    slowest = {number: known.slowest_by[name][number] for number in numbers}
     end = numbers[-1] if value > numbers[-1] else numbers[0]
     if min(end, value, *numbers) <= 0:
         return _linear(slowest, end, value)
@@ -175,10 +207,6 @@ def _linear(slowest: Mapping[float, float], end: float, value: float) -> float:
     """Return the factor of `_growth` along a straight line, for values that have no logarithm."""
     slopes = [abs(slowest[b] - slowest[a]) / (b - a) for a, b in itertools.pairwise(sorted(slowest))]
     return min(1.0 + max([0.0, *slopes]) * abs(value - end) / slowest[end], MOST) if slowest[end] > 0 else 1.0
-
-
-def _numbers(name: str, known: Iterable[Timed]) -> list[float]:
-    return sorted({value for one in known if (value := one.values[name]) is not None and not isinstance(value, str)})
 
 
 def _description(timed: int, of: int, axes: Sequence[object]) -> str:

@@ -1,8 +1,8 @@
 """The records of segments that no index names, kept in memory while a command makes one snapshot after the other.
 
 DuckDB opens each file of a view again for each statement, even for one that reads a single row. So the rows of small files are
-read once, and those of segments that come later are added. Users' statements could list these tables, so that a snapshot for
-such statements has none.
+read once, and those of segments that come later are added: the order of the rows is that in which this process has seen them.
+Users' statements could list these tables, so that a snapshot for such statements has none.
 """
 
 from __future__ import annotations

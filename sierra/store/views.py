@@ -153,7 +153,7 @@ class Views:
         if added & kept._from_files or (added and kept._read):
             return False
         try:
-            verify(path for name in kept._made for path in (*self._files_of(name), *kept._read.get(name, ())))
+            verify(path for name in kept._reads for path in (*self._files_of(name), *kept._read.get(name, ())))
             if not all(self._held(name) for name in added & kept._from_rest):
                 return False
         except Damaged:  # whoever makes a view of that file says so
@@ -183,7 +183,12 @@ class Views:
 
     def verify(self) -> None:
         """Verify the files of the existing views again, which may have changed since. Raises Damaged."""
-        verify(path for name in self._made for path in (*self._files_of(name), *self._read.get(name, ())))
+        verify(path for name in self._reads for path in (*self._files_of(name), *self._read.get(name, ())))
+
+    @property
+    def _reads(self) -> set[str]:
+        """The tables whose files the existing views read, or whose rows the connection holds: also others than their own."""
+        return self._made | self._from_files | self._from_rest
 
     def holds(self, table: str) -> bool:
         """Check whether the store has any record of a table; much faster than a query."""
@@ -228,7 +233,7 @@ class Views:
         self._made.add(name)
         try:
             self._create(name)
-        except Damaged:
+        except BaseException:
             self._made.discard(name)
             raise
 

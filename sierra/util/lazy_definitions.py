@@ -44,9 +44,11 @@ FIELDS = "__dataclass_fields__"
 """The attribute by which the standard library knows a dataclass."""
 GENERATED = (
     *(FIELDS, "__dataclass_params__", "__delattr__", "__eq__", "__getstate__", "__hash__", "__init__", "__match_args__"),
-    *("__replace__", "__repr__", "__setattr__", "__setstate__"),
+    *("__replace__", "__repr__", "__setattr__"),
 )
 """The attributes that the standard library adds to a class."""
+LATE = ("__setstate__", "__signature__")
+"""The attributes that a class has until it is complete, unless the standard library adds them."""
 _lock = RLock()
 
 
@@ -57,24 +59,46 @@ def _postponed(original: type, made_by: Callable[[type], type]) -> type:
     left = {name: value for name, value in vars(original).items() if name not in (*names, "__dict__", "__weakref__")}
     left["__slots__"] = tuple(name for name in names if name not in held)
 
-    class Fields:
+    class Late:
+        """An attribute of the class that is known when the class is complete."""
+
+        def __init__(self, value: Callable[[], object]) -> None:
+            self._value = value
+
         def __get__(self, instance: object, owner: type) -> object:
             complete()
-            return vars(made)[FIELDS]
+            return self._value()
 
     def first(self: Any, *arguments: object, **named: object) -> None:
         complete()
         made.__init__(self, *arguments, **named)  # type: ignore[misc]
 
+    def restore(self: Any, state: Any) -> None:
+        """Give a copy that another process has sent its values."""
+        complete()
+        if isinstance(state, tuple):  # of a class without a method of its own
+            for name, value in state[1].items():
+                setattr(self, name, value)
+        else:
+            self.__setstate__(state)
+
     def complete() -> None:
         with _lock:
             if vars(made)["__init__"] is first:
                 whole = vars(made_by(original))
-                for name in GENERATED:
+                for name in (*LATE, *GENERATED):
                     if name in whole:
                         setattr(made, name, whole[name])
+                    elif name in LATE:
+                        delattr(made, name)
 
-    left |= {"__init__": first, FIELDS: Fields()}
+    def signature() -> object:
+        import inspect
+
+        return inspect.signature(made)
+
+    left |= {"__init__": first, "__setstate__": restore}
+    left |= {FIELDS: Late(lambda: vars(made)[FIELDS]), "__signature__": Late(signature)}
     made = type(original)(original.__name__, original.__bases__, left)
     made.__qualname__ = original.__qualname__
     return made

@@ -131,8 +131,7 @@ def _is_cache(root: Path, path: str) -> bool:
 
 def _in_git(root: Path) -> bool:
     """Return True if a repository contains the project and does not ignore the project's folder."""
-    is_top = (root / ".git").exists()  # which its own repository cannot ignore
-    return is_top or (in_repository(root) and not Git(root)("check-ignore", ".", optional=True).strip())
+    return in_repository(root) and not Git(root)("check-ignore", ".", optional=True).strip()
 
 
 def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: Path | None) -> tuple[Source, Files]:

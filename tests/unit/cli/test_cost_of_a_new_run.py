@@ -16,7 +16,7 @@ import pytest
 
 pytestmark = pytest.mark.integration
 
-MOST = {"statements": 107, "snapshots": 23, "files": 17, "processes of git": 6}
+MOST = {"statements": 107, "snapshots": 23, "files": 17, "processes of git": 7}
 PROBE = """
 import atexit, json, sys
 from pathlib import Path

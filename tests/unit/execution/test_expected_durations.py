@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sierra
+from sierra.errors import Damaged
 from sierra.execution import expected_durations
 from sierra.execution.expected_durations import Timed, estimate
 from sierra.model import Value
+from sierra.store.store import Store
 from tests.conftest import Simulated
 
 SLEEPS = """sleep 0.$(sed -n 's/.* {}="\\([0-9]\\).*/\\1/p' "$1"); printf 't,v\\n1,1\\n' > swarm.csv"""
@@ -109,3 +111,24 @@ def test_runs_that_take_longest_are_executed_first(simulate: Callable[..., Simul
         "JOIN experiments x USING (batch, ordinal) ORDER BY e.started"
     )
     assert order.column("size").to_pylist() == [8, 8, 4, 4, 1, 1, 2, 2]
+
+
+def test_durations_that_cannot_be_read_stop_no_run(simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch) -> None:
+    def damaged(*_: object) -> None:
+        raise Damaged("a file of another batch has other bytes")
+
+    project = sierra.open(simulate("printf 't,v\\n1,1\\n' > swarm.csv").folder)
+    monkeypatch.setattr(expected_durations, "_timed", damaged)
+    assert project.run("size=1,2,4", runs=1, jobs=1, figures=False).executed == 3
+
+
+def test_an_order_that_takes_long_to_find_is_not_looked_for(
+    simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = sierra.open(simulate("printf 't,v\\n1,1\\n' > swarm.csv").folder)
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(timed("size", {1: 1.0, 2: 2.0})))
+    plan, store = project.plan("size=1,2", runs=1), Store.create(project.paths.store)
+    runs = {run.id for run in plan.batch.runs}
+    assert [one.ordinal for one in expected_durations.longest_first(plan, store, runs).experiments] == [1, 0]
+    monkeypatch.setattr(expected_durations, "AT_MOST", 3)
+    assert expected_durations.longest_first(plan, store, runs) is plan.batch

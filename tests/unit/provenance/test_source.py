@@ -258,6 +258,22 @@ def test_git_settings_of_the_user_do_not_change_the_source(repository: Path, git
     assert source.changed(before.manifest, capture(repository).manifest) == ["a.txt", "sub/new"]
 
 
+@pytest.mark.parametrize("own", ["all ignored", "no repository"])
+def test_a_folder_that_git_ignores_is_recorded_without_git(tmp_path: Path, own: str) -> None:
+    """Git says of a folder with `*` in its .gitignore that it is ignored, and takes an empty .git for none."""
+    outer, here = tmp_path / "outer", tmp_path / "outer" / "ignored"
+    fill(here, {"sim.py": "print(1)"})
+    if own == "all ignored":
+        subprocess.run(["git", "init", "-q", str(here)], check=True)
+        (here / ".gitignore").write_text("*\n")
+    else:
+        subprocess.run(["git", "init", "-q", str(outer)], check=True)
+        (outer / ".gitignore").write_text("ignored\n")
+        (here / ".git").mkdir()
+    found = capture(here)
+    assert (found.vcs, b"sim.py" in found.manifest) == ("none", True)
+
+
 LYING_GIT = """#!/bin/sh
 case "$*" in
 *write-tree*) if [ "$(ls "{folder}" | wc -l)" -lt {lies} ]; then mktemp -p "{folder}" >/dev/null; echo {tree}; exit; fi ;;

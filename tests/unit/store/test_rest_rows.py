@@ -74,13 +74,19 @@ def test_large_files_are_read_where_they_are(project: Project, monkeypatch: pyte
         assert project.store.values(int, COUNT) == [2 * number]
 
 
-def test_a_file_that_is_damaged_after_it_was_read_is_reported(project: Project) -> None:
+@pytest.mark.parametrize("statement", [COUNT, "SELECT count(*) FROM effective"])
+@pytest.mark.parametrize("most", [0, 1 << 20])
+def test_a_file_that_is_damaged_after_it_was_read_is_reported(
+    project: Project, monkeypatch: pytest.MonkeyPatch, statement: str, most: int
+) -> None:
+    monkeypatch.setattr(rest_rows, "MOST_BYTES", most)
     stores.ask(project.root, "n=1")
-    assert project.store.values(int, COUNT) == [2]
+    for _ in range(2):
+        assert project.store.values(int, statement) == [2]
     [path] = project.paths.store.glob("segments/*/executions.parquet")
     path.chmod(0o644)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
     with pytest.raises(Damaged, match="executions"):
-        project.store.values(int, COUNT)
+        project.store.values(int, statement)

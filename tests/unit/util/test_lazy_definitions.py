@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import inspect
+import pickle
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import pytest
 
+from sierra.model import Limits
+from sierra.store.connections import _Open
 from sierra.util.lazy_definitions import dataclass, regex
 
 EITHER = pytest.mark.parametrize("made_by", [dataclass, dataclasses.dataclass])
@@ -151,3 +157,31 @@ def test_a_wrong_pattern_is_an_error_when_it_is_used() -> None:
         regex("(").match("")
     with pytest.raises(AttributeError):
         regex("a").no_such_method  # type: ignore[attr-defined]  # noqa: B018
+
+
+SENT = """
+import inspect, pickle, sys
+from sierra.model import Limits
+from sierra.store.connections import _Open
+kind, text = {"frozen": Limits, "changing": _Open}[sys.argv[1]], sys.stdin.buffer.read()
+assert str(inspect.signature(kind)).startswith("(")
+assert "arguments" not in str(inspect.signature(kind))
+one = pickle.loads(text)
+print(one == pickle.loads(text), repr(one))
+"""
+
+
+@pytest.mark.parametrize(("name", "made"), [("frozen", Limits(wall_s=2.0)), ("changing", _Open(None, ("a",), "b"))])  # type: ignore[arg-type]
+def test_another_process_gets_an_instance_as_the_first_one_of_its_class(name: str, made: object) -> None:
+    if name == "changing":
+        made.rest = None  # type: ignore[attr-defined]
+    argv = [sys.executable, "-c", SENT, name]
+    done = subprocess.run(argv, input=pickle.dumps(made), capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.decode().strip() == f"True {made!r}"
+
+
+def test_a_class_shows_its_parameters_before_the_first_instance() -> None:
+    point, named = classes(dataclass)
+    assert str(inspect.signature(named)).startswith("(x: 'int', y: 'int' = 5, names")
+    assert str(inspect.signature(point)) == str(inspect.signature(classes(dataclasses.dataclass)[0]))
