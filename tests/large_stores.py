@@ -34,7 +34,7 @@ def grow(root: Path, batch: str, runs: int) -> str:
     writer = store.writer(store.paths.work / "large", other)
     for name in ("batches", "experiments", "sessions"):
         [path] = [one.files[name] for one in store.segments() if name in one.files]
-        table = _set(pq.read_table(path), batch=other)
+        table = _set(pq.read_table(path), batch=other, **({"session": other[:16]} if name == "sessions" else {}))
         pq.write_table(_set(table, runs=runs) if name == "batches" else table, writer.path(name))
     [members] = [one.files["batch_runs"] for one in store.segments() if "batch_runs" in one.files]
     _repeat(Path(members), writer.path("batch_runs"), other, runs)
