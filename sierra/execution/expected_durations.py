@@ -40,16 +40,16 @@ class _Known:
 
     def __init__(self, runs: Sequence[Timed]) -> None:
         self.runs = runs
-        self.slowest = max((one.seconds for one in runs), default=0.0)
+        self.slowest = max((timed.seconds for timed in runs), default=0.0)
         self.slowest_by: dict[str, dict[Value | None, float]] = {}
         """The seconds of the slowest run with each value, by variable."""
         self._exact: dict[tuple[Value | None, ...], float] = {}
-        for one in runs:
-            for name, value in one.values.items():
-                found = self.slowest_by.setdefault(name, {})
-                found[value] = max(one.seconds, found.get(value, 0.0))
-            values = tuple(one.values.values())
-            self._exact[values] = max(one.seconds, self._exact.get(values, 0.0))
+        for timed in runs:
+            for name, value in timed.values.items():
+                by_value = self.slowest_by.setdefault(name, {})
+                by_value[value] = max(timed.seconds, by_value.get(value, 0.0))
+            values = tuple(timed.values.values())
+            self._exact[values] = max(timed.seconds, self._exact.get(values, 0.0))
         self.numbers = {
             name: sorted(value for value in found if value is not None and not isinstance(value, str))
             for name, found in self.slowest_by.items()
@@ -65,8 +65,9 @@ class _Known:
         timed = self.slowest_by[name]
         if isinstance(value, str):
             return {None, value} if value in timed else timed.keys()
-        texts = {one for one in timed if isinstance(one, str) and value not in timed}
-        below, above = [one for one in self.numbers[name] if one <= value], [one for one in self.numbers[name] if one >= value]
+        texts = () if value in timed else (other for other in timed if isinstance(other, str))
+        numbers = self.numbers[name]
+        below, above = [other for other in numbers if other <= value], [other for other in numbers if other >= value]
         return {None, value, *below[-1:], *above[:1], *texts}
 
 

@@ -152,10 +152,10 @@ class Index:
                 found.append(Held(source, dict(json.loads(columns)), first))
         return found
 
-    def spellings(self) -> dict[str, str]:
+    def spellings(self) -> Mapping[str, str]:
         """Return the indexed tables that runs wrote, each with the names of the first segment that has it and of the file."""
         if not self._without:
-            return dict(self._facts.spellings)
+            return self._facts.spellings
         return dict(self._fetch(FIRST_FILES.format(outputs=self._of_segments(f"{DATABASE}.outputs"))))
 
     def outputs(self, name: str) -> list[OutputFile]:

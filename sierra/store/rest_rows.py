@@ -7,13 +7,12 @@ Users' statements could list these tables, so that a snapshot for such statement
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.schema import LATER, sql_types
 from sierra.store.sql_names import identifier
-from sierra.store.verified_files import verify
+from sierra.store.verified_files import size_of, verify
 
 SCHEMA = identifier("rest rows")
 MOST_BYTES = 1 << 20
@@ -42,7 +41,7 @@ class RestRows:
             execute(f"DROP TABLE {table}")
             held, size = set(), 0
         new = [file for file in files if file not in held]
-        size += sum(map(_size, new))
+        size += sum(map(size_of, new))
         if size > MOST_BYTES:
             return ""
         if not self._held:
@@ -61,11 +60,3 @@ class RestRows:
         if self._held:
             self._held.clear()
             execute(f"DROP SCHEMA {SCHEMA} CASCADE")
-
-
-def _size(file: str) -> int:
-    """Return the size of a file in bytes; 0 for one that is not there, which whoever reads it finds out."""
-    try:
-        return os.stat(file).st_size  # noqa: PTH116 - for speed
-    except OSError:
-        return 0

@@ -107,6 +107,14 @@ def are_sound(files: Iterable[str]) -> bool:
     return True
 
 
+def size_of(path: str) -> int:
+    """Return the size of a file in bytes; 0 for one that is not there, which whoever reads it finds out."""
+    try:
+        return os.stat(path).st_size  # noqa: PTH116 - for speed
+    except OSError:
+        return 0
+
+
 def begins_with(path: Path, digits: str) -> bool:
     """Check that the SHA-256 of a file that is no segment's begins with these digits; hash it once for each of its states.
 
@@ -129,7 +137,7 @@ def _verify(files: Iterable[str]) -> None:
     new = [file for file in _in_segments(files) if not _is_known(file)]
     if not new:
         return
-    if len(new) == 1 or sum(map(_size, new)) < LARGE:
+    if len(new) == 1 or sum(size_of(file.path) for file in new) < LARGE:
         _note(new, map(_hashed, new))
     else:
         from concurrent.futures import ThreadPoolExecutor  # takes longer to load than verified files to look up
@@ -138,14 +146,6 @@ def _verify(files: Iterable[str]) -> None:
             _note(new, pool.map(_hashed, new))
     for store in {file.store for file in new}:
         _save(store)
-
-
-def _size(file: _File) -> int:
-    """Return the size of a file; 0 if it is not there."""
-    try:
-        return os.stat(file.path).st_size  # noqa: PTH116 - for speed
-    except OSError:
-        return 0
 
 
 def _note(files: Sequence[_File], verified: Iterable[list[int] | None]) -> None:

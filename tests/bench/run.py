@@ -304,37 +304,6 @@ def start(folder: Path) -> None:
     )
 
 
-SELECT = "import duckdb; duckdb.connect().execute('SELECT 1').fetchall()"
-
-
-def commands(folder: Path) -> None:
-    """Measure the CPU time of short commands, compared with Python and one SELECT by DuckDB."""
-    here = project(folder / "project")
-    sizes = iter(range(2, 1000))
-
-    def run(size: int = 1) -> tuple[str, ...]:
-        return (SIERRA, "run", f"population_size={size}", "--runs", "1", "--no-figures")
-
-    again = project(folder / "again")
-    for where in (here, again):
-        quietly(*run(), cwd=where)
-    calls: dict[str, tuple[Callable[[], tuple[str, ...]], str]] = {
-        "sierra ls": (lambda: (SIERRA, "ls"), "at most 2"),
-        "sierra sql": (lambda: (SIERRA, "sql", "SELECT count(*) FROM runs"), "at most 2"),
-        "sierra status": (lambda: (SIERRA, "status"), "at most 2"),
-        "sierra run, nothing to execute": (run, "at most 2.7"),
-        "sierra run, one run": (lambda: run(next(sizes)), "at most 4"),
-    }
-    measured: dict[str, list[float]] = {name: [] for name in ("", *calls)}
-    for _ in range(9):
-        measured[""].append(cpu_seconds(lambda: quietly(sys.executable, "-c", SELECT)))
-        for name, (call, _promise) in calls.items():
-            where = again if call is run else here
-            measured[name].append(cpu_seconds(lambda: quietly(*call(), cwd=where)))  # noqa: B023
-    for name, (_call, promise) in calls.items():
-        say(f"{name}, CPU / one SELECT by duckdb", *(statistics.median(measured[one]) for one in (name, "")), promise)
-
-
 FORKS = "i=0; while [ $i -lt 200 ]; do /bin/true; i=$((i+1)); done"
 IMPORTS = (
     "import asyncio, concurrent.futures, ctypes, curses, dbm, decimal, difflib, email.mime.text, fractions, http.server, "
@@ -633,7 +602,6 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "start": start,
     "runs": runs,
     "planning": planning,
-    "commands": commands,
     "cost": cost,
     "imports": imports,
     "observation": observation,

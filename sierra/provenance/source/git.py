@@ -136,7 +136,7 @@ class Git:
 
     @cached_property
     def _places(self) -> dict[str, bytes]:
-        """What git says for all of PLACES in one call; nothing if it refuses one, or if a name has several lines."""
+        """The answers of git for all of PLACES, from one call; none if it refuses one, or if a name has several lines."""
         words = [word for option in PLACES for word in option.split()]
         answers = self("rev-parse", *words, optional=True).split(b"\n")[:-1]
         return dict(zip(PLACES, answers, strict=True)) if len(answers) == len(PLACES) else {}
