@@ -17,10 +17,10 @@ from itertools import combinations, product
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from sierra.errors import UsageError
 from sierra.stats.comparison.model import Effect
+from sierra.stats.comparison.rank_distributions import ranked
 from sierra.stats.comparison.ties import Floats, alike, rounded
 
 MOST = 4
@@ -58,7 +58,9 @@ def effects(names: Sequence[str], values: Floats, levels: Levels, blocks: Sequen
 def _effect(
     term: tuple[int, ...], names: Sequence[str], aligned: Floats, columns: dict[tuple[int, ...], Floats], block: Floats
 ) -> Effect:
-    ranks = stats.rankdata(aligned)
+    from scipy import stats
+
+    ranks = ranked(aligned)
     full = np.column_stack([*columns.values(), block])
     rest = np.column_stack([*(part for other, part in columns.items() if other != term), block])
     error, df_error = _unexplained(full, ranks)

@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy import stats
 
 from sierra.stats.comparison import rank_distributions
 from sierra.stats.comparison.rank_distributions import Floats
@@ -69,7 +68,7 @@ def of_samples(first: Floats, second: Floats, alpha: float) -> Estimate:
 
 def a12(first: Floats, second: Floats) -> float:
     """Return P(second > first) + P(second = first) / 2 (Vargha and Delaney 2000, J. Educ. Behav. Stat. 25: 101-132)."""
-    ranks = stats.rankdata(np.concatenate((first, second)))[len(first) :]
+    ranks = rank_distributions.ranked(np.concatenate((first, second)))[len(first) :]
     n, m = len(first), len(second)
     return float((ranks.sum() - m * (m + 1) / 2) / (n * m))
 
@@ -99,6 +98,8 @@ def _counted_cut(probabilities: Floats, alpha: float) -> int:
 
 def _normal_cut(mean: float, sd: float, alpha: float) -> int:
     """Return the largest k with P(T ≤ k − 1) ≤ alpha / 2, with a correction for continuity."""
+    from scipy import stats
+
     return max(0, math.floor(mean + float(stats.norm.ppf(alpha / 2)) * sd + 0.5))
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import special
 
 from sierra.stats import rates
 from sierra.stats.comparison import aligned_ranks, effect_sizes, pairing, rank_tests, ties
@@ -125,6 +124,8 @@ def _of_rates(
     tested: tuple[str, float, float],
 ) -> Pair:
     """Return the comparison of two rates. `tested` is the name of the test, its p value, and the smallest possible one."""
+    from scipy import special
+
     cell, question, first, second = about
     difference, low, high = interval(float(special.ndtri(1 - question.alpha / 2)))
     test, p, smallest = tested

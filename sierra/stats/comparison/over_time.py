@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import stats
 
 from sierra.model import Value
 from sierra.stats.comparison.rank_tests import Floats
@@ -36,6 +35,8 @@ class Band:
 
 def of_pairs(first: Series, second: Series, alpha: float) -> tuple[Floats, Floats, Floats]:
     """Return the mean and the ends of the interval of the differences of runs with the same seed."""
+    from scipy import stats
+
     seeds = sorted(first.keys() & second.keys())
     mean, variance, n = _moments(np.array([second[seed] - first[seed] for seed in seeds]))
     half = stats.t.ppf(1 - alpha / 2, np.maximum(n - 1, 1)) * np.sqrt(variance / np.maximum(n, 1))
@@ -44,6 +45,8 @@ def of_pairs(first: Series, second: Series, alpha: float) -> tuple[Floats, Float
 
 def of_samples(first: Series, second: Series, alpha: float) -> tuple[Floats, Floats, Floats]:
     """Return the difference of the means, and the ends of its interval, without pairs."""
+    from scipy import stats
+
     (mean, variance, n), (other, spread, m) = (_moments(np.array(list(one.values()))) for one in (first, second))
     errors = variance / np.maximum(n, 1), spread / np.maximum(m, 1)
     total = errors[0] + errors[1]

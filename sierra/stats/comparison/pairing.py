@@ -11,10 +11,10 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import stats
 
 from sierra.errors import UsageError
 from sierra.stats.comparison.model import Cell, Paired, Pairing, Sample
+from sierra.stats.comparison.rank_distributions import ranked
 from sierra.stats.comparison.ties import Floats, each_alike
 
 HELPFUL = 0.0
@@ -71,7 +71,7 @@ def _correlations(values: Floats) -> Iterator[float]:
     """Yield the rank correlation of each two columns that are not constant."""
     if len(values) < 3:
         return
-    ranks = stats.rankdata(each_alike(values.T), axis=1).T
+    ranks = np.array([ranked(column) for column in each_alike(values.T)]).T
     varying = ranks[:, np.ptp(ranks, axis=0) > 0]
     if varying.shape[1] > 1:
         matrix = np.corrcoef(varying, rowvar=False)

@@ -1,4 +1,4 @@
-"""The distributions of rank statistics if there is no difference, counted over all arrangements.
+"""Ranks, and the distributions of their statistics if there is no difference, counted over all arrangements.
 
 Ranks may have ties, so they are multiples of 1/2; here they are doubled. `sums[s]` is the probability of the doubled sum s.
 """
@@ -14,6 +14,13 @@ Doubled = npt.NDArray[np.int64]
 PAIRS = 200
 VALUES = 80
 """The largest number of pairs, and of values of two samples together, for which all arrangements are counted."""
+
+
+def ranked(values: Floats) -> Floats:
+    """Return the ranks of values from 1; equal values have the mean of their ranks. SciPy's module takes 0.5 s to import."""
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: Floats = (np.cumsum(counts) - (counts - 1) / 2)[places]
+    return ranks
 
 
 def doubled(ranks: Floats) -> Doubled:

@@ -16,15 +16,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from sierra.stats import survival
 from sierra.stats.comparison import rank_distributions
 from sierra.stats.comparison.model import RunValue
+from sierra.stats.comparison.rank_distributions import ranked
+
+if TYPE_CHECKING:
+    from scipy import stats
 
 Floats = npt.NDArray[np.float64]
 Side = Literal["two-sided", "less", "greater"]
@@ -36,8 +39,10 @@ def signed_rank(differences: Floats, side: Side = "two-sided") -> float:
     if not some.any():
         return 1.0
     if len(differences) > rank_distributions.PAIRS:
+        from scipy import stats
+
         return float(stats.wilcoxon(differences, zero_method="pratt", alternative=side, method="asymptotic").pvalue)
-    ranks = rank_distributions.doubled(stats.rankdata(np.abs(differences)))
+    ranks = rank_distributions.doubled(ranked(np.abs(differences)))
     return _tail(rank_distributions.of_signs(ranks[some]), int(ranks[differences > 0].sum()), side)
 
 
@@ -46,8 +51,10 @@ def rank_sum(first: Floats, second: Floats, side: Side = "two-sided") -> float:
     if np.ptp(np.concatenate((first, second))) == 0:
         return 1.0
     if len(first) + len(second) > rank_distributions.VALUES:
+        from scipy import stats
+
         return float(stats.mannwhitneyu(second, first, alternative=side, method="asymptotic").pvalue)
-    ranks = rank_distributions.doubled(stats.rankdata(np.concatenate((first, second))))
+    ranks = rank_distributions.doubled(ranked(np.concatenate((first, second))))
     return _tail(rank_distributions.of_choices(ranks, len(second)), int(ranks[len(first) :].sum()), side)
 
 
@@ -69,6 +76,8 @@ def smallest_rank_sum(first: int, second: int) -> float:
 
 def friedman(blocks: Floats) -> tuple[float, float]:
     """Return the statistic and the p value of Friedman's test; a row for each block, a column for each group."""
+    from scipy import stats
+
     if np.all(blocks == blocks[:, :1]):
         return 0.0, 1.0
     found = stats.friedmanchisquare(*blocks.T)
@@ -77,6 +86,8 @@ def friedman(blocks: Floats) -> tuple[float, float]:
 
 def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
     """Return the statistic and the p value of the test of Kruskal and Wallis."""
+    from scipy import stats
+
     if np.ptp(np.concatenate(groups)) == 0:
         return 0.0, 1.0
     found = stats.kruskal(*groups)
@@ -85,18 +96,20 @@ def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
 
 def mean_ranks(groups: Sequence[Floats]) -> list[float]:
     """Return the mean rank of each group among the values of all groups."""
-    ranks = stats.rankdata(np.concatenate(groups))
+    ranks = ranked(np.concatenate(groups))
     return [float(part.mean()) for part in np.split(ranks, np.cumsum([len(group) for group in groups])[:-1])]
 
 
 def mean_ranks_in_blocks(blocks: Floats) -> list[float]:
     """Return the mean of the ranks of each group within its blocks."""
-    means: list[float] = stats.rankdata(blocks, axis=1).mean(axis=0).tolist()
+    means: list[float] = np.array([ranked(row) for row in blocks]).mean(axis=0).tolist()
     return means
 
 
 def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
     """Return the p value of Dunn's test of two of the groups; it is not corrected for other tests."""
+    from scipy import stats
+
     values = np.concatenate(groups)
     n = len(values)
     _, ties = np.unique(values, return_counts=True)
@@ -111,6 +124,8 @@ def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
 @cache
 def critical_difference(groups: int, blocks: int, alpha: float) -> float:
     """Return the difference of mean ranks from which on Nemenyi's test finds groups different."""
+    from scipy import stats
+
     return float(stats.studentized_range.ppf(1 - alpha, groups, np.inf)) * math.sqrt(groups * (groups + 1) / (12 * blocks))
 
 
@@ -119,6 +134,8 @@ def log_rank(first: Sequence[RunValue], second: Sequence[RunValue]) -> tuple[flo
 
     They are 0 and 1 if the times cannot differ, for example because no run of either group reached the threshold.
     """
+    from scipy import stats
+
     if not any(run.reached for run in (*first, *second)):
         return 0.0, 1.0
     with np.errstate(invalid="ignore", divide="ignore"):  # no variance: at each time all runs that are left ended
@@ -142,5 +159,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def _censored(runs: Sequence[RunValue]) -> stats.CensoredData:
+    from scipy import stats
+
     reached = [run.value for run in runs if run.reached]
     return stats.CensoredData(uncensored=reached, right=[run.value for run in runs if not run.reached])
