@@ -18,7 +18,7 @@ from sierra.ingest.text_table_reader import alike
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import arrow_schemas, parquet_given, parquet_schema
 from sierra.store.duckdb_messages import check_shortage, first_line
-from sierra.store.parquet_row_counts import rows_in
+from sierra.store.parquet_footer import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import differing_by_case, identifier
 from sierra.store.type_inference import DURATION, EMPTY, is_inexact, is_number, kind_of, widest

@@ -10,15 +10,15 @@ from typing import ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.errors import Missing
+from sierra.errors import Damaged, Missing
 from sierra.ingest import robot_files, time_order
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.connections import Database, reset
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
 from sierra.store.duckdb_messages import check_shortage, disk_error, duckdb_error
-from sierra.store.parquet_row_counts import rows_by_file
-from sierra.store.sql_names import column_names, identifier, stored_names
+from sierra.store.parquet_footer import rows_in
+from sierra.store.sql_names import column_names, identifier, stored_names, unnested
 from sierra.store.sql_result import RawRow
 from sierra.util.shortage import PASSING, lacking
 
@@ -221,24 +221,21 @@ class TableReader:
 
     def write(self, target: Path, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
         """Write the rows of `source` (a relation on $files) with their run and execution; `columns` are expressions by name."""
-        import pyarrow as pa
-
-        owners = pa.table(
-            {
-                "path": [file.path for file in files],
-                "run": [file.run for file in files],
-                "execution": [file.execution for file in files],
-                "name": [shown(file.name) for file in files],
-                **{f"tick{place}": [file.ticks[place] for file in files] for place in range(len(self.shape.ticks))},
-            }
-        )
+        owners = {
+            "path": [file.path for file in files],
+            "run": [file.run for file in files],
+            "execution": [file.execution for file in files],
+            "name": [shown(file.name) for file in files],
+            **{f"tick{place}": [file.ticks[place] for file in files] for place in range(len(self.shape.ticks))},
+        }
         named = ", ".join(
             f"{expression} AS {identifier(name)}"
             for name, expression in zip(stored_names(list(columns)), columns.values(), strict=True)
         )
         name = "o.name AS file, " if self.shape.many else ""
         name += "".join(f"o.tick{place} AS {identifier(tick)}, " for place, tick in enumerate(column_names(self.shape.ticks)))
-        self.sql.register("owners", owners)
+        types = {name: "BIGINT" if name.startswith("tick") else "VARCHAR" for name in owners}
+        self.sql.execute(f"CREATE OR REPLACE TEMP TABLE owners AS {unnested(types)}", list(owners.values()))
         self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order
         try:
             rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
@@ -249,13 +246,14 @@ class TableReader:
             raise
         finally:
             self.sql.execute(reset("threads"))
-            self.sql.unregister("owners")
+            self.sql.execute("DROP TABLE owners")
 
     def _check_rows(self, target: Path, files: Sequence[Written]) -> None:
         """Raise AtFaultError if `target` has a different number of rows of a file than the file itself."""
-        only = self._names(files)
-        written = rows_by_file(target)
-        if faults := list(self._miscounted(files, {(one, only[one, name]): rows for (one, name), rows in written.items()})):
+        written = {key: rows for key, rows, _ in self._count(target, files, ())}
+        if (stated := rows_in(target)) != sum(written.values()):
+            raise Damaged(f"{target}: its footer states {stated} rows, but it has {sum(written.values())}")
+        if faults := list(self._miscounted(files, written)):
             raise AtFaultError(faults)
 
     def _names(self, files: Sequence[Written]) -> dict[tuple[str, str | None], str]:

@@ -34,6 +34,10 @@ from sierra.store.type_inference import (
 
 Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
 """A Parquet file that was written, its source files, and the kinds of their columns."""
+LARGE = 1 << 20
+"""The size in bytes from which only the first rows of a file are used to infer the types of its columns."""
+ROWS = 2000
+"""The number of these rows; `_write` fails if others do not fit."""
 AT_ONCE = 50
 """The number of columns that a statement tests side by side; DuckDB's planning cost grows with its square."""
 
@@ -66,12 +70,17 @@ class Text(TableReader):
         return ()
 
     def one(self, files: Sequence[Written]) -> None:
-        try:
-            written = self._exactly(files, self._quickly_seen(files, self.part.names))
-        except (self.error, _MisreadError):
-            written = self._slowly_written(files)
+        written = self._quickly_written(files, ROWS) if any(file.bytes > LARGE for file in files) else None
+        written = written or self._quickly_written(files) or self._slowly_written(files)
         for target, some, kinds in written:
             self.done(target, some, kinds)
+
+    def _quickly_written(self, files: Sequence[Written], rows: int | None = None) -> list[Target] | None:
+        """Write files with the types of a few of them, inferred from so many rows; return None if they do not fit."""
+        try:
+            return self._exactly(files, self._quickly_seen(files, self.part.names, rows))
+        except (self.error, _MisreadError):
+            return None
 
     def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
         """Write the valid files among these, some of which are faulty; return the same as `_write`."""
@@ -255,12 +264,21 @@ class Text(TableReader):
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
         self.fetch(f"SELECT count(COLUMNS(*)) FROM {relation}", files)
 
-    def _quickly_seen(self, files: Sequence[Written], names: Sequence[str]) -> dict[str, dict[str, str | None]]:
-        """Return each column's type by file, inferred from a few files if they leave no doubt, else from each file."""
+    def _quickly_seen(
+        self, files: Sequence[Written], names: Sequence[str], rows: int | None = None
+    ) -> dict[str, dict[str, str | None]]:
+        """Return each column's type by file, inferred from a few files if they leave no doubt, else from each file.
+
+        `rows`: the number of rows of each of these few files that are used; None: all.
+        """
         sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
-        found = self._seen(sample, names)
-        if len(sample) == len(files):
-            return found
+        if rows is None:
+            found = self._seen(sample, names)
+            if len(sample) == len(files):
+                return found
+        else:
+            parts = [self._seen([file], names, rows=rows) for file in sample]
+            found = {name: {path: kind for part in parts for path, kind in part[name].items()} for name in names}
         doubtful = []
         alike: dict[str, dict[str, str | None]] = {}
         for name in names:
@@ -274,30 +292,25 @@ class Text(TableReader):
         return found | (self._seen(files, names, doubtful) if doubtful else {})
 
     def _seen(
-        self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None
+        self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None, rows: int | None = None
     ) -> dict[str, dict[str, str | None]]:
-        """Return the narrowest type that holds all values, by column and file; None if a column has no values."""
+        """Return the narrowest type that holds all values, by column and file; None if a column has no values.
+
+        `rows`: the number of rows that count; None: all.
+        """
         wanted = names if wanted is None else wanted
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        relation = relation if rows is None else f"(FROM {relation} LIMIT {rows})"
         places = {name: place for place, name in enumerate(names)}
         found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
-        if len(wanted) > AT_ONCE:
-            cells = ", ".join(f"c{places[name]}" for name in wanted)
-            each = (
-                f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
-            )
-            rows = self.fetch(f"SELECT {identifier(FILE)}, place, bit_or({self._bit('cell')}) FROM {each} GROUP BY 1, 2", files)
-            for path, place, bits in rows:
-                found[wanted[place]][path] = self._type(wanted[place], path, bits or 0)
-            return found
-        columns = ", ".join(f"bit_or({self._bit(f'c{places[name]}')})" for name in wanted)
-        for path, *seen in self.fetch(f"SELECT {identifier(FILE)}, {columns} FROM {relation} GROUP BY 1", files):
-            for name, bits in zip(wanted, seen, strict=True):
-                found[name][path] = self._type(name, path, bits or 0)
+        cells = ", ".join(f"c{places[name]}" for name in wanted)
+        each = f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
+        bits = bit("cell", as_written=self.as_written)
+        for path, place, seen in self.fetch(
+            f"SELECT {identifier(FILE)}, place, bit_or({bits}) FROM {each} GROUP BY 1, 2", files
+        ):
+            found[wanted[place]][path] = self._type(wanted[place], path, seen or 0)
         return found
-
-    def _bit(self, cell: str) -> str:
-        return bit(cell, as_written=self.as_written)
 
     def _type(self, name: str, path: str, bits: int) -> str | None:
         """Return the narrowest type of a file's column, and note if nan is a missing value in it."""

@@ -30,7 +30,8 @@ from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.layout import StorePaths
 from sierra.store.objects import GROUP, ROWS
-from sierra.store.parquet_row_counts import Written, rows_by_file, rows_in
+from sierra.store.parquet_footer import rows_in
+from sierra.store.parquet_row_counts import Written, rows_by_file
 from sierra.store.read_lock import alone
 from sierra.store.schema import RECORDED, arrow_schema, is_table
 from sierra.store.segments import (

@@ -42,19 +42,6 @@ def rows_by_file(path: str | Path) -> Counter[Written]:
     return found
 
 
-def rows_in(path: str | Path) -> int:
-    """Return the number of rows that a Parquet file's footer states. Raises Damaged if the footer cannot be read."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        rows: int = pq.read_metadata(path).num_rows
-    except (OSError, ValueError, pa.ArrowException) as error:
-        check_shortage(error)
-        raise Damaged(f"{path}: cannot be read: {first_line(error)}") from error
-    return rows
-
-
 def _check_size(described: pq.FileMetaData, columns: list[str]) -> None:
     for number in range(described.num_row_groups):
         group = described.row_group(number)
