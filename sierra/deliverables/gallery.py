@@ -316,7 +316,7 @@ class Gallery:
             return []
         if samples.rate:
             return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
-        if not stats.may_be_rate(samples.frame, measure):
+        if not stats.may_be_rate(samples.frame, measure, table):
             return []
         return [
             f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"

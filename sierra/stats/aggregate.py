@@ -88,6 +88,8 @@ LIST = "coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x"
 """The sorted values of a group, for statistics that need each value; sorted, so that the order of rows has no effect."""
 BOTH = "coalesce(bool_and(value IN (0, 1)), false) AND min(value) = 0 AND max(value) = 1"
 """True if values are 0 or 1 and both occur, in SQL."""
+ROUNDING = 1e-6
+"""The limit for rounding errors in n times the mean of n values of 0 and 1."""
 STEP = r" AS (_\w+|x\b)"
 """Intermediate steps in SQL, as a regular expression."""
 
@@ -569,11 +571,19 @@ def is_rate(table: pa.Table) -> bool:
 def methods_of_mean(table: pa.Table) -> set[str]:
     """Return the methods of the intervals of the mean in computed statistics."""
     names = {"interval", "mean_interval"} & set(table.column_names)
-    return {method for name in names for method in table.column(name).to_pylist() if method}
+    return {method for name in names for method in table.column(name).unique().to_pylist() if method}
 
 
-def may_be_rate(frame: Frame, measure: str | None) -> bool:
-    """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows."""
+def may_be_rate(frame: Frame, measure: str | None, table: pa.Table | None = None) -> bool:
+    """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows.
+
+    `table` has the computed statistics, if they are known: n values of 0 and 1 have the mean k / n, where k is a whole number.
+    """
+    if table is not None and {"n", "mean"} <= set(table.column_names):
+        n, mean = (numpy_of(table.column(name)) for name in ("n", "mean"))
+        ones = (n * mean)[n > 0]
+        if not ((ones >= 0) & (abs(ones - ones.round()) < ROUNDING)).all():
+            return False
     observations = "SELECT value FROM samples" if measure is None else _file(f"measures/{measure}")
     text = f"SELECT {BOTH} AS both FROM (\n{observations}\n) WHERE isfinite(value)"  # noqa: S608 - own statements
     return bool(frame.sql(text, **_used(text, steps=False)).column("both")[0].as_py())

@@ -33,24 +33,39 @@ if TYPE_CHECKING:
     Keys = npt.NDArray[np.int64]
 
 VERSION = b"sierra data 1\n"
+AT_A_TIME = 65536
+"""The number of texts that are added to a hash at a time."""
 NAN = 0x7FF8000000000000
 """The bits of the NaN that stands for all."""
 
 
 def data_hash(table: pa.Table) -> str:
     """Return the hash of a table's columns, types and rows as 64 hexadecimal digits; the order of the rows does not count."""
-    import numpy as np
 
     columns = [_Column(table.column(place).combine_chunks()) for place in range(table.num_columns)]
     names = [[field.name, column.type] for field, column in zip(table.schema, columns, strict=True)]
     digest = hashlib.sha256(VERSION)
     digest.update(json.dumps(names, ensure_ascii=False, separators=(",", ":")).encode())
     digest.update(struct.pack("<q", table.num_rows))
-    keys = [key for column in columns for key in (column.present, column.keys)]
-    order = np.lexsort(keys[::-1]) if keys and table.num_rows else np.arange(table.num_rows)
+    order = _order([key for column in columns for key in (column.present, column.keys)], table.num_rows)
     for column in columns:
         column.update(digest, order)
     return digest.hexdigest()
+
+
+def _order(keys: Sequence[Keys], rows: int) -> Keys:
+    """Return the order of rows by their keys; only so many of the first keys are used as tell all rows apart."""
+    import numpy as np
+
+    keys = [key for key in keys if rows and key.min() < key.max()]
+    order = np.arange(rows)
+    used = 2
+    while keys and used < 2 * len(keys) + 2:
+        order = np.lexsort(keys[:used][::-1])
+        if np.any([key[order][1:] != key[order][:-1] for key in keys[:used]], axis=0).all():
+            break
+        used *= 2
+    return order
 
 
 class _Column:
@@ -76,7 +91,7 @@ class _Column:
             self.type, self.keys = str(kind), _whole(values.cast(pa.int32() if kind.bit_width == 32 else pa.int64()))
         else:
             self.type = "text" if _is_text(kind) else str(kind)
-            self.texts, self.keys = _ranked(["" if one is None else _text(one) for one in values.to_pylist()])
+            self.texts, self.keys = _ranked(values)
 
     def update(self, digest: hashlib._Hash, order: Keys) -> None:
         """Add the column to a hash, in this order of the rows."""
@@ -84,10 +99,9 @@ class _Column:
         if not self.texts:
             digest.update(self.keys[order].astype("<i8").tobytes())
             return
-        for place in self.keys[order].tolist():
-            text = self.texts[place]
-            digest.update(struct.pack("<q", len(text)))
-            digest.update(text)
+        parts = [struct.pack("<q", len(text)) + text for text in self.texts]
+        for begin in range(0, len(order), AT_A_TIME):
+            digest.update(b"".join([parts[place] for place in self.keys[order[begin : begin + AT_A_TIME]].tolist()]))
 
 
 def _whole(values: pa.Array) -> Keys:
@@ -115,14 +129,20 @@ def _is_text(kind: pa.DataType) -> bool:
     return bool(types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind))
 
 
-def _ranked(texts: Sequence[str]) -> tuple[Sequence[bytes], Keys]:
-    """Return the different texts in the order of their bytes, and the place of each row's text among them."""
+def _ranked(values: pa.Array) -> tuple[Sequence[bytes], Keys]:
+    """Return the different texts of values in the order of their bytes, and the place of each value's text among them."""
     import numpy as np
+    import pyarrow as pa
 
-    known = sorted({text.encode("utf-8", "surrogateescape") for text in texts})
-    places = {text: place for place, text in enumerate(known)}
-    keys = (places[text.encode("utf-8", "surrogateescape")] for text in texts)
-    return known, np.fromiter(keys, dtype=np.int64, count=len(texts))
+    places: Keys = np.arange(len(values))
+    if _is_text(values.type):
+        coded = values.cast(pa.large_string()).dictionary_encode()
+        values = pa.concat_arrays([pa.array([""], pa.large_string()), coded.dictionary])
+        places = filled(coded.indices.cast(pa.int64()), -1) + 1
+    texts = [("" if one is None else _text(one)).encode("utf-8", "surrogateescape") for one in values.to_pylist()]
+    known = sorted(set(texts))
+    ranks = {text: rank for rank, text in enumerate(known)}
+    return known, np.array([ranks[text] for text in texts], dtype=np.int64)[places]
 
 
 def _text(value: object) -> str:

@@ -216,6 +216,9 @@ class Frame:
 
     def axes(self) -> tuple[Axis, ...]:
         """Return the batch's axes with their values in order; labels and units come from the project. Raises NotFound."""
+        return self.once("axes", self._axes)
+
+    def _axes(self) -> tuple[Axis, ...]:
         found = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
         if not found:
             raise NotFound(f"no batch {self.batch[:12]}")
@@ -226,8 +229,11 @@ class Frame:
             axes.append(Axis(name, tuple(seen)))
         return tuple(axes)
 
-    def cells(self) -> dict[int, dict[str, Value]]:
+    def cells(self) -> Mapping[int, Mapping[str, Value]]:
         """Return the values of the axes for each experiment, by its position in the batch."""
+        return self.once("cells", self._cells)
+
+    def _cells(self) -> dict[int, dict[str, Value]]:
         fixed = {column.name for column in RECORDED["experiments"].columns}
         table = self._snapshot.connection.sql(
             "SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", params={"b": self.batch}
@@ -537,13 +543,13 @@ class Frame:
             )
         t = self._time(table, time, shared=False)
         shared_t = self._time(table, time) if shared else t
-        self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
             values = self._values(table, column, time, (t, shared_t), where, offset)
-            self._snapshot.run(f"CREATE TEMP VIEW samples AS {values}")
+            self._snapshot.run(f"CREATE OR REPLACE TEMP VIEW samples AS {values}")
         except Damaged:
             raise
         except Exception as error:
+            self._snapshot.run("DROP VIEW IF EXISTS samples")
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
 
@@ -753,7 +759,9 @@ class Frame:
         return {old: new for old, new in zip(columns, names, strict=True) if old != new}
 
     def _columns(self, relation: str) -> list[str]:
-        return [name for name, *_ in self._snapshot.run(f"DESCRIBE {relation}") if not name.startswith("# ")]
+        """Return the columns of a relation that does not change any more."""
+        described = self.once(("columns", relation), lambda: self._snapshot.run(f"DESCRIBE {relation}"))
+        return [name for name, *_ in described if not name.startswith("# ")]
 
     def _data(self, table: str) -> str:
         """Return the relation of the rows of an output, which is loaded when it is first used. Raises NotFound."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 from sierra.config.deliverable_tables import Figure
@@ -118,13 +119,18 @@ class DrawnKind(Generic[Own]):
 
 def made_by(kind: str) -> tuple[str, ...]:
     """Return the libraries that draw a kind of figure, as name==version; those that are not installed are not in it."""
+    libraries = ("matplotlib", *getattr(FIGURES.load(kind), "libraries", ()))
+    return (*(f"{name}=={version}" for name in libraries if (version := _version(name))), *FIGURES.packages(kind))
+
+
+@cache
+def _version(library: str) -> str | None:
+    """Return the version of a library; None if it is not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
-    found = []
-    for name in ("matplotlib", *getattr(FIGURES.load(kind), "libraries", ())):
-        with suppress(PackageNotFoundError):
-            found.append(f"{name}=={version(name)}")
-    return (*found, *FIGURES.packages(kind))
+    with suppress(PackageNotFoundError):
+        return version(library)
+    return None
 
 
 def kind_of(figure: Figure) -> FigureKind:

@@ -35,9 +35,12 @@ def kept(t: Floats, *lines: Floats, log: bool = False) -> slice | Indices:
     found = [starts, ends]
     for values in lines:
         missing = ~np.isfinite(values)
+        low, high = np.where(missing, np.inf, values), np.where(missing, -np.inf, values)
+        lowest, highest = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+        sizes = ends - starts + 1
         found += [
-            np.lexsort((np.where(missing, np.inf, values), part))[starts],
-            np.lexsort((np.where(missing, -np.inf, values), part))[ends],
+            _firsts(low == np.repeat(lowest, sizes), part),
+            _lasts(high == np.repeat(highest, sizes), part),
             _firsts(missing, part),
         ]
     return np.unique(np.concatenate(found))
@@ -59,3 +62,9 @@ def _firsts(chosen: npt.NDArray[np.bool_], part: Indices) -> Indices:
     places = np.flatnonzero(chosen)
     _, first = np.unique(part[places], return_index=True)
     return places[first]
+
+
+def _lasts(chosen: npt.NDArray[np.bool_], part: Indices) -> Indices:
+    """Return the last chosen place of each part that has one."""
+    places: Indices = len(part) - 1 - _firsts(chosen[::-1], part[::-1])
+    return places
