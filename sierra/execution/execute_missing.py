@@ -13,6 +13,7 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
+from sierra.execution.expected_durations import Order
 from sierra.execution.follow import Followed
 from sierra.execution.observer import Relay, Tally
 from sierra.execution.plan import Plan, context
@@ -25,7 +26,7 @@ from sierra.ingest import shared_use
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import reevaluate
 from sierra.ingest.success import Doubt
-from sierra.model import Run
+from sierra.model import Batch, Run
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner
 from sierra.store.layout import SessionPaths
@@ -235,14 +236,20 @@ class Executor:
         self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
         if plan.project.config.trials.supervised:
             return self._supervised(wanted, service, programs)
+        order, times = Order(plan.batch, {}), None
+        if runner.stays:
+            order, times = expected_durations.expected(plan, self.store, wanted)
+        elif len(wanted) > (self._options.slots or 1):
+            order = expected_durations.longest_first(plan, self.store, wanted)
+        self._tally.expect(order.by_run(wanted))
         followed = service.execute(
             runner,
             self._context,
-            self._inputs(wanted),
+            self._inputs(wanted, order.batch),
             len(wanted),
             programs,
             self._tally,
-            times=expected_durations.expected(plan, self.store, wanted) if runner.stays else None,
+            times=times,
             detach=self._options.detach,
             # other hosts execute a copy of the code, and a cluster's nodes check the programs
             doubt=self._doubt if not runner.remote else lambda: None,
@@ -298,15 +305,12 @@ class Executor:
             return self._options.fail_fast and failed
         return failed or self._doubted.files is None or self.plan.project.config.observe != "all"
 
-    def _inputs(self, wanted: AbstractSet[str]) -> Iterator[tuple[Run, Files]]:
-        """Yield these runs with their input files, each run once; first those that are expected to take longest."""
+    def _inputs(self, wanted: AbstractSet[str], batch: Batch | None = None) -> Iterator[tuple[Run, Files]]:
+        """Yield these runs with their input files, each run once, in the order of this batch; default: that of the plan."""
         plan = self.plan
         unique = len(plan.batch.runs) == self._tally.total
         sent: set[str] = set()
-        # the runner of a cluster distributes the runs itself, by the durations that it gets
-        reorders = len(wanted) > (self._options.slots or 1) and not self._runner().stays
-        batch = expected_durations.longest_first(plan, self.store, wanted) if reorders else plan.batch
-        for run, files in plan.inputs.files(batch, lambda run: run.id in wanted):
+        for run, files in plan.inputs.files(batch or plan.batch, lambda run: run.id in wanted):
             if unique or run.id not in sent:
                 sent.update(() if unique else (run.id,))
                 yield run, files

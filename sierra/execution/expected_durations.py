@@ -35,6 +35,21 @@ class Timed:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A batch whose experiments are in the order in which their runs are executed."""
+
+    batch: Batch
+    seconds: Mapping[int, float]
+    """The expected seconds of a run, by the ordinal of its experiment; empty if no comparable run was timed."""
+
+    def by_run(self, runs: AbstractSet[str]) -> dict[str, float]:
+        """Return the expected seconds of each of these runs; nothing if all take as long, or if that is not known."""
+        if len(set(self.seconds.values())) < 2:
+            return {}
+        return {run.id: self.seconds[run.experiment] for run in self.batch.runs if run.id in runs}
+
+
 class _Known:
     """Timed runs, all with the same variables."""
 
@@ -71,37 +86,46 @@ class _Known:
         return {None, value, *below[-1:], *above[:1], *texts}
 
 
-def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times | None:
-    """Return the expected durations of these runs of a plan; None if no comparable run was timed."""
+def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> tuple[Order, Times | None]:
+    """Return the order of `longest_first`, and the expected durations of these runs in that order.
+
+    The durations are None if no comparable run was timed.
+    """
     known = _Known(tuple(_timed(plan, store)) if store and runs else ())
     if not known.runs:
-        return None
-    order = list({run.id: run for run in plan.batch.runs if run.id in runs}.values())
-    exact = _exact(plan, known, {run.experiment for run in order})
-    seconds = _seconds(plan, known, exact)
-    each = tuple(seconds[run.experiment] for run in order)
-    new = tuple(place for place, run in enumerate(order) if exact[run.experiment] is None)
-    return Times(each, new, _description(sum(found is not None for found in exact.values()), len(exact), plan.batch.axes))
+        return Order(plan.batch, {}), None
+    exact = _exact(plan, known, {run.experiment for run in plan.batch.runs if run.id in runs})
+    order = _sorted(plan.batch, _seconds(plan, known, exact))
+    ordered = list({run.id: run for run in order.batch.runs if run.id in runs}.values())
+    each = tuple(order.seconds[run.experiment] for run in ordered)
+    new = tuple(place for place, run in enumerate(ordered) if exact[run.experiment] is None)
+    timed = sum(found is not None for found in exact.values())
+    return order, Times(each, new, _description(timed, len(exact), plan.batch.axes))
 
 
-def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Batch:
+def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Order:
     """Return the batch of a plan, with the experiments whose runs are expected to take longest at its beginning.
 
     Those that are not known to differ keep their order; so do all if the durations cannot be read, or if to estimate them would
     take longer than the order can save. `runs`: those that are to be executed.
     """
     wanted = {run.experiment for run in plan.batch.runs if run.id in runs}
+    unsorted = Order(plan.batch, {})
     if len(wanted) < 2:
-        return plan.batch
+        return unsorted
     try:
         known = _Known(tuple(_timed(plan, store)))
     except SierraError:  # of other batches, and whoever reads them says so
-        return plan.batch
+        return unsorted
     if not known.runs or len(known.runs) * len(wanted) > AT_MOST:
-        return plan.batch
-    seconds = _seconds(plan, known, _exact(plan, known, wanted))
-    order = sorted(plan.batch.experiments, key=lambda one: -seconds.get(one.ordinal, 0.0))
-    return replace(plan.batch, experiments=tuple(order))
+        return unsorted
+    return _sorted(plan.batch, _seconds(plan, known, _exact(plan, known, wanted)))
+
+
+def _sorted(batch: Batch, seconds: Mapping[int, float]) -> Order:
+    """Return a batch with the experiments in the order of the seconds of their runs, the longest first."""
+    experiments = sorted(batch.experiments, key=lambda experiment: -seconds.get(experiment.ordinal, 0.0))
+    return Order(replace(batch, experiments=tuple(experiments)), seconds)
 
 
 def _exact(plan: Plan, known: _Known, experiments: Iterable[int]) -> dict[int, float | None]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from sierra.model import Status
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.lazy_logger import Log
@@ -24,6 +26,8 @@ class Progress:
     """Number of elements (of array jobs) that wait for a node."""
     waits: str = ""
     """Reason why they wait, in the scheduler's words."""
+    share: float = 0.0
+    """The share of the work that is done, by the expected durations of the runs; by their number, if these are not known."""
 
 
 class Observer:
@@ -73,10 +77,18 @@ class Tally:
         self.failed: set[str] = set()
         """The runs that have ended without success."""
         self._failed_before = failed
+        self._seconds: Mapping[str, float] = {}
+        self._done_s = self._all_s = 0.0
+
+    def expect(self, seconds: Mapping[str, float]) -> None:
+        """Receive the expected seconds of runs that will be executed; nothing if they are not known, or do not differ."""
+        self._seconds, self._done_s, self._all_s = seconds, 0.0, sum(seconds.values())
 
     def ended(self, run: str, status: Status) -> None:
         """Count a run that has ended. It is called again if the status changes."""
         log.debug("run %s: %s", run, status)
+        if run not in self.statuses:
+            self._done_s += self._seconds.get(run, 0.0)
         self.statuses[run] = status
         if status is Status.OK:
             self.failed.discard(run)
@@ -86,4 +98,5 @@ class Tally:
     def report(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
         """Report the progress to the observer."""
         done, failed = len(self.statuses), self._failed_before + len(self.failed)
-        self.observer.progress(Progress(self.total, self.reused, done, failed, running, elsewhere, queued, waits))
+        share = self._done_s / self._all_s if self._all_s else done / max(1, self.total - self.reused)
+        self.observer.progress(Progress(self.total, self.reused, done, failed, running, elsewhere, queued, waits, share))

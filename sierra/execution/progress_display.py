@@ -92,9 +92,9 @@ def text(progress: Progress, seconds: float) -> str:
     if progress.elsewhere:
         parts.append(f"{progress.elsewhere} in another session")
     if progress.done and seconds > 0:
-        rate = progress.done / seconds
-        parts.append(f"{rate:.1f}/s")
-        parts.append(f"{duration((progress.total - done) / rate)} left")
+        parts.append(f"{progress.done / seconds:.1f}/s")
+        share = progress.share or progress.done / max(1, progress.total - progress.reused)
+        parts.append(f"{duration(seconds * max(0.0, 1 / share - 1))} left")
     return ", ".join(parts)
 
 

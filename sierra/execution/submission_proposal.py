@@ -51,13 +51,14 @@ def proposal(
         return None
     scheduler, table = found
     wrote = _wrote(plan, store) if store else None
+    _, times = expected_durations.expected(plan, store, wanted)
     return propose(
         runner,
         scheduler,
         table,
         StorePaths(ProjectPaths(plan.project.root).store).work,
         count=len(wanted),
-        times=expected_durations.expected(plan, store, wanted),
+        times=times,
         each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
         beside=_code(plan),
         waits=not detach,

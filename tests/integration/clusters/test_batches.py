@@ -14,6 +14,7 @@ import pytest
 
 import sierra
 from sierra.api import Project
+from sierra.execution import expected_durations
 from sierra.runners.cluster.result_log_reader import Ended
 from sierra.worker import worker
 from tests import projects
@@ -44,6 +45,24 @@ def test_a_batch_on_slurm_has_the_same_results_as_a_local_one(tmp_path: Path, sl
     completed(slurm, sierra.open(there))
     [session] = rows(sierra.open(there), "SELECT runner, executed, failed, missing FROM sessions")
     assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
+
+
+def test_array_tasks_execute_the_longest_runs_first(
+    simulate: Callable[..., Simulated], slurm: Slurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulated = simulate("printf 't,v\\n1,1\\n' > swarm.csv")
+    config = simulated.folder / "sierra.toml"
+    config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 2\n")
+    seconds = {1: 2.0, 2: 2.0, 8: 12.0, 4: 3.0}
+    known = [expected_durations.Timed({"size": size}, took) for size, took in seconds.items()]
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(known))
+    sierra.open(simulated.folder).run("size=1,2,4,8", runs=2, runner="slurm", figures=False)
+    order = simulated.sql(
+        "SELECT a.array_task AS task, list(x.size ORDER BY e.started) AS sizes FROM executions e "
+        "JOIN (SELECT attempt, array_task FROM attempts) a USING (attempt) JOIN batch_runs USING (batch, run) "
+        "JOIN experiments x USING (batch, ordinal) GROUP BY 1 ORDER BY 1"
+    )
+    assert order == [{"task": 0, "sizes": [8, 4, 1, 2]}, {"task": 1, "sizes": [8, 4, 1, 2]}]
 
 
 HABITS = """

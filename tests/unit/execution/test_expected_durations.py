@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import sierra
 from sierra.errors import Damaged
 from sierra.execution import expected_durations
-from sierra.execution.expected_durations import Timed, estimate
+from sierra.execution.expected_durations import Order, Timed, estimate
 from sierra.model import Value
 from sierra.store.store import Store
 from tests.conftest import Simulated
@@ -73,17 +73,19 @@ def test_runs_are_expected_to_take_as_long_as_runs_with_the_same_values(simulate
     project = sierra.open(made.folder)
     project.run("size=1,9", runs=2, figures=False)
     plan = project.plan("size=1,9,5,18", runs=3)
-    times = expected_durations.expected(plan, project.store, {run.id for run in plan.batch.runs})
+    order, times = expected_durations.expected(plan, project.store, {run.id for run in plan.batch.runs})
     assert times is not None
-    quick, slow, between, beyond = (times.each[3 * place] for place in range(4))
+    assert [experiment.values["size"] for experiment in order.batch.experiments] == [18, 9, 5, 1]
+    assert list(times.each) == sorted(times.each, reverse=True)
+    beyond, slow, between, quick = (times.each[3 * place] for place in range(4))
     assert 0.1 < quick < slow == between
     assert slow > 0.9
     assert beyond == pytest.approx(2 * slow) or beyond > 2 * slow
-    assert times.new == tuple(range(6, 12))
+    assert times.new == (0, 1, 2, 6, 7, 8)
     assert times.how == "2 of 4 experiments were timed; the others are estimated from them"
     new = {run.id for run in plan.batch.experiments[0].runs}
-    assert expected_durations.expected(plan, project.store, new) is not None
-    assert expected_durations.expected(plan, None, new) is None
+    assert expected_durations.expected(plan, project.store, new)[1] is not None
+    assert expected_durations.expected(plan, None, new)[1] is None
 
 
 @pytest.mark.nightly
@@ -95,7 +97,7 @@ def test_durations_with_other_settings_count_only_if_there_are_none_with_these(s
     found = {}
     for speed in (1, 9, 5):
         plan = project.plan("size=1", runs=1, sets=[("/swarm/@speed", str(speed))])
-        times = expected_durations.expected(plan, project.store, {run.id for run in plan.batch.runs})
+        _, times = expected_durations.expected(plan, project.store, {run.id for run in plan.batch.runs})
         assert times is not None
         found[speed] = times.mean
     assert found[1] < 0.9 < found[9] == found[5]
@@ -129,6 +131,6 @@ def test_an_order_that_takes_long_to_find_is_not_looked_for(
     monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(timed("size", {1: 1.0, 2: 2.0})))
     plan, store = project.plan("size=1,2", runs=1), Store.create(project.paths.store)
     runs = {run.id for run in plan.batch.runs}
-    assert [one.ordinal for one in expected_durations.longest_first(plan, store, runs).experiments] == [1, 0]
+    assert [one.ordinal for one in expected_durations.longest_first(plan, store, runs).batch.experiments] == [1, 0]
     monkeypatch.setattr(expected_durations, "AT_MOST", 3)
-    assert expected_durations.longest_first(plan, store, runs) is plan.batch
+    assert expected_durations.longest_first(plan, store, runs) == Order(plan.batch, {})
