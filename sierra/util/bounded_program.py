@@ -11,7 +11,6 @@ import contextlib
 import math
 import os
 import resource
-import secrets
 import selectors
 import signal
 import subprocess
@@ -63,7 +62,7 @@ def execute(
     that marks the processes that the program starts: when it ends, they are killed at once. Without a mark, the program has
     only ended when all processes have closed its standard output. Raises OSError or ValueError if it cannot be started.
     """
-    value = secrets.token_hex(16)
+    value = os.urandom(16).hex()
     variables = dict(os.environ if env is None else env)
     with noted() as signals:
         try:

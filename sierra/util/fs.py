@@ -6,7 +6,6 @@ import contextlib
 import errno
 import json
 import os
-import secrets
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -149,7 +148,7 @@ def unfinished_beside(path: Path) -> Path:
 
     It ends with the id of this process. If that is gone, `sierra gc` removes the file.
     """
-    return path.with_name(f".{fitting(path.name)}.{secrets.token_hex(4)}.{os.getpid()}")
+    return path.with_name(f".{fitting(path.name)}.{os.urandom(4).hex()}.{os.getpid()}")
 
 
 def unescaped(path: str) -> str:
