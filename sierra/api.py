@@ -1023,9 +1023,30 @@ class Project:
     ) -> tuple[list[Path], list[str]]:
         """Draw as `figures` does; return the files, and notes on figures that could not be drawn.
 
+        Without a prefix, a figure or table called `name` that is bound to queries (`query` in `sierra.toml`) shows the last
+        batches of these.
+
         >>> drawn, notes = project.draw(summary.batch, formats=["html"])
         """
+        if prefix is None and name is not None and (words := self._queries_of(name)):
+            return self._draw_bound(name, words, formats)
         return self._deliver(self.batch(prefix), name, formats=formats)
+
+    def _queries_of(self, name: str) -> Sequence[str]:
+        """Return the queries that a figure or table is bound to."""
+        declared = self.config.figures.get(name) or self.config.paper_tables.get(name)
+        return declared.query if declared else ()
+
+    def _draw_bound(self, name: str, words: Sequence[str], formats: Sequence[str]) -> tuple[list[Path], list[str]]:
+        from sierra.deliverables import comparison, overlay, render
+        from sierra.deliverables.figures.formats import named
+        from sierra.execution.batches_of_queries import BatchesOfQueries
+
+        batches = comparison.of_queries(BatchesOfQueries(self._loaded, self.store), words)
+        if len(batches) == 1:
+            [batch] = batches.values()
+            return self._deliver(batch, name, formats=formats)
+        return render.overlaid(self._loaded, self.store, batches, name, overlay.BATCH, formats=named(formats))
 
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.
@@ -1196,8 +1217,8 @@ class Project:
     def compare_declared(self, name: str, batch: str | None = None) -> Compared:
         """Make a comparison that `sierra.toml` declares in `[comparisons.NAME]`.
 
-        `batch` is the batch within which values are compared (default: the batch requested last). Raises the errors of
-        `compare`, and NotFound for an unknown name.
+        `batch` is the batch within which values are compared; default: the last batch of the comparison's `query`, or else the
+        batch requested last. Raises the errors of `compare`, and NotFound for an unknown name.
 
         >>> project.compare_declared("noise")
         Traceback (most recent call last):
@@ -1212,6 +1233,10 @@ class Project:
         within = bool(asked.by) or not asked.groups
         if batch is not None and not within:
             raise UsageError(f"[comparisons.{name}] names its batches in groups; leave out the batch")
+        if within and batch is None and asked.query:
+            from sierra.execution.batches_of_queries import BatchesOfQueries
+
+            batch = BatchesOfQueries(self._loaded, self.store).last(asked.query)
         words = ((batch,) if batch else ()) if within else asked.groups
         return self._compared(words, asked.model_dump() | ({} if within else {"groups": ()}), name)
 
@@ -1266,11 +1291,7 @@ class Project:
         named = [self._labelled_batch(word) for word in words] or [("", self.batch())]
         if len({batch for _, batch in named}) < len(named):
             raise UsageError("a batch cannot be compared with itself; name other batches, or one batch and --by VARIABLE")
-        found = comparison.labels(self._loaded, self.store, [batch for _, batch in named])
-        labels = [label or proposed for (label, _), proposed in zip(named, found, strict=True)]
-        if twice := next((label for label in labels if labels.count(label) > 1), None):
-            raise UsageError(f"two groups have the name {twice!r}; give them different ones: LABEL=HASH")
-        return {label: batch for label, (_, batch) in zip(labels, named, strict=True)}
+        return comparison.labelled(self._loaded, self.store, named)
 
     def _labelled_batch(self, word: str) -> tuple[str, str]:
         """Return the label ("" for none) and the batch of a word: `LABEL=PREFIX`, `PREFIX`, or the same with a query's name."""

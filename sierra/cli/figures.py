@@ -29,10 +29,10 @@ def figures(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="HASH|NAME",
+            metavar="[HASH]... [NAME]...",
             autocompletion=complete.batches_and_figures,
             help="Batch id or prefix (default: the last batch); several, also as LABEL=HASH or the name of a query, are drawn "
-            "together. Then the name of one figure or table (default: all).",
+            "together. Then names of figures or tables (default: all that show this batch).",
         ),
     ] = None,
     target: Annotated[
@@ -63,7 +63,8 @@ def figures(
     They are drawn from recorded results; nothing is executed. Several batches are drawn together, in the order given: figures
     have a line for each batch, and tables have them side by side. With several targets, the last batches of one query are drawn
     together, with a line for each target: those of the query of HASH, or of the last query for any of these targets. Their runs
-    must be pairs, with the same values and seeds. With --check, nothing is drawn: exit status 1
+    must be pairs, with the same values and seeds. A figure or table with `query` in sierra.toml shows the last batch of this
+    query, and is drawn with it, or if it is named. With --check, nothing is drawn: exit status 1
     means that a file was changed or removed since it was drawn, or that the store has other data now.
 
     \b
@@ -73,6 +74,7 @@ def figures(
       sierra figures --target robots
       sierra figures --target sim,robots
       sierra figures 722b00 swarm_coverage_summary
+      sierra figures coverage heat
       sierra figures --format pdf,html
       sierra figures calm=722b00 noisy=518b72
       sierra figures 722b00 --check
@@ -83,21 +85,26 @@ def figures(
     wanted = [one.strip() for one in formats.split(",")] if formats is not None else ()
     if check and formats is not None:
         raise UsageError("--check checks the files of all formats; leave out --format")
-    batches, name = _split(opened, words or [])
+    batches, names = _split(opened, words or [])
     prefix = batches[0] if batches else None
     if check:
-        if name is not None or len(batches) > 1:
+        if names or len(batches) > 1:
             raise UsageError("--check checks all figures of one batch; leave out anything else")
         _check(opened.check_figures(opened.batch(prefix, target=target)), as_json=as_json)
         return
-    if len(batches) > 1:
-        if target is not None:
-            raise UsageError("--target chooses batches; leave it out, or the batches")
-        paths, notes = opened.draw_batches(*batches, name=name, formats=wanted)
-    elif target is not None and "," in target:
-        paths, notes = opened.draw_together(target.split(","), prefix, name, formats=wanted)
-    else:
-        paths, notes = opened.draw(opened.batch(prefix, target=target), name, formats=wanted)
+    if len(batches) > 1 and target is not None:
+        raise UsageError("--target chooses batches; leave it out, or the batches")
+    paths, notes = list[Path](), list[str]()
+    for name in names or (None,):
+        if len(batches) > 1:
+            drawn = opened.draw_batches(*batches, name=name, formats=wanted)
+        elif target is not None and "," in target:
+            drawn = opened.draw_together(target.split(","), prefix, name, formats=wanted)
+        else:
+            batch = opened.batch(prefix, target=target) if prefix or target else None
+            drawn = opened.draw(batch, name, formats=wanted)
+        paths += drawn[0]
+        notes += (text for text in drawn[1] if text not in notes)
     print_files(paths, notes, as_json=as_json)
 
 
@@ -112,14 +119,17 @@ def print_files(paths: Iterable[Path], notes: Iterable[str], *, as_json: bool) -
             print(from_here(path))
 
 
-def _split(opened: Project, words: Sequence[str]) -> tuple[list[str], str | None]:
-    """Return the words that are batches, and the name after them: a word after the first that is no batch's."""
+def _split(opened: Project, words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the words that are batches, and the names after them.
+
+    The first word is a batch, unless it is declared; a later one if it is one's prefix or a query's name, maybe with a label.
+    """
     declared = {*opened.config.figures, *opened.config.paper_tables}
-    *first, last = words or [""]
-    is_batch = "=" in last or last in opened.config.queries or PREFIX.fullmatch(last) is not None
-    if not words or (last not in declared and (not first or is_batch)):
-        return list(words), None
-    return first, last
+    for place, word in enumerate(words):
+        is_batch = "=" in word or word in opened.config.queries or PREFIX.fullmatch(word) is not None
+        if word in declared or (place and not is_batch):
+            return list(words[:place]), list(words[place:])
+    return list(words), []
 
 
 def _check(found: Sequence[Checked], *, as_json: bool) -> None:

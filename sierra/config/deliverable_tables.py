@@ -44,6 +44,13 @@ Part = Annotated[float, Field(gt=0, lt=1)]
 ListOfWords = Annotated[
     tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
 ]
+Bound = Annotated[
+    ListOfWords,
+    Field(
+        description="the query whose last batch is shown, and no other: the name of one in `queries`, or a text as for `sierra "
+        "run`; several are shown together, and a name may have a label: `LABEL=NAME`; default: the batch that is chosen"
+    ),
+]
 LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 
 
@@ -93,6 +100,7 @@ class Figure(Table):
     inherit: str = Field(
         "", description="name of another figure, or of `figure_defaults`, whose keys are taken unless this figure has its own"
     )
+    query: Bound = ()
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one output")
     sql: str = Field("", description="a SELECT statement whose rows are drawn instead of a `table`, as in `[tables.NAME]`")
     columns: ListOfWords = Field((), alias="column", description="column, or the columns that the kind needs")
@@ -195,6 +203,7 @@ class Figure(Table):
 class TableForPaper(Table):
     """One table for papers: statistics of columns in each experiment, or the rows of an SQL statement."""
 
+    query: Bound = ()
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     columns: ListOfWords = Field(
         (), alias="column", description="column, or columns, of which there are statistics; default: the only one"
@@ -261,6 +270,11 @@ class Comparison(Table):
         description="with `by`: the values to compare, the first one first; default: all. Without `by`: two or more batches, "
         "each as the name of a query in `queries` or the prefix of an id, or as `LABEL=` and one of these",
     )
+    query: str = Field(
+        "",
+        description="with `by`: the query whose last batch is compared, as the name of one in `queries` or a text as for "
+        "`sierra run`; default: the batch that is chosen",
+    )
     by: ListOfWords = Field(
         (),
         description="the variable whose values are compared within one batch; several: a factorial comparison, with main "
@@ -307,6 +321,8 @@ class Comparison(Table):
     def _fitting(self) -> Comparison:
         if (self.measure == "time_to") != (self.threshold is not None):
             raise ValueError('measure "time_to" and "threshold" must be used together')
+        if self.query and self.groups and not self.by:
+            raise ValueError('"groups" names the batches; "query" needs "by"')
         if self.over_time and self.measure not in (None, "mean", "time_mean"):
             raise ValueError(f'"over_time" tests the measure "mean" or "time_mean", not {self.measure!r}')
         if self.over_time and self.where:

@@ -103,6 +103,7 @@ class QueryTable(Table):
     runs: PositiveInt | None = Field(None, description="runs per experiment; default: the project's `runs`")
     controller: str | None = Field(None, description="name of the controller; default: the project's `controller`")
     scenario: str | None = Field(None, description="name of the scenario; default: the project's `scenario`")
+    target: str | None = Field(None, description="name of the target; default: the project's `target`")
 
 
 class Project(Table):

@@ -39,8 +39,8 @@ Kinds = Callable[[str], DeliverableKind | None]
 """A function that returns a kind of deliverables; None for one whose extension is not installed."""
 LABELS = ("targets", "batches", "labels")
 """The keys of definitions with the names of several batches, which then are in the name of the files, too."""
-FORMATS = "formats"
-"""The key of definitions and declarations that says which files are made, and not what they show."""
+NOT_SHOWN = ("formats", "query")
+"""The keys of definitions and declarations that say which files are made, and of which batch; not what they show."""
 FIND = "SELECT * FROM deliverables WHERE list_contains(sha256s, $sha256) ORDER BY lamport DESC, made DESC LIMIT 1"
 DRAW_AGAIN = "draw it again with: sierra figures"
 
@@ -180,7 +180,7 @@ def _changed(row: DeliverableRow, now: Content, kind: DeliverableKind) -> str:
     definitions = before, json.loads(json.dumps(now.definition))
     parts = zip(*(_parts(row.kind, kind.declaration, one) for one in definitions), strict=True)
     changed = (name for old, new in parts for name in {**old, **new} if old.get(name) != new.get(name))
-    differing = [name for name in dict.fromkeys(changed) if name != FORMATS]
+    differing = [name for name in dict.fromkeys(changed) if name not in NOT_SHOWN]
     return f"sierra.toml changes how it is made: it has another {' and another '.join(differing)} now" if differing else ""
 
 

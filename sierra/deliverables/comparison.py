@@ -31,6 +31,7 @@ from sierra.util.text import counted, few, like
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.execution.batches_of_queries import BatchesOfQueries
     from sierra.stats.comparison.over_time import Band
 
 KIND = "comparison"
@@ -223,6 +224,28 @@ def _bands(
         numbers = (numbers + float(apart) for numbers in compute(before, after, result.question.alpha))
         bands.append(over_time.Band(pair.point, pair.first, pair.second, np.array(first.times), *numbers))
     return first.time, tuple(bands)
+
+
+def labelled(
+    project: LoadedProject, store: Store, named: Sequence[tuple[str, str]], remedy: str = "LABEL=HASH"
+) -> dict[str, str]:
+    """Return batches by label, from pairs of a label and a batch; "" as a label is replaced by a name that fits the batch.
+
+    Raises UsageError if two have the same label; it can be mended by `remedy`.
+    """
+    proposed = labels(project, store, [batch for _, batch in named])
+    found = [label or other for (label, _), other in zip(named, proposed, strict=True)]
+    if twice := next((label for label in found if found.count(label) > 1), None):
+        raise UsageError(f"two groups have the name {twice!r}; give them different ones: {remedy}")
+    return {label: batch for label, (_, batch) in zip(found, named, strict=True)}
+
+
+def of_queries(queries: BatchesOfQueries, words: Sequence[str]) -> dict[str, str]:
+    """Return the last batches of queries by label. Raises NotFound for a query that was not run, UsageError for equal ones."""
+    named = [(queries.labelled(word)[0], queries.last(word)) for word in words]
+    if len({batch for _, batch in named}) < len(named):
+        raise UsageError(f"query: two of {', '.join(words)} are the same query; name each once")
+    return labelled(queries.project, queries.store, named, "LABEL=NAME")
 
 
 def labels(project: LoadedProject, store: Store, batches: Sequence[str]) -> list[str]:

@@ -16,13 +16,14 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import chosen_groups, kinds, seconds, suggest_tables
+from sierra.deliverables import bound, chosen_groups, kinds, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather, varied
 from sierra.deliverables.models.models_of_batch import Models
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution import targets
+from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store import clock_times, equal_runs
@@ -127,6 +128,7 @@ class Gallery:
 
         `name`: the only figure that is wanted. `only`: the outputs and derived tables that are needed; default: all.
         """
+        self._queries = BatchesOfQueries(project, store)
         own = target is not None
         target = target or (targets.recorded(store, frame.batch) if project.targets else None)
         self.target_notes = [f"target {target}"] if target else []
@@ -152,25 +154,52 @@ class Gallery:
         self.time_notes: dict[str, str] = {}
         """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
 
-    def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
-        """Return the figures to draw, by name, and notes about them."""
+    def wanted(self, name: str | None, *, together: bool = False) -> tuple[Mapping[str, Figure], list[str]]:
+        """Return the figures to draw, by name, and notes about them.
+
+        Without `name`, those that are bound to another query, and those about something that only other batches have, are not
+        among them. `together`: several batches are drawn, so those that are bound to any query are not.
+        """
         declared = self._config.figures
         figure_options.check(declared)
         if why := self.frame.failure():
             if name is not None:
                 raise AllFailed(why)
             return {}, [why]
-        found, notes = (dict(declared), []) if declared else self._default()
         if name is not None:
             everything = {**self._default()[0], **declared}
             if name not in everything:
                 raise NotFound(f"this batch has no figure {name!r}; its figures: {', '.join(everything) or 'none'}")
             return {name: everything[name]}, []
+        found, notes = self._declared(together) if declared else self._default()
         if not declared and len(found) > AT_MOST:
             kept = self._best(found)
             left = [name for name in found if name not in kept]
             return kept, [*notes, f"{len(left)} more figures can be drawn, for example: sierra figures HASH {left[0]}"]
         return found, notes
+
+    def _declared(self, together: bool) -> tuple[dict[str, Figure], list[str]]:
+        """Return the declared figures that show this batch, and notes on those whose query is invalid."""
+        declared = self._config.figures
+        if together:
+            return {name: figure for name, figure in declared.items() if not figure.query}, []
+        found, invalid = bound.of_batch(declared, self._queries, self.frame.batch)
+        return {name: figure for name, figure in found.items() if not self._is_of_others(figure)}, [
+            f"figure {note}" for note in invalid
+        ]
+
+    def _is_of_others(self, figure: Figure) -> bool:
+        """Check if a figure is about a variable, a controller, a scenario or an output that only other batches have."""
+        if figure.query:
+            return False
+        config = self._config
+        axes = {axis.name for axis in self._axes}
+        groups = {"controller": config.controllers, "scenario": config.scenarios}
+        known = {*config.variables, *(name for name, declared in groups.items() if declared)}
+        if any(name in known - axes for name in (figure.x, figure.series, figure.facet)):
+            return True
+        table = figure.table
+        return bool(table) and table not in self.frame.names and table in self._store.outputs()
 
     def _best(self, figures: Mapping[str, Figure]) -> dict[str, Figure]:
         """Return as many figures as are drawn by default: those of columns that differ most between experiments."""

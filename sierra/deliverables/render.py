@@ -13,14 +13,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from sierra.config.deliverable_tables import Figure, Format
+from sierra.config.deliverable_tables import Figure, Format, TableForPaper
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
-from sierra.deliverables import declared_tables, overlay
+from sierra.deliverables import bound, declared_tables, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
+from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import AllFailed, Frame
@@ -58,19 +59,39 @@ def figures(
             notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
             notes += gallery.models.notes([] if name else [*wanted])
             galleries.append(gallery)
-        written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name)
+        declared, invalid = project.config.paper_tables, list[str]()
+        if name is None and declared:
+            declared, invalid = bound.of_batch(declared, BatchesOfQueries(project, store), batch)
+            declared = {called: table for called, table in declared.items() if not _is_of_others(table, frame, project, store)}
+        written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name, declared)
+        notes += [f"table {note}" for note in invalid]
     notes += (*(one for one in failed if one not in notes), *drawer.close())
     _check_models(name, *galleries)
     return [*drawn, *written], notes
 
 
+def _is_of_others(table: TableForPaper, frame: Frame, project: LoadedProject, store: Store) -> bool:
+    """Check if a table for papers is about a variable or an output that only other batches have."""
+    if table.query:
+        return False
+    axes = {axis.name for axis in frame.axes()}
+    if not table.sql and table.across in project.config.variables and table.across not in axes:
+        return True
+    return bool(table.table) and table.table not in frame.names and table.table in store.outputs()
+
+
 def _write_tables(
-    drawer: _Drawer, project: LoadedProject, store: Store, batches: Mapping[str, str], name: str | None
+    drawer: _Drawer,
+    project: LoadedProject,
+    store: Store,
+    batches: Mapping[str, str],
+    name: str | None,
+    tables: Mapping[str, TableForPaper],
 ) -> tuple[list[Path], list[str]]:
-    """Write the declared tables, or the one called `name`; return the files, and why others could not be written."""
+    """Write these tables, or the one called `name`; return the files, and why others could not be written."""
     written: list[Path] = []
     failed = []
-    for called, declared in project.config.paper_tables.items():
+    for called, declared in tables.items():
         if name not in (None, called):
             continue
         try:
@@ -149,10 +170,12 @@ def overlaid(
         first, *others = galleries.values()
         added = [one.frame.batch for one in others]
         drawer = _Drawer(project, store, first.frame, *added, again=True, formats=formats)
-        tables, failed = _write_tables(drawer, project, store, batches, name)
+        declared = project.config.paper_tables
+        unbound = declared if name else {called: table for called, table in declared.items() if not table.query}
+        tables, failed = _write_tables(drawer, project, store, batches, name, unbound)
         if name in project.config.paper_tables:
             return tables, drawer.close()
-        wanted, notes = first.wanted(name)
+        wanted, notes = first.wanted(name, together=True)
 
         def drawing(called: str, found: Figure) -> Drawing:
             figure = overlay.fitting(found, declared=bool(project.config.figures))

@@ -58,7 +58,7 @@ def plan(
 
     Raises an error for a mistake in project, query, template, source or programs.
     """
-    project = project.for_target(request.target)
+    project = project.for_target(resolve_query.target(project, request))
     query = resolve_query.resolve(project, request)
     project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
     config, root = project.config, project.root

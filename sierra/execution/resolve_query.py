@@ -16,6 +16,12 @@ BARE = regex(r"[^\W\d]\w*")
 """Pattern of a word that is not a criterion, because it has no range."""
 
 
+def target(project: LoadedProject, request: QueryRequest) -> str | None:
+    """Return the target of a request: its own, or else that of the query in `sierra.toml` that it names; None for none."""
+    named = (project.config.queries[word].target for word in request.criteria if word in project.config.queries)
+    return request.target or next(filter(None, named), None)
+
+
 def resolve(project: LoadedProject, request: QueryRequest) -> Query:
     """Return the query of a request, with the project's defaults; a name of a query in `sierra.toml` stands for its criteria.
 

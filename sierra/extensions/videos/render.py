@@ -9,10 +9,12 @@ from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
+from sierra.deliverables import bound
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
+from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.extensions.videos import encode
 from sierra.extensions.videos.draw import write
 from sierra.extensions.videos.prepare import prepare
@@ -39,6 +41,12 @@ class Made:
     """False if a video, or the file of an experiment, could not be made; notes say why."""
 
 
+def joined(made: Sequence[Made]) -> Made:
+    """Return all files and notes, each note once."""
+    notes = dict.fromkeys(note for part in made for note in part.notes)
+    return Made([file for part in made for file in part.files], [*notes], all(part.complete for part in made))
+
+
 def videos(
     project: LoadedProject,
     store: Store,
@@ -55,7 +63,11 @@ def videos(
     made.
     """
     config = targets.of_batch(project, store, next(iter(batches.values()))).config
-    wanted = _wanted(declared(config), names)
+    wanted, invalid = _wanted(declared(config), names), list[str]()
+    if not names and len(batches) == 1:
+        wanted, invalid = bound.of_batch(wanted, BatchesOfQueries(project, store), *batches.values())
+    elif not names:
+        wanted = {name: video for name, video in wanted.items() if not video.query}
     encode.check({format for video in wanted.values() for format in video.formats})
     made: list[Path] = []
     complete = True
@@ -63,7 +75,7 @@ def videos(
         galleries = _galleries(project, store, batches, _tables(wanted), frames)
         first = next(iter(galleries.values()))
         recorder = Recorder(store, project.root, first.frame.batch, first.frame)
-        notes = _once(galleries, lambda one: one.declared_notes)
+        notes = [*(f"video {note}" for note in invalid), *_once(galleries, lambda one: one.declared_notes)]
         folder = marked_folder(ProjectPaths(project.root).drawn("-".join(map(short, batches.values()))), MARK)
         try:
             for name, video in wanted.items():

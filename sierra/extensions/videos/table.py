@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 
-from sierra.config.deliverable_tables import LimitsOfAxis, ListOfWords
+from sierra.config.deliverable_tables import Bound, LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Name, Positive, Table
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ class Video(Table):
         "images or videos that runs leave, in the files of the output that `table` names; `capture`: the frames "
         "that `sierra capture` has recorded",
     )
+    query: Bound = ()
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
     columns: ListOfWords = Field(

@@ -1,0 +1,98 @@
+"""The batches of queries: that of the project as it is now, and the last one that was requested.
+
+A query is a text as for `sierra run`, or the name of one in `[queries]`. Batches have the same query if the criteria, the
+number of runs, the controller, the scenario, the changes and the target are the same, whatever the code was. Nothing of the
+project is read or started to find those, so that it may be a received one.
+"""
+
+from __future__ import annotations
+
+import shlex
+
+from sierra.config.project_file import LoadedProject
+from sierra.design.query import grammar, query_request
+from sierra.design.query.query_request import QueryRequest
+from sierra.errors import NotFound
+from sierra.execution import resolve_query, targets
+from sierra.store.store import Store
+from sierra.util.lazy_definitions import dataclass, field
+
+RECORDED = "SELECT batch FROM batches WHERE batch = $b"
+SAME_QUERY = """
+SELECT batch FROM batches LEFT JOIN (SELECT batch, max(lamport) AS last FROM sessions GROUP BY batch) USING (batch)
+WHERE query = $query AND overrides = $overrides::VARCHAR[] AND controller IS NOT DISTINCT FROM $controller
+  AND scenario IS NOT DISTINCT FROM $scenario AND runs = experiments * $runs
+ORDER BY coalesce(last, lamport), batch
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchesOfQueries:
+    """The batches of queries of one project. Each query is resolved once only."""
+
+    project: LoadedProject
+    store: Store
+    _now: dict[QueryRequest, str] = field(default_factory=dict)
+    _same: dict[QueryRequest, list[str]] = field(default_factory=dict)
+
+    def now(self, request: QueryRequest) -> str | None:
+        """Return the batch that a query has with the project as it is now; None if it is not recorded.
+
+        That reads the whole source, and raises the errors of planning.
+        """
+        from sierra.execution import resolve_plan  # loads all platforms
+
+        if request not in self._now:
+            self._now[request] = resolve_plan.plan(self.project, request).batch.id
+        batch = self._now[request]
+        return batch if self.store.values(str, RECORDED, b=batch) else None
+
+    def same(self, request: QueryRequest) -> list[str]:
+        """Return all recorded batches of a query; the last requested one comes last. Raises QueryError for an invalid query."""
+        if request not in self._same:
+            self._same[request] = self._find(request)
+        return self._same[request]
+
+    def labelled(self, word: str) -> tuple[str, str]:
+        """Return a label and the text of a query. `LABEL=NAME` has a label; that of `NAME` is the name, and of a text is ""."""
+        label, _, rest = word.rpartition("=")
+        return (label or rest, rest) if rest in self.project.config.queries else ("", word)
+
+    def last_of(self, word: str) -> list[str]:
+        """Return the last batch of a query, alone, or nothing if it was not run. Raises QueryError for an invalid query."""
+        return self.same(query_request.request(self.labelled(word)[1].split()))[-1:]
+
+    def last(self, word: str) -> str:
+        """Return the last batch of a query, which is a text as for `sierra run`, or the name of one. Raises NotFound."""
+        if found := self.last_of(word):
+            return found[0]
+        _, text = self.labelled(word)
+        raise NotFound(f"the query {text!r} has not been run; run: {command(query_request.request(text.split()))}")
+
+    def _find(self, request: QueryRequest) -> list[str]:
+        project = self.project.for_target(resolve_query.target(self.project, request))
+        query = resolve_query.resolve(project, request)
+        axes = {criterion.name for criterion in query.criteria}
+        found = self.store.values(
+            str,
+            SAME_QUERY,
+            query=" ".join(map(grammar.text, query.criteria)),
+            overrides=[f"{change.path}={change.value}" for change in query.sets],
+            controller=None if "controller" in axes else query.controller or project.config.controller,
+            scenario=None if "scenario" in axes else query.scenario or project.config.scenario,
+            runs=query.runs,
+        )
+        return [batch for batch in found if targets.recorded(self.store, batch) == project.config.target]
+
+
+def described(project: LoadedProject, request: QueryRequest) -> tuple[str, int]:
+    """Return the criteria of a query as text, and its number of runs for each experiment."""
+    query = resolve_query.resolve(project.for_target(resolve_query.target(project, request)), request)
+    return " ".join(map(grammar.text, query.criteria)), query.runs
+
+
+def command(request: QueryRequest) -> str:
+    """Return the command that runs a query."""
+    options = {name: getattr(request, name) for name in ("runs", "controller", "scenario", "target")}
+    given = (word for name, value in options.items() if value is not None for word in (f"--{name}", str(value)))
+    return shlex.join(["sierra", "run", *request.criteria, *given])
