@@ -8,6 +8,7 @@ whose values were never timed are listed, so that some of them can be executed f
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -86,15 +87,17 @@ class _Known:
         return {None, value, *below[-1:], *above[:1], *texts}
 
 
-def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> tuple[Order, Times | None]:
-    """Return the order of `longest_first`, and the expected durations of these runs in that order.
+def expected(plan: Plan, store: Store | None, runs: AbstractSet[str], most: float = math.inf) -> tuple[Order, Times | None]:
+    """Return the order in which runs that take longer come first, and the expected durations of these runs in that order.
 
-    The durations are None if no comparable run was timed.
+    Experiments whose runs are not known to differ keep their order. The durations are None if no comparable run was timed, or
+    if there are more than `most` pairs of an experiment and a timed one.
     """
     known = _Known(tuple(_timed(plan, store)) if store and runs else ())
-    if not known.runs:
+    wanted = {run.experiment for run in plan.batch.runs if run.id in runs}
+    if not known.runs or len(known.runs) * len(wanted) > most:
         return Order(plan.batch, {}), None
-    exact = _exact(plan, known, {run.experiment for run in plan.batch.runs if run.id in runs})
+    exact = _exact(plan, known, wanted)
     order = _sorted(plan.batch, _seconds(plan, known, exact))
     ordered = list({run.id: run for run in order.batch.runs if run.id in runs}.values())
     each = tuple(order.seconds[run.experiment] for run in ordered)
@@ -104,22 +107,11 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> tuple[O
 
 
 def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Order:
-    """Return the batch of a plan, with the experiments whose runs are expected to take longest at its beginning.
-
-    Those that are not known to differ keep their order; so do all if the durations cannot be read, or if to estimate them would
-    take longer than the order can save. `runs`: those that are to be executed.
-    """
-    wanted = {run.experiment for run in plan.batch.runs if run.id in runs}
-    unsorted = Order(plan.batch, {})
-    if len(wanted) < 2:
-        return unsorted
-    try:
-        known = _Known(tuple(_timed(plan, store)))
-    except SierraError:  # of other batches, and whoever reads them says so
-        return unsorted
-    if not known.runs or len(known.runs) * len(wanted) > AT_MOST:
-        return unsorted
-    return _sorted(plan.batch, _seconds(plan, known, _exact(plan, known, wanted)))
+    """Return the order of `expected`, in which nothing changes if it cannot be found, or not in a second."""
+    if len({run.experiment for run in plan.batch.runs if run.id in runs}) > 1:
+        with contextlib.suppress(SierraError):  # of other batches, and whoever reads them says so
+            return expected(plan, store, runs, AT_MOST)[0]
+    return Order(plan.batch, {})
 
 
 def _sorted(batch: Batch, seconds: Mapping[int, float]) -> Order:

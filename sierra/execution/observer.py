@@ -98,5 +98,7 @@ class Tally:
     def report(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
         """Report the progress to the observer."""
         done, failed = len(self.statuses), self._failed_before + len(self.failed)
-        share = self._done_s / self._all_s if self._all_s else done / max(1, self.total - self.reused)
+        own = max(1, self.total - self.reused)
+        known = self._all_s and len(self._seconds) == own  # not in later rounds, nor if other sessions execute some runs
+        share = self._done_s / self._all_s if known else done / own
         self.observer.progress(Progress(self.total, self.reused, done, failed, running, elsewhere, queued, waits, share))

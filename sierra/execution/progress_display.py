@@ -93,8 +93,8 @@ def text(progress: Progress, seconds: float) -> str:
         parts.append(f"{progress.elsewhere} in another session")
     if progress.done and seconds > 0:
         parts.append(f"{progress.done / seconds:.1f}/s")
-        share = progress.share or progress.done / max(1, progress.total - progress.reused)
-        parts.append(f"{duration(seconds * max(0.0, 1 / share - 1))} left")
+        if progress.share:
+            parts.append(f"{duration(seconds * max(0.0, 1 / progress.share - 1))} left")
     return ", ".join(parts)
 
 

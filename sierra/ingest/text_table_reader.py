@@ -37,7 +37,7 @@ Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
 LARGE = 1 << 20
 """The size in bytes from which only the first rows of a file are used to infer the types of its columns."""
 ROWS = 2000
-"""The number of these rows; `_write` fails if others do not fit."""
+"""The number of these rows. If others do not fit, `_write` fails; so it does for numbers that the type would round."""
 AT_ONCE = 50
 """The number of columns that a statement tests side by side; DuckDB's planning cost grows with its square."""
 
@@ -80,6 +80,8 @@ class Text(TableReader):
         try:
             return self._exactly(files, self._quickly_seen(files, self.part.names, rows))
         except (self.error, _MisreadError):
+            for file in files:
+                self.hints.pop((file.execution, file.name), None)
             return None
 
     def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
@@ -208,8 +210,8 @@ class Text(TableReader):
     ) -> Found:
         """Return the types by column and file for columns of large numbers that were written as DOUBLE.
 
-        These are columns in which some files have only whole numbers, and others have fractions, or in which a file has both.
-        `found`: the types that were assumed.
+        These are columns in which a file has only whole numbers although its type was assumed to be DOUBLE, because of other
+        files or of its first rows, or in which a file has both. `found`: the types that were assumed.
         """
         stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE"]
@@ -224,7 +226,7 @@ class Text(TableReader):
         return {
             n: kinds
             for n, kinds in seen.items()
-            if ("DOUBLE" in kinds.values() and any(map(is_whole, filter(None, kinds.values())))) or EXACT_TEXT in kinds.values()
+            if EXACT_TEXT in kinds.values() or any(map(is_whole, filter(None, kinds.values())))
             if n not in apart or not kinds.items() <= found[n].items()
         }
 

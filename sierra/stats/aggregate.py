@@ -578,8 +578,9 @@ def may_be_rate(frame: Frame, measure: str | None, table: pa.Table | None = None
     """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows.
 
     `table` has the computed statistics, if they are known: n values of 0 and 1 have the mean k / n, where k is a whole number.
+    Statistics over time may be those of interpolated values.
     """
-    if table is not None and {"n", "mean"} <= set(table.column_names):
+    if table is not None and {"n", "mean"} <= set(table.column_names) and "t" not in table.column_names:
         n, mean = (numpy_of(table.column(name)) for name in ("n", "mean"))
         ones = (n * mean)[n > 0]
         if not ((ones >= 0) & (abs(ones - ones.round()) < ROUNDING)).all():

@@ -58,13 +58,12 @@ def _order(keys: Sequence[Keys], rows: int) -> Keys:
     import numpy as np
 
     keys = [key for key in keys if rows and key.min() < key.max()]
-    order = np.arange(rows)
-    used = 2
-    while keys and used < 2 * len(keys) + 2:
+    order, used = np.arange(rows), 0
+    while used < len(keys):
+        used = max(2, 2 * used)
         order = np.lexsort(keys[:used][::-1])
         if np.any([key[order][1:] != key[order][:-1] for key in keys[:used]], axis=0).all():
             break
-        used *= 2
     return order
 
 

@@ -13,6 +13,7 @@ import os
 from pathlib import Path
 
 from sierra.errors import Damaged
+from sierra.store.duckdb_messages import check_shortage
 
 MAGIC = b"PAR1"
 ROWS = 3
@@ -26,10 +27,14 @@ FIXED = {3: 1, 7: 8, 13: 16}
 
 
 def rows_in(path: str | Path) -> int:
-    """Return the number of rows that a Parquet file's footer states. Raises Damaged if the footer cannot be read."""
+    """Return the number of rows that a Parquet file's footer states.
+
+    Raises Damaged if the footer cannot be read, and Missing if memory, open files or the like are short.
+    """
     try:
         return _Reader(_description(Path(path))).rows()
-    except (OSError, ValueError, IndexError) as error:
+    except (OSError, ValueError, IndexError, MemoryError) as error:
+        check_shortage(error)
         raise Damaged(f"{path}: cannot be read: {error}") from error
 
 
@@ -81,6 +86,12 @@ class _Reader:
         number = self._number()
         return (number >> 1) ^ -(number & 1)
 
+    def _pass(self, size: int) -> None:
+        """Skip so many bytes."""
+        self._place += size
+        if self._place > len(self._content):
+            raise ValueError("its footer is cut off")
+
     def _skip(self, kind: int, depth: int = 0) -> None:
         if depth > DEPTH:
             raise ValueError("its footer is too deep")
@@ -88,12 +99,11 @@ class _Reader:
             case 1 | 2:  # a truth value, which is in the type
                 pass
             case 3 | 7 | 13:
-                self._place += FIXED[kind]
+                self._pass(FIXED[kind])
             case 4 | 5 | 6:
                 self._number()
             case 8:
-                size = self._number()
-                self._place += size
+                self._pass(self._number())
             case 9 | 10:
                 head = self._byte()
                 for _ in range(head >> 4 if head >> 4 < 15 else self._number()):

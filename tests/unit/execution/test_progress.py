@@ -40,3 +40,17 @@ def test_without_expected_durations_all_runs_count_alike(reused: int) -> None:
         tally.ended(str(number), Status.OK)
     tally.report(2)
     assert text(last.shown, 60.0).endswith("1:00 left")
+
+
+def test_rounds_and_runs_of_other_sessions_count_by_number() -> None:
+    last = Last()
+    tally = Tally(last, 100)
+    tally.expect({f"a{number}": 20.0 + number % 2 for number in range(90)})
+    for number in range(90):
+        tally.ended(f"a{number}", Status.OK)
+    tally.report(0, elsewhere=10)
+    assert text(last.shown, 1800).endswith("3:20 left")
+    tally.expect({f"b{number}": 20.0 + number % 2 for number in range(10)})
+    tally.ended("b0", Status.OK)
+    tally.report(1)
+    assert text(last.shown, 1820).endswith("3:00 left")

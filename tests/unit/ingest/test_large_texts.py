@@ -26,6 +26,9 @@ def content(value: str, ending: str) -> bytes:
         ("0", "0.5"),
         ("0", str(GREAT)),
         ("0.5", str(GREAT)),
+        ("nan", str(GREAT)),
+        ("nan", "1"),
+        ("nan", "9" * 30),
         ("1", "nan"),
         ("1", ""),
         ("", "1"),
@@ -68,6 +71,20 @@ def as_json(value: str, ending: str) -> bytes:
         f'{{"t": {ROWS}, "v": {written(ending)}}}',
     ]
     return "\n".join([*lines, ""]).encode()
+
+
+@pytest.mark.parametrize("others", [1, 4])
+@pytest.mark.parametrize("large", [1000, 1 << 30])
+def test_whole_numbers_are_exact_beside_fractions_of_files_with_other_kinds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, others: int, large: int
+) -> None:
+    def text(v: str, w: str) -> bytes:
+        return ("t,v,w\n" + "".join(f"{number},{v},{w}\n" for number in range(ROWS))).encode()
+
+    monkeypatch.setattr(text_table_reader, "LARGE", large)
+    paths = [tmp_path / f"{number}" / "t.csv" for number in range(1 + others)]
+    _, rows = read_files(tmp_path, paths, [text("0.5", "hello"), *[text(str(GREAT), "1")] * others])
+    assert {row["v"] for row in rows} == {0.5, GREAT}
 
 
 def test_one_of_several_files_differs_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

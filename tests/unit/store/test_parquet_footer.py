@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 from pathlib import Path
 
 import pyarrow as pa
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sierra.errors import Damaged
+from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect
 from sierra.store.parquet_footer import rows_in
 
@@ -51,6 +52,25 @@ def test_other_files_are_damaged(tmp_path: Path, content: bytes) -> None:
         rows_in(tmp_path / "a.parquet")
     with pytest.raises(Damaged):
         rows_in(tmp_path / "none.parquet")
+
+
+@pytest.mark.parametrize("kind", [3, 7, 13])
+def test_a_list_that_is_longer_than_the_footer_is_damaged_at_once(tmp_path: Path, kind: int) -> None:
+    footer = bytes([0x19, 0xF0 | kind, *[0xFF] * 8, 0x3F, 0x00])
+    (tmp_path / "a.parquet").write_bytes(b"PAR1" + footer + len(footer).to_bytes(4, "little") + b"PAR1")
+    with pytest.raises(Damaged, match="cut off"):
+        rows_in(tmp_path / "a.parquet")
+
+
+def test_a_shortage_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
+
+    def short(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(Path, "open", short)
+    with pytest.raises(Missing, match="Too many open files"):
+        rows_in(tmp_path / "a.parquet")
 
 
 @given(st.binary(max_size=60))
