@@ -34,6 +34,7 @@ CONTENTS = {
         "how-to/figure-kinds",
         "how-to/models",
         "how-to/compare",
+        "how-to/paper",
         "how-to/claims",
         "how-to/number-of-runs",
         "how-to/replay",

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
     from sierra.deliverables.errors_of_models import ModelErrors
+    from sierra.deliverables.paper.folder import Written as PaperWritten
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.report.files import Written
     from sierra.deliverables.sample_size import RunsNeeded
@@ -1079,6 +1080,46 @@ class Project:
             raise UsageError("name two batches or more, to draw them together")
         found = self.groups_of(words)
         return render.overlaid(self._loaded, self.store, found, name, overlay.BATCH, formats=named(formats))
+
+    def paper_queries(self) -> list[str]:
+        """Return the queries that figures, tables and comparisons of `sierra.toml` are bound to: texts for `plan`, each once.
+
+        Raises NotFound if there are none.
+
+        >>> project.paper_queries()
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.deliverables.paper import make
+
+        return make.texts(self._loaded)
+
+    def paper(self) -> PaperWritten:
+        """Write the folder of the paper from the last batches of its queries: see `sierra.deliverables.paper`.
+
+        Executes nothing. The result has the `changed`, `removed` and `edited` files; the latter are left as they are. Raises
+        NotFound for a query that was not run, and SierraError for what cannot be made.
+
+        >>> project.paper()
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.deliverables.paper import make
+
+        return make.make(self._loaded, self.store)
+
+    def check_paper(self) -> list[str]:
+        """Return one line for each fault of the paper's folder, and for each query without a batch of the present code.
+
+        Without a store, the files are compared with `provenance.json` alone. Raises NotFound if the paper was not made.
+
+        >>> project.check_paper()
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.deliverables.paper import make
+
+        return list(make.faults(self._loaded, self.stored()))
 
     def model_errors(self, prefix: str | None = None, name: str | None = None) -> ModelErrors:
         """Return how far `[models.NAME]` are from the data of a batch: all, or the one called `name`.

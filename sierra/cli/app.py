@@ -38,6 +38,7 @@ COMMANDS = {
     "sql": "sierra.cli.sql:sql",
     "stats": "sierra.cli.stats:stats",
     "figures": "sierra.cli.figures:figures",
+    "paper": "sierra.cli.paper:paper",
     "report": "sierra.cli.report:report",
     "models": "sierra.cli.models:models",
     "claims": "sierra.cli.claims:claims",

@@ -26,6 +26,7 @@ from sierra.config.deliverable_tables import (
     DerivedTable,
     Figure,
     Formats,
+    Paper,
     SqlLimits,
     TableForPaper,
 )
@@ -246,6 +247,7 @@ class Project(Table):
     claims: Mapping[Name, Claim] = Field(
         default_factory=dict, description="claims of a paper that recorded runs decide, by name, for `sierra claims`"
     )
+    paper: Paper = Paper()
     package: Package = Package()
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(

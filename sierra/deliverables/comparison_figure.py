@@ -29,20 +29,29 @@ def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[F
     A comparison with a package is not drawn, because its data could not be computed again from the store.
     Raises UsageError if there is nothing to draw, Missing if the store cannot be written.
     """
-    from sierra.deliverables.figures import drawing, style
-    from sierra.deliverables.figures.forest import forest
+    from sierra.deliverables.figures import drawing
 
     if compared.packaged:
         raise UsageError(f"the runs of {', '.join(compared.packaged)} are not in the store, so the data could not be checked")
     drawn = replace(_drawing(compared), formats=formats)
-    with style.applied():
-        figure = forest(compared)
-        style.settle(figure, drawn)
-        files = drawing.save(figure, drawn, marked_folder(paths.drawn(COMPARISONS), "Figures of comparisons, drawn by SIERRA."))
+    folder = marked_folder(paths.drawn(COMPARISONS), "Figures of comparisons, drawn by SIERRA.")
+    files = drawing.save(rendered(compared, formats), drawn, folder)
     recorder = Recorder(store, paths.root, drawn.batch)
     recorder.add(_content(compared, drawn), files)
     recorder.close()
     return list(files)
+
+
+def rendered(compared: Compared, formats: tuple[Format, ...]) -> list[tuple[Format, bytes]]:
+    """Return the content of the figure's files, by format. Raises UsageError if there is nothing to draw."""
+    from sierra.deliverables.figures import drawing, style
+    from sierra.deliverables.figures.forest import forest
+
+    drawn = replace(_drawing(compared), formats=formats)
+    with style.applied():
+        figure = forest(compared)
+        style.settle(figure, drawn)
+        return drawing.files_of(figure, drawn)
 
 
 def svg(compared: Compared) -> bytes:
@@ -59,7 +68,11 @@ def svg(compared: Compared) -> bytes:
 
 def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     """Return the content of a recorded comparison by its definition and the data that the store has now."""
-    compared = comparison.again(project, store, row)
+    return content_of(comparison.again(project, store, row))
+
+
+def content_of(compared: Compared) -> Content:
+    """Return everything that the files of a comparison depend on."""
     return _content(compared, _drawing(compared))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from sierra.config.project_file import LoadedProject
 from sierra.containers.images.containerfile_folder import is_recipe
 from sierra.provenance import source
-from sierra.store.layout import BASELINES, CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.store.layout import BASELINES, CONFIG, DRAWN, FIGURES, LOCK, PROVENANCE, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.util.processors import ARCH, NAMES
 
 
@@ -35,6 +35,7 @@ def own_paths(project: LoadedProject) -> tuple[str, ...]:
         LOCK,
         BASELINES,
         *_drawn(project.root),
+        *_paper(project),
         CONFIG,
         PYPROJECT if project.file.name == PYPROJECT else CONFIG,
         *(path for template in project.config.template_paths for path in _inside(template)),
@@ -64,6 +65,12 @@ def not_in_checkouts(project: LoadedProject) -> tuple[str, ...]:
 def _drawn(root: Path) -> list[str]:
     """Return the folders that figures were drawn to; other files in `figures` belong to the project."""
     return [f"{FIGURES}/{mark.parent.name}" for mark in ProjectPaths(root).figures.glob(f"*/{DRAWN}*")]
+
+
+def _paper(project: LoadedProject) -> list[str]:
+    """Return the folder of the paper, if `sierra paper` wrote it."""
+    folder = project.config.paper.folder
+    return _inside(folder) if (project.root / folder / PROVENANCE).is_file() else []
 
 
 def _inside(template: str) -> list[str]:

@@ -11,6 +11,7 @@ PROJECT/figures/comparisons/        figures of comparisons
 PROJECT/figures/reports/            reports
 PROJECT/.sierra/files               hashes of the project's files outside git; rebuilt if it is missing
 PROJECT/.sierra/format              the version of the store's format
+PROJECT/paper/sierra/               figures, captions, tables and texts of a paper, and provenance.json ([paper] folder)
 PROJECT/.sierra/id                  the store's id; see sierra.store.ownership_marks
 PROJECT/.sierra/segments/<segment>/ records; see sierra.store.segments
 PROJECT/.sierra/index/              the records of many segments in one file; rebuilt if missing; see sierra.store.index_files
@@ -58,6 +59,10 @@ WORK = "work"
 FIGURES = "figures"
 DRAWN = ".drawn"
 """The mark of a folder that SIERRA draws figures to, so that it does not count as source."""
+PAPER = "paper/sierra"
+"""The folder of a paper, unless `[paper] folder` names another one."""
+PROVENANCE = "provenance.json"
+"""The file in the folder of a paper that says what its files show; with it, the folder does not count as source."""
 COMPARISONS = "comparisons"
 REPORTS = "reports"
 

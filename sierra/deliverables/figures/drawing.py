@@ -83,8 +83,18 @@ class Drawing:
 
     @cached_property
     def data(self) -> str:
-        """Return the hash of all values that the figure shows."""
-        runs = {} if self.runs is None else {"": self.runs}
+        """Return the hash of all values that the figure shows, and of the ids of their runs."""
+        return self._data(self.runs)
+
+    @property
+    def shown(self) -> str:
+        """Return the hash of all values that the figure shows; the ids of runs depend on code that may not matter."""
+        if self.runs is None:
+            return self.data
+        return self._data(self.runs.select([name for name in self.runs.column_names if name != "run"]))
+
+    def _data(self, of_runs: pa.Table | None) -> str:
+        runs = {} if of_runs is None else {"": of_runs}
         kinds = {"tables": self.tables, "runs": runs, "rows": self.rows}
         hashes = {kind: {name: data_hash(table) for name, table in named.items()} for kind, named in kinds.items()}
         if self.models or self.failed_models:
@@ -121,15 +131,16 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
     check(drawing)
-    return _write(rendered(drawing), drawing, folder)
+    return save(rendered(drawing), drawing, folder)
 
 
-def save(figure: matplotlib.figure.Figure, drawing: Drawing, folder: Path) -> tuple[Path, ...]:
-    """Write a figure that is drawn already, with the name, the formats and the metadata of `drawing`. Return the paths."""
-    return _write(_files(figure, drawing, drawing.data), drawing, folder)
+def files_of(figure: matplotlib.figure.Figure, drawing: Drawing) -> list[tuple[Format, bytes]]:
+    """Return the files of a figure that is drawn already, with the name, the formats and the metadata of `drawing`."""
+    return _files(figure, drawing, drawing.data)
 
 
-def _write(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
+def save(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
+    """Write files with the name of `drawing` into a folder, by format. Return the paths."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return tuple(write_whole(folder / f"{fitting(drawing.name)}.{ending}", data) for ending, data in files)

@@ -15,11 +15,11 @@ from sierra.execution.observation.current_files import Current, located
 from sierra.execution.observation.file_sets import FileSets, UsedFile, located_paths
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
-from sierra.store.layout import CONFIG, FIGURES, LOCK, STORE
+from sierra.store.layout import CONFIG, FIGURES, LOCK, PAPER, STORE
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.regular_files import read_regular
 
-OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, *LEFT_OUT))
+OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, PAPER.partition("/")[0], *LEFT_OUT))
 """Names in the project's folder that no run needs."""
 PROJECT = "{project}"
 PACKAGES = regex(r".*/(?:site|dist)-packages")

@@ -1,0 +1,171 @@
+"""The files of a paper: figures, captions, tables and paragraphs of the deliverables that are bound to queries.
+
+    figures/NAME.pdf     figures and those of comparisons, in the formats that they declare, or else as PDF
+    captions/NAME.tex    the captions of figures
+    tables/NAME.tex      tables for papers and those of comparisons, with booktabs
+    texts/NAME.tex       the paragraphs of comparisons
+    sql/NAME.sql         the SQL of a table
+
+The same runs give the same bytes on every machine with the same versions of SIERRA and the libraries that draw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+
+from sierra.config.deliverable_tables import Comparison, Figure, Format
+from sierra.config.project_file import LoadedProject, Project
+from sierra.deliverables import comparison, comparison_figure, comparison_text, declared_tables, overlay, paper_tables
+from sierra.deliverables.comparison import Compared
+from sierra.deliverables.figures.drawing import Drawing, check, rendered
+from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.record import Content, origin_of
+from sierra.errors import DamagedFile, SierraError
+from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.store.samples import Frame
+from sierra.store.store import Store
+from sierra.util.fs import fitting
+from sierra.util.lazy_definitions import dataclass
+
+FIGURES, CAPTIONS, TABLES, TEXTS, SQL = "figures", "captions", "tables", "texts", "sql"
+TEX: Format = "tex"
+
+
+@dataclass(frozen=True, slots=True)
+class PaperItem:
+    """One deliverable of a paper."""
+
+    name: str
+    content: Content
+    data: str
+    """The hash of the values that it shows."""
+    files: Callable[[], Mapping[str, bytes]]
+    """Makes its files; their paths are relative to the folder of the paper."""
+
+
+def queries(config: Project) -> list[str]:
+    """Return the queries that deliverables are bound to, as they are declared; each once."""
+    words = [word for figure in config.figures.values() for word in figure.query]
+    words += [word for table in config.paper_tables.values() for word in table.query]
+    words += [word for one in config.comparisons.values() for word in _words(one, config)]
+    return list(dict.fromkeys(words))
+
+
+def _words(declared: Comparison, config: Project) -> tuple[str, ...]:
+    """Return the queries of a comparison: its `query`, or its groups, if all of them are names of queries."""
+    if declared.query:
+        return (declared.query,)
+    named = not declared.by and declared.groups
+    return declared.groups if named and all(w.rpartition("=")[2] in config.queries for w in declared.groups) else ()
+
+
+def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
+    """Yield the deliverables of a paper, each computed from the last batches of its queries.
+
+    Raises NotFound for a query that was not run, and SierraError for a deliverable that cannot be made.
+    """
+    config, found = project.config, BatchesOfQueries(project, store)
+    with _Galleries(project, store) as galleries:
+        for name, figure in config.figures.items():
+            if figure.query:
+                with named("figure", name):
+                    yield _figure(name, figure, comparison.of_queries(found, figure.query), galleries)
+        for name, table in config.paper_tables.items():
+            if table.query:
+                with named("table", name):
+                    made = declared_tables.make(project, store, name, table, comparison.of_queries(found, table.query))
+                    content = made.content()
+                    yield PaperItem(name, content, content.data, partial(_table, made))
+        for name, declared in config.comparisons.items():
+            if words := _words(declared, config):
+                with named("comparison", name):
+                    asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
+                    compared = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
+                    content = comparison_figure.content_of(compared)
+                    yield PaperItem(name, content, content.data, partial(_comparison, compared))
+
+
+@contextmanager
+def named(kind: str, name: str) -> Iterator[None]:
+    """Name the deliverable in the errors of what follows."""
+    try:
+        yield
+    except DamagedFile:
+        raise
+    except SierraError as error:
+        raise type(error)(f"{kind} {name}: {error}") from error
+
+
+class _Galleries:
+    """The data of batches, each opened once."""
+
+    def __init__(self, project: LoadedProject, store: Store) -> None:
+        self._project = project
+        self._store = store
+        self._frames = ExitStack()
+        self._known: dict[str, Gallery] = {}
+
+    def __enter__(self) -> _Galleries:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._frames.close()
+
+    def of(self, batch: str) -> Gallery:
+        if batch not in self._known:
+            frame = self._frames.enter_context(Frame(self._store, batch))
+            self._known[batch] = Gallery(self._project, self._store, frame)
+        return self._known[batch]
+
+
+def _figure(name: str, figure: Figure, batches: Mapping[str, str], galleries: _Galleries) -> PaperItem:
+    if len(batches) == 1:
+        [batch] = batches.values()
+        drawing = galleries.of(batch).drawing(name, figure)
+    else:
+        fitted, own = overlay.fitting(figure, declared=True), overlay.name_of(name, batches)
+        drawings = {label: galleries.of(batch).drawing(own, fitted) for label, batch in batches.items()}
+        drawing = overlay.merged(drawings, overlay.BATCH)
+    drawing = replace(drawing, formats=figure.formats or ("pdf",))
+    check(drawing)
+    return PaperItem(name, drawing.content(), drawing.shown, partial(_drawn, name, drawing))
+
+
+def _drawn(name: str, drawing: Drawing) -> dict[str, bytes]:
+    """Return the files of a figure: its formats, and its caption."""
+    return _placed(name, rendered(replace(drawing, name=name, formats=_with_caption(drawing.formats))))
+
+
+def _with_caption(formats: Sequence[Format]) -> tuple[Format, ...]:
+    return tuple(dict.fromkeys((*formats, TEX)))
+
+
+def _placed(name: str, files: Iterable[tuple[Format, bytes]]) -> dict[str, bytes]:
+    """Return the files of a figure by their paths."""
+    return {f"{CAPTIONS if ending in ('tex', 'txt') else FIGURES}/{fitting(name)}.{ending}": data for ending, data in files}
+
+
+def _table(made: declared_tables.Made) -> dict[str, bytes]:
+    """Return the files of a table for papers: its LaTeX, and its SQL."""
+    content, name = made.content(), fitting(made.name)
+    origin = origin_of(content.batches[0], content.data, *content.batches[1:])
+    head = f"% {origin}; SQL: {SQL}/{name}.sql\n\n"
+    return {
+        f"{TABLES}/{name}.tex": (head + paper_tables.FORMATS["latex"](made.table)).encode(),
+        f"{SQL}/{name}.sql": f"-- {origin}\n{made.sql}\n".encode(),
+    }
+
+
+def _comparison(compared: Compared) -> dict[str, bytes]:
+    """Return the files of a comparison: its figure with a caption, its table and its paragraph."""
+    content, name = comparison_figure.content_of(compared), fitting(compared.name)
+    head = f"% {origin_of(content.batches[0], content.data, *content.batches[1:])}\n\n"
+    table = paper_tables.FORMATS["latex"](comparison_text.paper_table(compared))
+    paragraph = comparison_text.PARAGRAPHS["latex"](compared.text)
+    drawn = {}
+    if compared.pairs or compared.effects:
+        drawn = _placed(compared.name, comparison_figure.rendered(compared, ("pdf", TEX)))
+    return {**drawn, f"{TABLES}/{name}.tex": (head + table).encode(), f"{TEXTS}/{name}.tex": (head + paragraph).encode()}

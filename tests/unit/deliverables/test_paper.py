@@ -1,0 +1,250 @@
+"""`sierra paper`: one folder with everything that is bound to queries; it changes only where numbers change."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.errors import Damaged, NotFound
+from tests import projects
+
+CONFIG = (
+    projects.CONFIG
+    + """
+[source]
+paths = ["sim.py"]
+[queries.small]
+criteria = "population_size=1,2"
+runs = 2
+[queries.more]
+criteria = "population_size=1,2"
+runs = 3
+[queries.noisy]
+criteria = "noise=0.1,0.2"
+runs = 2
+[figures.lines]
+query = "small"
+column = "coverage"
+formats = ["png", "pgf"]
+[figures.boxes]
+query = "population_size=1,2"
+kind = "box"
+column = "coverage"
+[figures.together]
+query = ["a=small", "b=more"]
+kind = "summary"
+column = "coverage"
+[figures.free]
+kind = "summary"
+column = "coverage"
+[paper_tables.noise]
+query = "noisy"
+column = "coverage"
+label = "tab:noise"
+[comparisons.sizes]
+query = "small"
+by = "population_size"
+column = "coverage"
+[comparisons.batches]
+groups = ["small", "more"]
+column = "coverage"
+[comparisons.free]
+by = "noise"
+column = "coverage"
+"""
+)
+FILES = {
+    *(f"captions/{name}.tex" for name in ("lines", "boxes", "together", "sizes", "batches")),
+    *(f"figures/{name}" for name in ("lines.png", "lines.pgf", "boxes.pdf", "together.pdf", "sizes.pdf", "batches.pdf")),
+    *(f"tables/{name}.tex" for name in ("noise", "sizes", "batches")),
+    *(f"texts/{name}.tex" for name in ("sizes", "batches")),
+    "sql/noise.sql",
+    "provenance.json",
+}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = projects.commit(projects.make(tmp_path_factory.mktemp("paper") / "project", CONFIG))
+    preview = projects.quick(folder, "paper", "-n", "--json")
+    assert [row["to_execute"] for row in json.loads(preview.stdout)] == [4, 6, 4], "a query counts once, whatever it is called"
+    assert not (folder / "paper").exists()
+    done = projects.quick(folder, "paper")
+    assert done.returncode == 0, done.stderr
+    assert f"{len(FILES)} files written, 0 unchanged" in done.stdout
+    return folder
+
+
+@pytest.fixture
+def paper(built: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(built, tmp_path / "project"))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    root = folder / "paper" / "sierra"
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def checked(folder: Path) -> tuple[int, list[str]]:
+    done = projects.quick(folder, "paper", "--check")
+    return done.returncode, done.stdout.splitlines()
+
+
+@pytest.mark.integration
+def test_the_folder_has_the_files_of_all_bound_deliverables(paper: Path) -> None:
+    found = content(paper)
+    assert set(found) == FILES
+    assert b"\\label{fig:together}" in found["captions/together.tex"]
+    table = found["tables/noise.tex"].decode().splitlines()
+    assert table[0].startswith("% sierra ")
+    assert table[0].endswith("; SQL: sql/noise.sql")
+    assert not any(line.startswith("%") for line in table[1:]), "the SQL stands in its own file"
+    assert b"SELECT" in found["sql/noise.sql"]
+    described = json.loads(found["provenance.json"])
+    assert set(described["files"]) == FILES - {"provenance.json"}
+    assert set(described["queries"]) == {"small", "population_size=1,2", "a=small", "b=more", "noisy", "more"}
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=paper, check=True, capture_output=True, text=True).stdout.strip()
+    assert {query["commit"] for query in described["queries"].values()} == {commit}
+    assert checked(paper) == (0, ["all files follow from the store"])
+
+
+@pytest.mark.integration
+def test_nothing_is_executed_and_written_again(paper: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (paper / "paper").rglob("*")}
+    done = projects.quick(paper, "paper")
+    assert done.returncode == 0, done.stderr
+    assert ": 4 runs: 0 executed, 4 reused, 0 failed" in done.stdout
+    assert f"0 files written, {len(FILES) - 1} unchanged" in done.stdout
+    assert {path: path.stat().st_mtime_ns for path in (paper / "paper").rglob("*")} == before
+
+
+@pytest.mark.integration
+def test_two_clones_make_the_same_bytes_and_an_edit_changes_what_it_changes(built: Path, tmp_path: Path) -> None:
+    clone = projects.make(tmp_path / "clone", CONFIG)
+    projects.commit(clone)
+    assert projects.quick(clone, "paper").returncode == 0
+    before = content(clone)
+    assert before == content(built)
+    simulator = clone / "sim.py"
+    simulator.write_text(simulator.read_text() + "\n# a comment\n")
+    code, lines = checked(clone)
+    assert code == 1
+    assert all("has not been run with the code as it is now; its last batch is" in line for line in lines)
+    assert len(lines) == 4
+    assert projects.quick(clone, "paper").returncode == 0
+    assert {name for name, data in content(clone).items() if data != before[name]} == {"provenance.json"}
+    assert checked(clone)[0] == 0
+    simulator.write_text(simulator.read_text().replace("noise * (seed % 100)", "(noise + (noise > 0.15)) * (seed % 100)"))
+    assert projects.quick(clone, "paper").returncode == 0
+    changed = {name for name, data in content(clone).items() if data != before[name]}
+    assert changed == {"provenance.json", "tables/noise.tex", "sql/noise.sql"}
+
+
+@pytest.mark.integration
+def test_files_that_somebody_edited_are_named_and_left_alone(paper: Path) -> None:
+    edited = paper / "paper" / "sierra" / "texts" / "sizes.tex"
+    edited.write_text("my own words\n")
+    (paper / "paper" / "sierra" / "figures" / "boxes.pdf").unlink()
+    (paper / "paper" / "sierra" / "notes.txt").write_text("mine\n")
+    code, lines = checked(paper)
+    assert code == 1
+    assert lines == [
+        "paper/sierra/figures/boxes.pdf is missing",
+        "paper/sierra/texts/sizes.tex was edited: it is not the file that SIERRA wrote",
+    ]
+    done = projects.quick(paper, "paper")
+    assert done.returncode == 1
+    assert "paper/sierra/texts/sizes.tex was edited, and is left as it is; remove it to have it made again" in done.stderr
+    assert "1 file written" in done.stdout
+    assert edited.read_text() == "my own words\n"
+    assert (paper / "paper" / "sierra" / "notes.txt").read_text() == "mine\n"
+    edited.unlink()
+    assert projects.quick(paper, "paper").returncode == 0
+    assert checked(paper)[0] == 0
+
+
+@pytest.mark.integration
+def test_what_sierra_toml_changes_is_named_and_made_again(paper: Path) -> None:
+    config = paper / "sierra.toml"
+    config.write_text(
+        config.read_text().replace('kind = "box"', 'kind = "violin"').replace("[figures.lines]", "[figures.curves]")
+    )
+    code, lines = checked(paper)
+    assert code == 1
+    assert lines == [
+        "paper/sierra/captions/boxes.tex is made otherwise now: sierra.toml or SIERRA has changed",
+        "paper/sierra/captions/lines.tex: sierra.toml no longer binds this figure to a query",
+        "paper/sierra/figures/boxes.pdf is made otherwise now: sierra.toml or SIERRA has changed",
+        "paper/sierra/figures/lines.pgf: sierra.toml no longer binds this figure to a query",
+        "paper/sierra/figures/lines.png: sierra.toml no longer binds this figure to a query",
+        "figure curves was not made for the paper yet",
+    ]
+    done = projects.quick(paper, "paper")
+    assert "paper/sierra/figures/lines.png (removed)" in done.stdout
+    assert set(content(paper)) == {name.replace("lines", "curves") for name in FILES}
+    assert checked(paper)[0] == 0
+
+
+@pytest.mark.integration
+def test_a_clone_without_a_store_is_checked_by_its_provenance(paper: Path) -> None:
+    shutil.rmtree(paper / ".sierra")
+    done = projects.quick(paper, "paper", "--check")
+    assert done.returncode == 0
+    assert done.stdout == "all files are as they were written\n"
+    assert "there is no store here: the files are compared with provenance.json alone" in done.stderr
+    (paper / "paper" / "sierra" / "tables" / "noise.tex").write_text("0.99\n")
+    assert checked(paper) == (1, ["paper/sierra/tables/noise.tex was edited: it is not the file that SIERRA wrote"])
+
+
+@pytest.mark.integration
+def test_a_copy_of_any_file_is_known(paper: Path, tmp_path: Path) -> None:
+    copied = Path(shutil.copy(paper / "paper" / "sierra" / "figures" / "boxes.pdf", tmp_path / "copy.pdf"))
+    shown = projects.quick(paper, "show", str(copied))
+    assert shown.returncode == 0, shown.stderr
+    assert "boxes" in shown.stdout
+
+
+@pytest.mark.integration
+def test_runs_that_fail_end_with_exit_code_1(tmp_path: Path) -> None:
+    simulator = projects.SIMULATOR + "sys.exit('<noise>0.2<' in open(sys.argv[1]).read())\n"
+    folder = projects.make(tmp_path / "project", CONFIG, simulator=simulator)
+    done = projects.quick(folder, "paper")
+    assert done.returncode == 1, done.stderr
+    assert ": 4 runs: 2 executed, 2 reused, 2 failed" in done.stdout
+    assert "files written" in done.stdout, "the paper shows what there is, and n says so"
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"version": 2}', '{"version": 1, "files": {"../x": {}}}', "\0"])
+def test_a_damaged_provenance_is_named(tmp_path: Path, text: str) -> None:
+    folder = projects.make(tmp_path / "project", CONFIG)
+    (folder / "paper" / "sierra").mkdir(parents=True)
+    (folder / "paper" / "sierra" / "provenance.json").write_text(text)
+    done = projects.quick(folder, "paper", "--check")
+    assert done.returncode in (1, 2)
+    assert "provenance.json" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_file_outside_the_folder_is_refused(tmp_path: Path) -> None:
+    folder = projects.make(tmp_path / "project", CONFIG)
+    (folder / "paper" / "sierra").mkdir(parents=True)
+    file = {"sha256": "0", "kind": "figure", "name": "x", "batches": [], "data": "", "definition": ""}
+    described = {"version": 1, "files": {"../../sim.py": file}}
+    (folder / "paper" / "sierra" / "provenance.json").write_text(json.dumps(described))
+    with pytest.raises(Damaged, match=r"sim\.py"):
+        sierra.open(folder).check_paper()
+
+
+def test_without_anything_bound_or_made_the_command_says_so(tmp_path: Path) -> None:
+    folder = projects.make(tmp_path / "project")
+    with pytest.raises(NotFound, match="nothing is bound to a query"):
+        sierra.open(folder).paper_queries()
+    with pytest.raises(NotFound, match="make it with: sierra paper"):
+        sierra.open(folder).check_paper()
+    refused = projects.quick(folder, "paper", "--check", "-n")
+    assert refused.returncode == 2
