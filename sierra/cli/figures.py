@@ -29,7 +29,7 @@ def figures(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[HASH]... [NAME]...",
+            metavar="HASH|NAME",
             autocompletion=complete.batches_and_figures,
             help="Batch id or prefix (default: the last batch); several, also as LABEL=HASH or the name of a query, are drawn "
             "together. Then names of figures or tables (default: all that show this batch).",
@@ -101,7 +101,7 @@ def figures(
         elif target is not None and "," in target:
             drawn = opened.draw_together(target.split(","), prefix, name, formats=wanted)
         else:
-            batch = opened.batch(prefix, target=target) if prefix or target else None
+            batch = opened.batch(prefix, target=target) if prefix is not None or target is not None else None
             drawn = opened.draw(batch, name, formats=wanted)
         paths += drawn[0]
         notes += (text for text in drawn[1] if text not in notes)

@@ -30,12 +30,12 @@ def paper(
     jobs: Jobs = None,
     as_json: AsJson = False,
 ) -> None:
-    """Execute what is missing, and make all figures, tables and texts of a paper.
+    """Make all figures, tables and texts of a paper.
 
-    They are those that sierra.toml binds to queries by the key `query`; comparisons are also bound by groups that are queries.
-    The missing runs of these queries are executed. Then one folder ([paper] folder, by default paper/sierra) is written:
-    figures, their captions, tables, texts and provenance.json. Names of files stay, and files whose content has not changed are
-    not touched, so the folder can be committed to git. A file that somebody edited is neither replaced nor removed.
+    They are those that sierra.toml binds to queries by the key `query`; comparisons are also bound by groups that are
+    queries. The missing runs of these queries are executed. Then one folder ([paper] folder, by default paper/sierra) is
+    written: figures, their captions, tables, texts and provenance.json. Names of files stay, and files whose content has not
+    changed are not touched, so the folder can be committed to git. A file that somebody edited is neither replaced nor removed.
 
     With --check, exit status 1 means that a file is missing, was edited or shows other data than the last batch of its query,
     or that a query was not run with the present code. Without a store, as in a fresh clone, the files are only compared with

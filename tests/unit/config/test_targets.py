@@ -101,6 +101,7 @@ ASKING = (
     "scenario",
     "per_run",
     "queries",
+    "paper",
     "figure_formats",
     "figures",
     "figure_defaults",
