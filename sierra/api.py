@@ -1081,8 +1081,8 @@ class Project:
         found = self.groups_of(words)
         return render.overlaid(self._loaded, self.store, found, name, overlay.BATCH, formats=named(formats))
 
-    def paper_queries(self) -> list[str]:
-        """Return the queries that figures, tables and comparisons of `sierra.toml` are bound to: texts for `plan`, each once.
+    def paper_queries(self) -> list[QueryRequest]:
+        """Return the queries that figures, tables, comparisons and numbers of `sierra.toml` are bound to, for `resolve`.
 
         Raises NotFound if there are none.
 
@@ -1092,7 +1092,7 @@ class Project:
         """
         from sierra.deliverables.paper import make
 
-        return make.texts(self._loaded)
+        return make.requests(self._loaded)
 
     def paper(self) -> PaperWritten:
         """Write the folder of the paper from the last batches of its queries: see `sierra.deliverables.paper`.

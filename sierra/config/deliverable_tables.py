@@ -10,7 +10,6 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_v
 from sierra.config.field_types import OF_RUN, Finite, InProject, Positive, RawTable, Table, Words
 from sierra.config.field_types import Size as SizeInBytes
 from sierra.model import Measure
-from sierra.store.layout import PAPER
 from sierra.util.text import like
 
 Size = Literal[
@@ -329,11 +328,3 @@ class Comparison(Table):
         if self.over_time and self.where:
             raise ValueError('"where" chooses rows, so it cannot be used with "over_time"')
         return self
-
-
-class Paper(Table):
-    """The folder of a paper, for `sierra paper`."""
-
-    folder: InProject = Field(
-        PAPER, description="folder of the files that `sierra paper` writes; it is not part of the source of runs"
-    )

@@ -26,7 +26,6 @@ from sierra.config.deliverable_tables import (
     DerivedTable,
     Figure,
     Formats,
-    Paper,
     SqlLimits,
     TableForPaper,
 )
@@ -56,6 +55,7 @@ from sierra.config.field_types import (
 )
 from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
+from sierra.config.number_table import Letters, NumberInText, Paper
 from sierra.config.output_tables import STATUSES, Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
@@ -246,6 +246,9 @@ class Project(Table):
     )
     claims: Mapping[Name, Claim] = Field(
         default_factory=dict, description="claims of a paper that recorded runs decide, by name, for `sierra claims`"
+    )
+    numbers: Mapping[Letters, NumberInText] = Field(
+        default_factory=dict, description="numbers in the text of a paper, by name, for `sierra paper`; names are letters only"
     )
     paper: Paper = Paper()
     package: Package = Package()

@@ -123,8 +123,16 @@ def _kinds(between: Between | None, gallery: Callable[[], Gallery] | None = None
             "comparisons", Comparison, comparison.AGAIN, comparison_figure.content, VERSION, _comparison
         ),
         REPORT: DeliverableKind("", None, reports.AGAIN, report),
+        "numbers": DeliverableKind("numbers", None, "make it again with: sierra paper", _numbers),
     }
     return lambda kind: core.get(kind) or kinds.find(kind)
+
+
+def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+    from sierra.deliverables.paper import bound_files
+
+    del row
+    return next(item.content for item in bound_files.items(project, store) if item.content.kind == bound_files.NUMBERS)
 
 
 def _comparison(declared: Comparison) -> dict[str, JsonView]:

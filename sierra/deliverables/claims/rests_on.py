@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from sierra.config.claim_table import Claim
-from sierra.config.project_file import LoadedProject
+from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables import comparison
 from sierra.design.query import query_request
 from sierra.design.query.query_request import QueryRequest
@@ -35,10 +35,7 @@ class BatchesOfClaims:
     def of(self, name: str, claim: Claim) -> Mapping[str, str]:
         """Return the ids of a claim's batches by label, in order. Raises NotFound, which names a query that has to be run."""
         if claim.query:
-            request = query_request.request(
-                claim.query, runs=claim.runs, controller=claim.controller, scenario=claim.scenario, target=claim.target
-            )
-            named = [("", self._of_query(name, request))]
+            named = [("", self._of_query(name, _request(claim)))]
         else:
             named = [self._labelled(name, word) for word in claim.batches]
         ids = [batch for _, batch in named]
@@ -78,3 +75,18 @@ class BatchesOfClaims:
             which = f"several of the given batches ({shown}) have" if found else "none of the given batches has"
             raise NotFound(f"[claims.{name}] {which} its query: {text}, {counted(runs, 'run')} for each experiment")
         return found[0]
+
+
+def _request(claim: Claim) -> QueryRequest:
+    """Return the query of a claim, with its own options."""
+    return query_request.request(
+        claim.query, runs=claim.runs, controller=claim.controller, scenario=claim.scenario, target=claim.target
+    )
+
+
+def requests(claim: Claim, config: Project) -> list[QueryRequest]:
+    """Return the queries that a claim rests on: its own, and those that its batches name."""
+    if claim.query:
+        return [_request(claim)]
+    names = (word.rpartition("=")[2] for word in claim.batches)
+    return [query_request.request([name]) for name in names if name in config.queries]

@@ -5,6 +5,7 @@
     tables/NAME.tex      tables for papers and those of comparisons, with booktabs
     texts/NAME.tex       the paragraphs of comparisons
     sql/NAME.sql         the SQL of a table
+    numbers.tex          the numbers in the text: see `sierra.deliverables.paper.numbers`
 
 The same runs give the same bytes on every machine with the same versions of SIERRA and the libraries that draw.
 """
@@ -19,17 +20,27 @@ from functools import partial
 from sierra.config.deliverable_tables import Comparison, Figure, Format
 from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables import comparison, comparison_figure, comparison_text, declared_tables, overlay, paper_tables
+from sierra.deliverables.claims import rests_on
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.figures.drawing import Drawing, check, rendered
 from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.paper import numbers
 from sierra.deliverables.record import Content, origin_of
-from sierra.errors import DamagedFile, SierraError
+from sierra.design.query import query_request
+from sierra.design.query.query_request import QueryRequest
+from sierra.errors import DamagedFile, NotFound, SierraError
 from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.fs import fitting
+from sierra.util.hashing import digest
+from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass
+from sierra.util.text import like
+from sierra.util.version import __version__
 
+NUMBERS = "numbers"
+"""The kind and the name of the deliverable with the numbers in the text."""
 FIGURES, CAPTIONS, TABLES, TEXTS, SQL = "figures", "captions", "tables", "texts", "sql"
 TEX: Format = "tex"
 
@@ -51,7 +62,18 @@ def queries(config: Project) -> list[str]:
     words = [word for figure in config.figures.values() for word in figure.query]
     words += [word for table in config.paper_tables.values() for word in table.query]
     words += [word for one in config.comparisons.values() for word in _words(one, config)]
+    words += [word for number in config.numbers.values() for word in number.query]
     return list(dict.fromkeys(words))
+
+
+def requests(config: Project) -> list[QueryRequest]:
+    """Return the requests of all queries of a paper, also of the claims whose numbers it has; each once."""
+    named = [word.rpartition("=")[2] if word.rpartition("=")[2] in config.queries else word for word in queries(config)]
+    found = [query_request.request(text.split()) for text in named]
+    for number in config.numbers.values():
+        if claim := config.claims.get(number.claim):
+            found += rests_on.requests(claim, config)
+    return list(dict.fromkeys(found))
 
 
 def _words(declared: Comparison, config: Project) -> tuple[str, ...]:
@@ -68,6 +90,7 @@ def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
     Raises NotFound for a query that was not run, and SierraError for a deliverable that cannot be made.
     """
     config, found = project.config, BatchesOfQueries(project, store)
+    compared: dict[str, Compared] = {}
     with _Galleries(project, store) as galleries:
         for name, figure in config.figures.items():
             if figure.query:
@@ -83,9 +106,11 @@ def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
             if words := _words(declared, config):
                 with named("comparison", name):
                     asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
-                    compared = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
-                    content = comparison_figure.content_of(compared)
-                    yield PaperItem(name, content, content.data, partial(_comparison, compared))
+                    compared[name] = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
+                    content = comparison_figure.content_of(compared[name])
+                    yield PaperItem(name, content, content.data, partial(_comparison, compared[name]))
+    if config.numbers:
+        yield _numbers(project, store, compared)
 
 
 @contextmanager
@@ -157,6 +182,44 @@ def _table(made: declared_tables.Made) -> dict[str, bytes]:
         f"{TABLES}/{name}.tex": (head + paper_tables.FORMATS["latex"](made.table)).encode(),
         f"{SQL}/{name}.sql": f"-- {origin}\n{made.sql}\n".encode(),
     }
+
+
+def _numbers(project: LoadedProject, store: Store, compared: Mapping[str, Compared]) -> PaperItem:
+    """Return the numbers in the text. Raises SierraError for one that cannot be computed."""
+    config, found = project.config, BatchesOfQueries(project, store)
+    numbers.check_names([*config.numbers])
+
+    def bound(name: str) -> Compared:
+        if name not in compared:
+            raise NotFound(f"no comparison {name!r} is bound to queries; {like(name, list(compared), 'bound are')}")
+        return compared[name]
+
+    shown: dict[str, tuple[str, str]] = {}
+    batches = [found.last(word) for word in queries(config)]
+    for name, number in config.numbers.items():
+        with named("number", name):
+            numbers.known_claim(project, number.claim)
+            value = numbers.computed(project, store, number, bound)
+            shown[name] = numbers.text(number, value, siunitx=config.paper.siunitx), value.origin
+            batches += value.batches
+    batches = list(dict.fromkeys(batches))
+    every = {name: (text, "") for name, text in numbers.built_in(store, batches).items()} | shown
+    definition: dict[str, JsonView] = {
+        "numbers": {name: number.model_dump(mode="json", exclude_defaults=True) for name, number in config.numbers.items()},
+        "paper": config.paper.model_dump(mode="json", include={"prefix", "siunitx"}),
+    }
+    data = digest("numbers", {name: text for name, (text, _) in every.items()})
+    sql = "\n\n".join(f"-- {name}\n{number.sql}" for name, number in config.numbers.items() if number.sql)
+    content = Content(NUMBERS, NUMBERS, tuple(batches), definition, sql, data, (f"sierra-experiments=={__version__}",))
+    return PaperItem(NUMBERS, content, data, partial(_macros, content, every, config.paper.prefix))
+
+
+def _macros(content: Content, shown: Mapping[str, tuple[str, str]], prefix: str) -> dict[str, bytes]:
+    """Return the file with a macro for each number, and that with their SQL."""
+    origin = origin_of(content.batches[0], content.data, *content.batches[1:])
+    lines = [rf"\newcommand{{\{prefix}{name}}}{{{text}}}{f' % {why}' if why else ''}" for name, (text, why) in shown.items()]
+    files = {f"{NUMBERS}.tex": "\n".join([f"% {origin}", "", *lines, ""]).encode()}
+    return files | ({f"{SQL}/{NUMBERS}.sql": f"-- {origin}\n{content.sql}\n".encode()} if content.sql else {})
 
 
 def _comparison(compared: Compared) -> dict[str, bytes]:

@@ -11,7 +11,7 @@ from sierra.deliverables.paper import bound_files, folder
 from sierra.deliverables.paper.bound_files import PaperItem
 from sierra.deliverables.paper.folder import PaperFile, PaperQuery, Provenance, Written
 from sierra.deliverables.record import Recorder
-from sierra.design.query import query_request
+from sierra.design.query.query_request import QueryRequest
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries, command
 from sierra.store.layout import PROVENANCE
@@ -24,19 +24,11 @@ ORDER BY e.lamport LIMIT 1
 """
 
 
-def queries(project: LoadedProject) -> list[str]:
-    """Return the queries of the paper, as they are declared; each once. Raises NotFound if there are none."""
-    found = bound_files.queries(project.config)
-    if not found:
-        raise NotFound("nothing is bound to a query: give figures, tables or comparisons of sierra.toml the key `query`")
-    return found
-
-
-def texts(project: LoadedProject) -> list[str]:
-    """Return the queries of the paper as texts or names for `sierra run`; each once. Raises NotFound if there are none."""
-    names = project.config.queries
-    rest = ((word.rpartition("=")[2], word) for word in queries(project))
-    return list(dict.fromkeys(name if name in names else word for name, word in rest))
+def requests(project: LoadedProject) -> list[QueryRequest]:
+    """Return the requests of all queries of the paper; each once. Raises NotFound if there are none."""
+    if found := bound_files.requests(project.config):
+        return found
+    raise NotFound("nothing is bound to a query: give figures, tables or comparisons of sierra.toml the key `query`")
 
 
 def path(project: LoadedProject) -> Path:
@@ -93,7 +85,7 @@ def _definition(item: PaperItem) -> str:
 
 def _batches(project: LoadedProject, store: Store) -> dict[str, PaperQuery]:
     found = BatchesOfQueries(project, store)
-    batches = {word: found.last(word) for word in queries(project)}
+    batches = {word: found.last(word) for word in bound_files.queries(project.config)}
     commits = {batch: next(iter(store.values(str, COMMIT, b=batch)), None) for batch in batches.values()}
     return {word: PaperQuery(batch=batch, commit=commits[batch]) for word, batch in batches.items()}
 
@@ -131,11 +123,10 @@ def faults(project: LoadedProject, store: Store | None) -> Iterator[str]:
 def _old_queries(project: LoadedProject, store: Store) -> Iterator[str]:
     """Yield a line for each query that has no batch with the project as it is now."""
     found = BatchesOfQueries(project, store)
-    for word in queries(project):
-        _, text = found.labelled(word)
-        request = query_request.request(text.split())
+    for request in requests(project):
+        text = " ".join(request.criteria)
         try:
-            now, last = found.now(request), found.last_of(word)
+            now, last = found.now(request), found.same(request)[-1:]
         except DamagedFile:
             raise
         except SierraError as error:

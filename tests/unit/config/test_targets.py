@@ -101,6 +101,7 @@ ASKING = (
     "scenario",
     "per_run",
     "queries",
+    "numbers",
     "paper",
     "figure_formats",
     "figures",

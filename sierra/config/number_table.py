@@ -1,0 +1,86 @@
+"""The tables `[numbers.NAME]` and `[paper]` of `sierra.toml`: numbers in the text of a paper, and its folder."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
+
+from sierra.config.deliverable_tables import Bound, ListOfWords
+from sierra.config.field_types import Finite, InProject, Table
+from sierra.model import Measure
+from sierra.store.layout import PAPER
+
+SOURCES = ("claim", "comparison", "statistic", "sql")
+Letters = Annotated[str, StringConstraints(pattern=r"^[A-Za-z]+$")]
+"""A name that TeX takes for a macro."""
+
+
+def _format(text: str) -> str:
+    try:
+        format(1.5, text)
+    except ValueError as error:
+        raise ValueError(f"{text!r} is not a format of numbers, such as .2f, .3g or .1%") from error
+    return text
+
+
+class Paper(Table):
+    """The folder of a paper, for `sierra paper`."""
+
+    folder: InProject = Field(
+        PAPER, description="folder of the files that `sierra paper` writes; it is not part of the source of runs"
+    )
+    prefix: Letters = Field("sierra", description="beginning of the names of macros: `[numbers.best]` is \\sierrabest")
+    siunitx: bool = Field(False, description="write numbers by \\num and \\qty of the LaTeX package siunitx")
+
+
+class NumberInText(Table):
+    """One number in the text of a paper, from exactly one of `claim`, `comparison`, `statistic` and `sql`."""
+
+    query: Bound = ()
+    claim: str = Field("", description="name of a claim in `claims`")
+    comparison: str = Field("", description="name of a comparison in `comparisons` that is bound to queries")
+    groups: ListOfWords = Field((), description="with `comparison`: the two groups; the difference is second minus first")
+    statistic: str = Field("", description="statistic over the runs of one experiment, as in `sierra stats --statistic`")
+    table: str = Field("", description="with `statistic`: name of the output or derived table; default: the only one")
+    column: str = Field("", description="with `statistic`: column; default: the only one")
+    measure: Measure | None = Field(None, description="with `statistic`: how a run is reduced to one number")
+    threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
+    experiments: str = Field(
+        "", description="with `statistic`: condition that leaves one experiment, as in `sierra run --only`: `noise=0`"
+    )
+    sql: str = Field("", description="a SELECT statement with one row and one column; each table has a column `batch`")
+    value: Literal["estimate", "interval", "p", "verdict"] = Field(
+        "estimate", description="part that is printed: the number, its 95 % interval, the p value, or the verdict of a claim"
+    )
+    format: Annotated[str, AfterValidator(_format)] = Field(
+        "", description="format as in Python: `.2f`, `.3g`, `.1%`; default: as many digits as the interval allows"
+    )
+    unit: str = Field("", description="unit after the number, for LaTeX; with `siunitx`, one of its units")
+
+    @model_validator(mode="after")
+    def _fitting(self) -> NumberInText:
+        given = [name for name in SOURCES if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(f"give exactly one of {', '.join(SOURCES)}{'; not ' + ' and '.join(given) if given else ''}")
+        [source] = given
+        own = source in ("claim", "comparison")
+        if own and self.query:
+            raise ValueError(f'the {source} has its own query; leave out "query"')
+        if not own and len(self.query) != 1 and (source == "statistic" or not self.query):
+            raise ValueError(f'"{source}" needs one "query"')
+        if self.value == "verdict" and source != "claim":
+            raise ValueError('value = "verdict" needs a "claim"')
+        if self.value == "p" and not own:
+            raise ValueError('value = "p" needs a "claim" or a "comparison"')
+        if self.groups and (source != "comparison" or len(self.groups) != 2):
+            raise ValueError('"groups" are the two groups of a "comparison"')
+        if source != "statistic" and (wrong := [name for name in OF_STATISTIC if name in self.model_fields_set]):
+            raise ValueError(f'"{wrong[0]}" needs "statistic"')
+        if (self.measure == "time_to") != (self.threshold is not None):
+            raise ValueError('measure "time_to" and "threshold" must be used together')
+        return self
+
+
+OF_STATISTIC = ("table", "column", "measure", "threshold", "experiments")
+"""The keys that belong to `statistic`."""

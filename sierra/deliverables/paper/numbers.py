@@ -1,0 +1,226 @@
+"""The numbers in the text of a paper: `numbers.tex`, with a macro for each of `[numbers.NAME]`.
+
+    \\newcommand{\\sierrabest}{0.45}
+
+A number that cannot be computed is an error: no macro is empty. Further macros have the numbers of runs, of runs without a
+successful execution and of different seeds in all batches of the paper, and the version of SIERRA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from decimal import Decimal
+from typing import NamedTuple
+
+from sierra.config.number_table import NumberInText
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables import comparison, paper_tables
+from sierra.deliverables.claims import evaluate
+from sierra.deliverables.comparison import Compared
+from sierra.deliverables.run_statistics import of_tables, statistics
+from sierra.design.query import condition
+from sierra.errors import NotFound, SierraError, UsageError
+from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.model import Axis
+from sierra.stats.comparison.model import Pair
+from sierra.stats.comparison.wording import p_value
+from sierra.stats.rounding import rounded
+from sierra.store.several_batches import joined
+from sierra.store.store import Store
+from sierra.util.arrow_columns import values_of
+from sierra.util.lazy_definitions import dataclass
+from sierra.util.text import like
+from sierra.util.version import __version__
+
+BUILT_IN = ("runs", "failedruns", "seeds", "version")
+"""The macros that each paper has."""
+COUNTS = """
+SELECT count(*) AS runs, count(*) FILTER (NOT succeeded) AS failed, count(DISTINCT seed) AS seeds FROM (
+    SELECT b.run, any_value(b.seed) AS seed, bool_or(e.run IS NOT NULL) AS succeeded
+    FROM batch_runs b LEFT JOIN effective e USING (batch, run) WHERE list_contains($batches, b.batch) GROUP BY b.run
+)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """One number, before it is printed."""
+
+    estimate: float | str | None
+    low: float | None = None
+    high: float | None = None
+    p: float | None = None
+    verdict: str = ""
+    origin: str = ""
+    """What it is, in one line."""
+    batches: tuple[str, ...] = ()
+    """The batches of a claim, whose query may be bound to nothing else."""
+
+
+class _Counts(NamedTuple):
+    runs: int
+    failed: int
+    seeds: int
+
+
+def computed(project: LoadedProject, store: Store, number: NumberInText, compared: Callable[[str], Compared]) -> Computed:
+    """Return one number. Raises SierraError for one that cannot be computed."""
+    if number.claim:
+        return _of_claim(project, store, number.claim)
+    if number.comparison:
+        return _of_comparison(compared(number.comparison), number.groups)
+    batches = comparison.of_queries(BatchesOfQueries(project, store), number.query)
+    if number.sql:
+        return _of_sql(store, number.sql, batches)
+    [batch] = batches.values()
+    return _of_statistic(project, store, number, batch)
+
+
+def _of_claim(project: LoadedProject, store: Store, name: str) -> Computed:
+    [found] = evaluate.evaluate(project, store, (name,))
+    if not found.batches:
+        raise SierraError(found.text)
+    return Computed(found.value, found.low, found.high, found.p, found.verdict.value, f"claim {name}", found.batches)
+
+
+def _of_comparison(compared: Compared, groups: Sequence[str]) -> Computed:
+    chosen = [pair for pair in compared.pairs if not groups or {pair.first, pair.second} == {*groups}]
+    if len(chosen) != 1:
+        known = "; ".join(dict.fromkeys(f"{pair.first}, {pair.second}" for pair in compared.pairs)) or "none"
+        many = "several pairs" if len(chosen) > 1 else "no pair"
+        hint = "choose one by groups, and one experiment by `experiments` of the comparison"
+        raise UsageError(
+            f"comparison {compared.name} has {many} of {', '.join(groups) or 'groups'}; {hint}; its groups: {known}"
+        )
+    [pair] = chosen
+    difference, low, high = _directed(pair, groups)
+    origin = f"comparison {compared.name}: {' and '.join(groups) or f'{pair.first} and {pair.second}'}"
+    return Computed(difference, low, high, pair.p_adjusted, "", origin)
+
+
+def _directed(pair: Pair, groups: Sequence[str]) -> tuple[float | None, float | None, float | None]:
+    """Return the difference and its interval: the second of the groups minus the first."""
+    ends = pair.difference, pair.low, pair.high
+    if not groups or pair.first == groups[0]:
+        return ends
+    difference, low, high = (None if end is None else -end for end in ends)
+    return difference, high, low
+
+
+def _of_sql(store: Store, statement: str, batches: Mapping[str, str]) -> Computed:
+    table = joined(store, batches, statement, "sql").table
+    if (table.num_rows, table.num_columns) != (1, 1):
+        raise UsageError(f"sql: a number is one row and one column, but there are {table.num_rows} and {table.num_columns}")
+    [value] = values_of(table.column(0))
+    if isinstance(value, Decimal):
+        value = float(value)
+    if isinstance(value, bool):
+        value = str(value).lower()
+    return Computed(value if isinstance(value, int | float) or value is None else str(value), origin="sql/numbers.sql")
+
+
+def _of_statistic(project: LoadedProject, store: Store, number: NumberInText, batch: str) -> Computed:
+    output, [column] = of_tables(project, store, batch, number.table, (number.column,) if number.column else ())
+    measure = number.measure or "auto"
+    found = statistics(project, store, batch, output, column, measure, number.threshold, chosen=(number.statistic,))
+    axes = [Axis(axis, tuple(dict.fromkeys(cell[axis] for cell in found.cells.values()))) for axis in found.axes]
+    chosen = condition.matching(number.experiments, axes, found.cells, "experiments") if number.experiments else {*found.cells}
+    if len(chosen) != 1:
+        hint = (
+            f'select one by {", ".join(found.axes)}, as in experiments = "{found.axes[0]}=…"' if found.axes else "there is one"
+        )
+        raise UsageError(f"experiments = {number.experiments!r} are {len(chosen)}, but a number is that of one; {hint}")
+    estimates, _ = paper_tables.estimates_of(found, number.statistic, chosen)
+    estimate, low, high, n = estimates[min(chosen)]
+    return Computed(estimate, low, high, None, "", f"{number.statistic} of {column}, n = {n}, query {number.query[0]}")
+
+
+def text(number: NumberInText, found: Computed, *, siunitx: bool) -> str:
+    """Return a number for LaTeX. Raises SierraError if it has no such part."""
+    match number.value:
+        case "verdict":
+            return paper_tables.escaped(found.verdict)
+        case "p":
+            if found.p is None:
+                raise SierraError("it has no p value")
+            return f"${p_value(found.p)}$"
+        case "interval":
+            if found.low is None and found.high is None:
+                raise SierraError("it has no interval")
+            return f"[{', '.join(_number(end, siunitx=siunitx) for end in _ends(number, found))}]{_unit(number.unit)}"
+    if found.estimate is None or found.estimate != found.estimate:
+        raise SierraError("it has no value" + '; value = "verdict" prints the verdict' * bool(number.claim))
+    if isinstance(found.estimate, str):
+        return paper_tables.escaped(found.estimate) + _unit(number.unit)
+    shown = _printed(number, found.estimate, found)
+    if siunitx and number.unit:
+        return rf"\qty{{{_plain(shown)}}}{{{number.unit}}}"
+    return _number(shown, siunitx=siunitx) + _unit(number.unit)
+
+
+def _printed(number: NumberInText, value: float, found: Computed) -> str:
+    """Return a number with the digits of its format, or else of its interval."""
+    if number.format:
+        return format(value, number.format)
+    if isinstance(value, int):
+        return str(value)
+    parts = rounded(float(value), found.low, found.high)
+    return f"{parts.value}e{parts.exponent}" if parts.exponent else parts.value
+
+
+def _ends(number: NumberInText, found: Computed) -> tuple[str, str]:
+    if found.low is None or found.high is None:
+        raise SierraError("its interval has only one end")
+    if number.format:
+        return format(found.low, number.format), format(found.high, number.format)
+    center = found.estimate if isinstance(found.estimate, int | float) else (found.low + found.high) / 2
+    digits = rounded(float(center), found.low, found.high)
+    places = len(digits.value.partition(".")[2])
+    scale = 10.0**-digits.exponent
+    low, high = (
+        f"{end * scale:.{places}f}" + (f"e{digits.exponent}" if digits.exponent else "") for end in (found.low, found.high)
+    )
+    return low, high
+
+
+def _number(shown: str, *, siunitx: bool) -> str:
+    """Return a number for LaTeX, in mathematical mode if it has a sign or a power."""
+    plain = _plain(shown)
+    if siunitx:
+        return rf"\qty{{{plain[:-1]}}}{{\percent}}" if plain.endswith("%") else rf"\num{{{plain}}}"
+    value, _, exponent = plain.partition("e")
+    if exponent:
+        return rf"${value} \times 10^{{{int(exponent)}}}$"
+    return f"${plain}$" if plain.startswith("-") else paper_tables.escaped(plain)
+
+
+def _plain(shown: str) -> str:
+    return shown.replace("−", "-")
+
+
+def _unit(unit: str) -> str:
+    return f"~{paper_tables.escaped(unit)}" if unit else ""
+
+
+def built_in(store: Store, batches: Sequence[str]) -> dict[str, str]:
+    """Return the macros that each paper has, without the prefix."""
+    [counts] = store.select(_Counts, COUNTS, batches=list(batches))
+    return {
+        "runs": str(counts.runs),
+        "failedruns": str(counts.failed),
+        "seeds": str(counts.seeds),
+        "version": paper_tables.escaped(__version__),
+    }
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise NotFound for a name that each paper has anyway."""
+    for name in names:
+        if name in BUILT_IN:
+            raise UsageError(f"[numbers.{name}] is the name of a macro that each paper has; choose another one")
+
+
+def known_claim(project: LoadedProject, name: str) -> None:
+    """Raise NotFound for a claim that is not declared."""
+    if name and name not in project.config.claims:
+        raise NotFound(f"sierra.toml has no [claims.{name}]; {like(name, list(project.config.claims))}")
