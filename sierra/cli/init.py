@@ -46,7 +46,7 @@ def init(
             "--example",
             metavar="NAME",
             help="Copy a bundled example to FOLDER: "
-            + ", ".join(("swarm", "mesa", "netlogo", "ngspice", "ns3", "robots", "webots", *extensions.examples()))
+            + ", ".join(("swarm", "paper", "mesa", "netlogo", "ngspice", "ns3", "robots", "webots", *extensions.examples()))
             + ".",
         ),
     ] = None,
@@ -275,7 +275,8 @@ def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
 
     project = project_file.load(folder).config
     query = next(iter(project.queries.values()))
-    command, absent = f"{there(folder)}sierra run {shlex.join(query.criteria)}", _absent(project)
+    command = "sierra paper" if project.numbers else f"sierra run {shlex.join(query.criteria)}"
+    command, absent = there(folder) + command, _absent(project)
     if as_json:
         print_json({"written": [str(folder / file) for file in files], "first": absent, "next": command})
         return

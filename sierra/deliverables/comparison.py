@@ -25,7 +25,7 @@ from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.lazy_definitions import dataclass, replace
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted, few, like
 
 if TYPE_CHECKING:
@@ -66,6 +66,13 @@ class Compared:
     """The name of the time, with its unit."""
     packaged: tuple[str, ...] = ()
     """The names of the groups whose runs are in packages."""
+    names: Mapping[str, str] = field(default_factory=dict)
+    """The groups by the names of their controllers or scenarios, which are shown by their labels."""
+
+    def group(self, word: str) -> str:
+        """Return the group that a word names, by its label or its name. Raises NotFound."""
+        known = dict.fromkeys(group for pair in self.pairs for group in (pair.first, pair.second))
+        return _group(word, list(known), self.names) or ""
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -131,7 +138,8 @@ def compare(
         raise UsageError(
             f"{len(groups)} groups are too many to compare each with each; name one of them as against (--against)"
         )
-    question = Question(asked.alpha, asked.margin, asked.paired, _group(asked.against, [one.group for one in groups]))
+    names = {} if factors else _names(asked.by, found.values())
+    question = Question(asked.alpha, asked.margin, asked.paired, _group(asked.against, [one.group for one in groups], names))
     result = analyse(cells, question, factors, asked.method, project.config.comparison_methods)
     if factors and asked.over_time:
         raise UsageError("main effects and interactions cannot be computed over time; leave out --over-time")
@@ -156,6 +164,7 @@ def compare(
         bands,
         time,
         tuple(packaged or ()),
+        names,
     )
 
 
@@ -339,7 +348,7 @@ def _cells_within(runs: RunTable, asked: Comparison) -> tuple[list[Cell], tuple[
 def _chosen(name: str, runs: RunTable, asked: Comparison) -> list[str]:
     """Return the groups within a batch: those that were named, in this order, or else all values of the variable."""
     every = list(dict.fromkeys(_named(name, runs.shown(ordinal)[name]) for ordinal in runs.cells))
-    chosen = [_group(word, every) or "" for word in asked.groups]
+    chosen = [_group(word, every, _names((name,), (runs,))) or "" for word in asked.groups]
     if len(set(chosen)) < len(chosen):
         raise UsageError(f"a group is named twice: {', '.join(asked.groups)}")
     return chosen or every
@@ -353,11 +362,22 @@ def _named(variable: str, value: Value) -> str:
     return f"{variable}={short_form if isinstance(value, float) and float(short_form) == value else repr(value)}"
 
 
-def _group(word: str | None, groups: Sequence[str]) -> str | None:
-    """Return the group that a word names: the whole name or, of a number, the value. Raises NotFound."""
+def _names(by: Sequence[str], tables: Iterable[RunTable]) -> dict[str, str]:
+    """Return the groups by the values of their variable, which may be shown by labels."""
+    return {
+        str(runs.cells[ordinal][name]): _named(name, runs.shown(ordinal)[name])
+        for runs in tables
+        for name in by
+        if name in runs.axes
+        for ordinal in runs.cells
+    }
+
+
+def _group(word: str | None, groups: Sequence[str], names: Mapping[str, str]) -> str | None:
+    """Return the group that a word names: the whole label, the name or, of a number, the value. Raises NotFound."""
     if word is None:
         return None
-    found = next((group for group in groups if word in (group, group.partition("=")[2])), None)
+    found = next((group for group in groups if word in (group, group.partition("=")[2])), names.get(word))
     if found is None:
         raise NotFound(f"there is no group {word!r}; {like(word, groups)}")
     return found

@@ -50,6 +50,8 @@ class Statistics:
     """The columns `experiment`, perhaps `t`, and those of the statistics, with a row for each experiment or time."""
     cells: Mapping[int, Mapping[str, Value]]
     """The values of the axes for each experiment, by its position in the batch."""
+    labelled: Mapping[int, Mapping[str, Value]]
+    """The same with the labels of controllers and scenarios instead of their names."""
     axes: tuple[str, ...]
     durations: Container[str]
     """The columns that are durations, whose unit is ns."""
@@ -155,6 +157,7 @@ def statistics(
             chosen=tuple(dict.fromkeys(chosen)),
             table=table,
             cells=frame.cells(),
+            labelled=gallery.cells,
             axes=tuple(axis.name for axis in frame.axes()),
             durations=frame.durations(output),
             notes=tuple(notes),

@@ -34,6 +34,8 @@ class _Estimates:
     axes: tuple[str, ...]
     rows: Mapping[int, Mapping[str, Value]]
     """The values of the variables, by the position of the experiment."""
+    labelled: Mapping[int, Mapping[str, Value]]
+    """The same, as a reader sees them: with the labels of controllers and scenarios."""
     values: Mapping[str, Estimates]
     """Value, low, high and n, by the name of the column in the table and the position of the experiment."""
     headers: Mapping[str, str]
@@ -55,6 +57,7 @@ def columns(
             raise UsageError(f"batch {label!r} has other variables, columns or units than {next(iter(found))!r}")
     places = [(label, ordinal) for label, one in found.items() for ordinal in one.rows]
     keys: dict[str, list[Value | None]] = {BATCH: [label for label, _ in places]} if len(found) > 1 else {}
+    shown = keys | {axis: [found[label].labelled[ordinal][axis] for label, ordinal in places] for axis in first.axes}
     keys |= {axis: [found[label].rows[ordinal][axis] for label, ordinal in places] for axis in first.axes}
     numbers = {
         column: [found[label].values[column].get(ordinal, NOTHING) for label, ordinal in places] for column in first.values
@@ -74,7 +77,7 @@ def columns(
     headers = {BATCH: BATCH, **first.headers} if len(found) > 1 else dict(first.headers)
     headers |= {column: column.replace("_", " ") for column in cells if column not in headers}
     sql = "\n\n".join(dict.fromkeys(text for one in found.values() for text in one.sql))
-    return Columns(headers, keys, cells, note), data, sql
+    return Columns(headers, shown, cells, note), data, sql
 
 
 PARTS = ("value", "low", "high", "n")
@@ -109,7 +112,9 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
             values[called], methods[called] = paper_tables.estimates_of(one, statistic, chosen)
     notes = tuple("; ".join(one.notes) for one in found.values())
     rows_shown = {ordinal: values for ordinal, values in cells.items() if ordinal in chosen}
-    return _Estimates(first.axes, rows_shown, values, headers, methods, notes, tuple(one.sql for one in found.values()))
+    return _Estimates(
+        first.axes, rows_shown, first.labelled, values, headers, methods, notes, tuple(one.sql for one in found.values())
+    )
 
 
 def _experiments(declared: TableForPaper, axes: Sequence[str], cells: Mapping[int, Mapping[str, Value]]) -> frozenset[int]:

@@ -84,6 +84,7 @@ def _of_claim(project: LoadedProject, store: Store, name: str) -> Computed:
 
 
 def _of_comparison(compared: Compared, groups: Sequence[str]) -> Computed:
+    groups = [compared.group(word) for word in groups]
     chosen = [pair for pair in compared.pairs if not groups or {pair.first, pair.second} == {*groups}]
     if len(chosen) != 1:
         known = "; ".join(dict.fromkeys(f"{pair.first}, {pair.second}" for pair in compared.pairs)) or "none"

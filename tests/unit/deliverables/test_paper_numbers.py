@@ -120,7 +120,7 @@ def test_each_number_is_a_macro(folder: Path) -> None:
         ('query = "sizes"\nsql = "SELECT NULL"', "it has no value"),
         ('query = "sizes"\nsql = "SELECT 1"\nvalue = "interval"', "it has no interval"),
         ('comparison = "nope"', "no comparison 'nope' is bound to queries"),
-        ('comparison = "sizes"\ngroups = ["a", "b"]', "comparison sizes has no pair"),
+        ('comparison = "sizes"\ngroups = ["a", "b"]', "there is no group 'a'"),
         ('claim = "nope"', "sierra.toml has no [claims.nope]"),
     ],
 )
