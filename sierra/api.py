@@ -1277,7 +1277,7 @@ class Project:
         if within and batch is None and asked.query:
             from sierra.execution.batches_of_queries import BatchesOfQueries
 
-            batch = BatchesOfQueries(self._loaded, self.store).last(asked.query)
+            batch = BatchesOfQueries(self._loaded, self.store).last(*asked.query)
         words = ((batch,) if batch else ()) if within else asked.groups
         return self._compared(words, asked.model_dump() | ({} if within else {"groups": ()}), name)
 

@@ -55,7 +55,7 @@ def paper(
     if check:
         _check(opened, as_json=as_json)
         return
-    plans = list({plan.batch.id: plan for plan in map(opened.resolve, opened.paper_queries())}.values())
+    plans = list({(plan.batch.id, plan.target): plan for plan in map(opened.resolve, opened.paper_queries())}.values())
     if dry_run:
         _preview(opened, plans, as_json=as_json)
         return

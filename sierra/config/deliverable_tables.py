@@ -44,8 +44,18 @@ Part = Annotated[float, Field(gt=0, lt=1)]
 ListOfWords = Annotated[
     tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
 ]
+
+
+def _queries(words: tuple[str, ...]) -> tuple[str, ...]:
+    for word in words:
+        if not word.split() or any(part.startswith("-") for part in word.split()):
+            raise ValueError(f"{word!r} is neither the name of a query nor criteria; options belong to [queries.NAME]")
+    return words
+
+
 Bound = Annotated[
     ListOfWords,
+    AfterValidator(_queries),
     Field(
         description="the query whose last batch is shown, and no other: the name of one in `queries`, or a text as for `sierra "
         "run`; several are shown together, and a name may have a label: `LABEL=NAME`; default: the batch that is chosen"
@@ -270,11 +280,7 @@ class Comparison(Table):
         description="with `by`: the values to compare, the first one first; default: all. Without `by`: two or more batches, "
         "each as the name of a query in `queries` or the prefix of an id, or as `LABEL=` and one of these",
     )
-    query: str = Field(
-        "",
-        description="with `by`: the query whose last batch is compared, as the name of one in `queries` or a text as for "
-        "`sierra run`; default: the batch that is chosen",
-    )
+    query: Bound = ()
     by: ListOfWords = Field(
         (),
         description="the variable whose values are compared within one batch; several: a factorial comparison, with main "
@@ -321,8 +327,8 @@ class Comparison(Table):
     def _fitting(self) -> Comparison:
         if (self.measure == "time_to") != (self.threshold is not None):
             raise ValueError('measure "time_to" and "threshold" must be used together')
-        if self.query and self.groups and not self.by:
-            raise ValueError('"groups" names the batches; "query" needs "by"')
+        if self.query and (len(self.query) > 1 or (self.groups and not self.by)):
+            raise ValueError('"query" is one query, and needs "by"; "groups" without "by" are batches or names of queries')
         if self.over_time and self.measure not in (None, "mean", "time_mean"):
             raise ValueError(f'"over_time" tests the measure "mean" or "time_mean", not {self.measure!r}')
         if self.over_time and self.where:

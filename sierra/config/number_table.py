@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import PurePosixPath
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
@@ -24,11 +25,17 @@ def _format(text: str) -> str:
     return text
 
 
+def _folder(path: str) -> str:
+    if not PurePosixPath(path).parts:
+        raise ValueError("the folder of a paper is one within the project, such as paper/sierra")
+    return str(PurePosixPath(path))
+
+
 class Paper(Table):
     """The folder of a paper, for `sierra paper`."""
 
-    folder: InProject = Field(
-        PAPER, description="folder of the files that `sierra paper` writes; it is not part of the source of runs"
+    folder: Annotated[InProject, AfterValidator(_folder)] = Field(
+        PAPER, description="folder for the files of `sierra paper` alone; it is not part of the source of runs"
     )
     prefix: Letters = Field("sierra", description="beginning of the names of macros: `[numbers.best]` is \\sierrabest")
     siunitx: bool = Field(False, description="write numbers by \\num and \\qty of the LaTeX package siunitx")

@@ -251,7 +251,9 @@ def labelled(
 
 def of_queries(queries: BatchesOfQueries, words: Sequence[str]) -> dict[str, str]:
     """Return the last batches of queries by label. Raises NotFound for a query that was not run, UsageError for equal ones."""
-    named = [(queries.labelled(word)[0], queries.last(word)) for word in words]
+    from sierra.execution.batches_of_queries import labelled as of_word  # loads the grammar of queries
+
+    named = [(of_word(queries.project.config, word)[0], queries.last(word)) for word in words]
     if len({batch for _, batch in named}) < len(named):
         raise UsageError(f"query: two of {', '.join(words)} are the same query; name each once")
     return labelled(queries.project, queries.store, named, "LABEL=NAME")

@@ -9,21 +9,26 @@ from __future__ import annotations
 
 import shlex
 
-from sierra.config.project_file import LoadedProject
+from sierra.config.project_file import LoadedProject, Project
 from sierra.design.query import grammar, query_request
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import NotFound
-from sierra.execution import resolve_query, targets
+from sierra.execution import resolve_query
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass, field
 
 RECORDED = "SELECT batch FROM batches WHERE batch = $b"
 SAME_QUERY = """
-SELECT batch FROM batches LEFT JOIN (SELECT batch, max(lamport) AS last FROM sessions GROUP BY batch) USING (batch)
+SELECT batch FROM batches LEFT JOIN (
+    SELECT batch, max(lamport) FILTER (target IS NOT DISTINCT FROM $target) AS last, true AS requested
+    FROM sessions GROUP BY batch
+) USING (batch)
 WHERE query = $query AND overrides = $overrides::VARCHAR[] AND controller IS NOT DISTINCT FROM $controller
   AND scenario IS NOT DISTINCT FROM $scenario AND runs = experiments * $runs
+  AND (last IS NOT NULL OR (requested IS NULL AND $target IS NULL))
 ORDER BY coalesce(last, lamport), batch
 """
+"""The batches that were requested for this target, the last one last; one without any session has no target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,27 +58,22 @@ class BatchesOfQueries:
             self._same[request] = self._find(request)
         return self._same[request]
 
-    def labelled(self, word: str) -> tuple[str, str]:
-        """Return a label and the text of a query. `LABEL=NAME` has a label; that of `NAME` is the name, and of a text is ""."""
-        label, _, rest = word.rpartition("=")
-        return (label or rest, rest) if rest in self.project.config.queries else ("", word)
-
     def last_of(self, word: str) -> list[str]:
         """Return the last batch of a query, alone, or nothing if it was not run. Raises QueryError for an invalid query."""
-        return self.same(query_request.request(self.labelled(word)[1].split()))[-1:]
+        return self.same(labelled(self.project.config, word)[1])[-1:]
 
     def last(self, word: str) -> str:
         """Return the last batch of a query, which is a text as for `sierra run`, or the name of one. Raises NotFound."""
         if found := self.last_of(word):
             return found[0]
-        _, text = self.labelled(word)
-        raise NotFound(f"the query {text!r} has not been run; run: {command(query_request.request(text.split()))}")
+        _, request = labelled(self.project.config, word)
+        raise NotFound(f"the query {' '.join(request.criteria)!r} has not been run; run: {command(request)}")
 
     def _find(self, request: QueryRequest) -> list[str]:
         project = self.project.for_target(resolve_query.target(self.project, request))
         query = resolve_query.resolve(project, request)
         axes = {criterion.name for criterion in query.criteria}
-        found = self.store.values(
+        return self.store.values(
             str,
             SAME_QUERY,
             query=" ".join(map(grammar.text, query.criteria)),
@@ -81,8 +81,20 @@ class BatchesOfQueries:
             controller=None if "controller" in axes else query.controller or project.config.controller,
             scenario=None if "scenario" in axes else query.scenario or project.config.scenario,
             runs=query.runs,
+            target=project.config.target,
         )
-        return [batch for batch in found if targets.recorded(self.store, batch) == project.config.target]
+
+
+def labelled(config: Project, word: str) -> tuple[str, QueryRequest]:
+    """Return the label and the request of a word that names a query: `NAME`, `LABEL=NAME`, or criteria as for `sierra run`.
+
+    The label of `NAME` is the name, and that of criteria is "". `VARIABLE=VALUE` is a criterion, whatever queries there are.
+    """
+    label, equals, name = word.partition("=")
+    is_criterion = label in {*config.variables, "controller", "scenario"}
+    if equals and name in config.queries and not is_criterion:
+        return label, query_request.request([name])
+    return word if word in config.queries else "", query_request.request(word.split())
 
 
 def described(project: LoadedProject, request: QueryRequest) -> tuple[str, int]:

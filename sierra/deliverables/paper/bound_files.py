@@ -26,10 +26,9 @@ from sierra.deliverables.figures.drawing import Drawing, check, rendered
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.paper import numbers
 from sierra.deliverables.record import Content, origin_of
-from sierra.design.query import query_request
 from sierra.design.query.query_request import QueryRequest
-from sierra.errors import DamagedFile, NotFound, SierraError
-from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
+from sierra.execution.batches_of_queries import BatchesOfQueries, labelled
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.fs import fitting
@@ -53,35 +52,42 @@ class PaperItem:
     content: Content
     data: str
     """The hash of the values that it shows."""
+    paths: tuple[str, ...]
+    """Its files, relative to the folder of the paper."""
     files: Callable[[], Mapping[str, bytes]]
-    """Makes its files; their paths are relative to the folder of the paper."""
+    """Makes its files, by their paths."""
 
 
 def queries(config: Project) -> list[str]:
     """Return the queries that deliverables are bound to, as they are declared; each once."""
     words = [word for figure in config.figures.values() for word in figure.query]
     words += [word for table in config.paper_tables.values() for word in table.query]
-    words += [word for one in config.comparisons.values() for word in _words(one, config)]
+    words += [word for name, declared in config.comparisons.items() for word in _words(name, declared, config)]
     words += [word for number in config.numbers.values() for word in number.query]
     return list(dict.fromkeys(words))
 
 
 def requests(config: Project) -> list[QueryRequest]:
     """Return the requests of all queries of a paper, also of the claims whose numbers it has; each once."""
-    named = [word.rpartition("=")[2] if word.rpartition("=")[2] in config.queries else word for word in queries(config)]
-    found = [query_request.request(text.split()) for text in named]
+    found = [labelled(config, word)[1] for word in queries(config)]
     for number in config.numbers.values():
         if claim := config.claims.get(number.claim):
             found += rests_on.requests(claim, config)
     return list(dict.fromkeys(found))
 
 
-def _words(declared: Comparison, config: Project) -> tuple[str, ...]:
-    """Return the queries of a comparison: its `query`, or its groups, if all of them are names of queries."""
-    if declared.query:
-        return (declared.query,)
-    named = not declared.by and declared.groups
-    return declared.groups if named and all(w.rpartition("=")[2] in config.queries for w in declared.groups) else ()
+def _words(name: str, declared: Comparison, config: Project) -> tuple[str, ...]:
+    """Return the queries of a comparison: its `query`, or its groups, if they are names of queries.
+
+    Raises UsageError for groups of which only some are.
+    """
+    if declared.query or declared.by or not declared.groups:
+        return declared.query
+    others = [word for word in declared.groups if word.rpartition("=")[2] not in config.queries]
+    if others and len(others) < len(declared.groups):
+        known = like(others[0].rpartition("=")[2], list(config.queries), "there are")
+        raise UsageError(f"[comparisons.{name}] groups: {others[0]!r} is not the name of a query, but others are; {known}")
+    return () if others else declared.groups
 
 
 def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
@@ -101,14 +107,15 @@ def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
                 with named("table", name):
                     made = declared_tables.make(project, store, name, table, comparison.of_queries(found, table.query))
                     content = made.content()
-                    yield PaperItem(name, content, content.data, partial(_table, made))
+                    paths = f"{TABLES}/{fitting(name)}.tex", f"{SQL}/{fitting(name)}.sql"
+                    yield PaperItem(name, content, content.data, paths, partial(_table, made))
         for name, declared in config.comparisons.items():
-            if words := _words(declared, config):
+            if words := _words(name, declared, config):
                 with named("comparison", name):
                     asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
                     compared[name] = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
-                    content = comparison_figure.content_of(compared[name])
-                    yield PaperItem(name, content, content.data, partial(_comparison, compared[name]))
+                    content, made_files = comparison_figure.content_of(compared[name]), partial(_comparison, compared[name])
+                    yield PaperItem(name, content, content.data, _paths_of(compared[name]), made_files)
     if config.numbers:
         yield _numbers(project, store, compared)
 
@@ -156,7 +163,8 @@ def _figure(name: str, figure: Figure, batches: Mapping[str, str], galleries: _G
         drawing = overlay.merged(drawings, overlay.BATCH)
     drawing = replace(drawing, formats=figure.formats or ("pdf",))
     check(drawing)
-    return PaperItem(name, drawing.content(), drawing.shown, partial(_drawn, name, drawing))
+    paths = tuple(_path(name, ending) for ending in _with_caption(drawing.formats))
+    return PaperItem(name, drawing.content(), drawing.shown, paths, partial(_drawn, name, drawing))
 
 
 def _drawn(name: str, drawing: Drawing) -> dict[str, bytes]:
@@ -168,9 +176,14 @@ def _with_caption(formats: Sequence[Format]) -> tuple[Format, ...]:
     return tuple(dict.fromkeys((*formats, TEX)))
 
 
+def _path(name: str, ending: Format) -> str:
+    """Return the path of a figure in a format, or of its caption."""
+    return f"{CAPTIONS if ending in ('tex', 'txt') else FIGURES}/{fitting(name)}.{ending}"
+
+
 def _placed(name: str, files: Iterable[tuple[Format, bytes]]) -> dict[str, bytes]:
     """Return the files of a figure by their paths."""
-    return {f"{CAPTIONS if ending in ('tex', 'txt') else FIGURES}/{fitting(name)}.{ending}": data for ending, data in files}
+    return {_path(name, ending): data for ending, data in files}
 
 
 def _table(made: declared_tables.Made) -> dict[str, bytes]:
@@ -211,7 +224,8 @@ def _numbers(project: LoadedProject, store: Store, compared: Mapping[str, Compar
     data = digest("numbers", {name: text for name, (text, _) in every.items()})
     sql = "\n\n".join(f"-- {name}\n{number.sql}" for name, number in config.numbers.items() if number.sql)
     content = Content(NUMBERS, NUMBERS, tuple(batches), definition, sql, data, (f"sierra-experiments=={__version__}",))
-    return PaperItem(NUMBERS, content, data, partial(_macros, content, every, config.paper.prefix))
+    paths = (f"{NUMBERS}.tex", *([f"{SQL}/{NUMBERS}.sql"] if sql else []))
+    return PaperItem(NUMBERS, content, data, paths, partial(_macros, content, every, config.paper.prefix))
 
 
 def _macros(content: Content, shown: Mapping[str, tuple[str, str]], prefix: str) -> dict[str, bytes]:
@@ -220,6 +234,13 @@ def _macros(content: Content, shown: Mapping[str, tuple[str, str]], prefix: str)
     lines = [rf"\newcommand{{\{prefix}{name}}}{{{text}}}{f' % {why}' if why else ''}" for name, (text, why) in shown.items()]
     files = {f"{NUMBERS}.tex": "\n".join([f"% {origin}", "", *lines, ""]).encode()}
     return files | ({f"{SQL}/{NUMBERS}.sql": f"-- {origin}\n{content.sql}\n".encode()} if content.sql else {})
+
+
+def _paths_of(compared: Compared) -> tuple[str, ...]:
+    """Return the files of a comparison."""
+    formats: tuple[Format, ...] = ("pdf", TEX) if compared.pairs or compared.effects else ()
+    name = fitting(compared.name)
+    return (*(_path(compared.name, ending) for ending in formats), f"{TABLES}/{name}.tex", f"{TEXTS}/{name}.tex")
 
 
 def _comparison(compared: Compared) -> dict[str, bytes]:

@@ -1,8 +1,9 @@
 """The folder of a paper: its files are written if their content changes, and checked by `provenance.json`.
 
 `provenance.json` has for each file its SHA-256, the deliverable, its batches and the hash of its data, and for each query its
-batch with the commit of its code. It names no host and no time, so the same runs give the same bytes. A file that is not as
-`provenance.json` says was edited by somebody: it is neither replaced nor removed.
+batch with the tree of its code. It names no host and no time, so the same runs give the same bytes. A file that is not as
+`provenance.json` says was edited by somebody: it is neither replaced nor removed. Before any file is written, `unfinished` gets
+the hashes of those that will be, so that files of a killed process are known.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.config.validate import options
-from sierra.errors import Damaged, Missing
+from sierra.errors import Damaged, Missing, UsageError
 from sierra.store.layout import PROVENANCE
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside, write_whole
@@ -41,7 +42,7 @@ class PaperQuery(Table):
     """One query of a paper."""
 
     batch: str = Field(description="id of its batch")
-    commit: str | None = Field(None, description="the commit of the code with which the batch was requested first")
+    source: str | None = Field(None, description="the tree of the code, as an SWHID; null if the runs have no source")
 
 
 class Provenance(Table):
@@ -50,6 +51,7 @@ class Provenance(Table):
     version: int = Field(VERSION, description="version of this file's format")
     queries: Mapping[str, PaperQuery] = Field(default_factory=dict, description="queries as they are declared")
     files: Mapping[str, PaperFile] = Field(default_factory=dict, description="files by path")
+    unfinished: Mapping[str, str] = Field(default_factory=dict, description="SHA-256 of files that are being written")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +77,28 @@ def read(folder: Path) -> Provenance | None:
         found = options(Provenance, content, str(file)) if isinstance(content, dict) else None
     except (ValueError, RecursionError) as error:
         raise Damaged(f"{file}: not JSON: {error}") from error
-    if found is None or found.version != VERSION:
-        raise Damaged(f"{file} is not of format {VERSION}; remove the folder, and make it again with: sierra paper")
+    if found is None or not isinstance(content, dict) or content.get("version") != VERSION:
+        raise Damaged(f"{file} is not of format {VERSION}: another version of SIERRA wrote it, or it is no file of SIERRA's")
     return found
+
+
+def check(folder: Path, root: Path, shown: str) -> None:
+    """Check that a folder in the project `root` can be that of a paper: it has no files but those of `provenance.json`.
+
+    Raises UsageError, and Damaged for a `provenance.json` that SIERRA does not write. `shown` is the folder in messages.
+    """
+    if folder.resolve() != root.resolve() / shown:
+        raise UsageError(f"[paper] folder: {shown} is a symbolic link, or behind one; name a folder of the project")
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"[paper] folder: {shown} is a file; name a folder")
+    provenance = read(folder) or Provenance()
+    known = {PROVENANCE, *provenance.files, *provenance.unfinished}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_symlink() or (not path.is_dir() and name not in known and not path.name.startswith(".")):
+            raise UsageError(
+                f"{shown}/{name} is not a file of `sierra paper`, whose folder has no others: move it, or name another folder"
+            )
 
 
 def write(folder: Path, provenance: Provenance, contents: Mapping[str, bytes]) -> Written:
@@ -87,33 +108,42 @@ def write(folder: Path, provenance: Provenance, contents: Mapping[str, bytes]) -
     written.
     """
     before = read(folder) or Provenance()
-    edited = {name for name in contents if _is_edited(folder, name, before, contents[name])}
-    changed, removed = [], []
+    found = {name: _sha256(inside(folder, name)) for name in {*before.files, *before.unfinished, *contents}}
+    own = {name: {before.unfinished.get(name)} for name in found}
+    for name, file in before.files.items():
+        own[name].add(file.sha256)
+    wanted = {name: sha256(content) for name, content in contents.items()}
+    edited = {name for name, digest in found.items() if digest not in (None, wanted.get(name), *own[name])}
+    changing = [name for name in contents if name not in edited and found[name] != wanted[name]]
+    gone = [name for name in found if name not in provenance.files and name not in edited and found[name] is not None]
     with disk_errors(folder):
-        for name, content in contents.items():
+        if changing or gone:
+            begun = before.model_copy(update={"unfinished": {**before.unfinished, **{name: wanted[name] for name in changing}}})
+            _write_provenance(folder, begun)
+        changed = []
+        for name in changing:
             path = inside(folder, name)
-            if name in edited or _sha256(path) == sha256(content):
-                continue
             path.parent.mkdir(parents=True, exist_ok=True)
-            changed.append(write_whole(path, content))
-        for name, file in before.files.items():
-            path = inside(folder, name)
-            if name not in provenance.files and _sha256(path) == file.sha256:
-                path.unlink()
-                removed.append(path)
-        text = json.dumps(provenance.model_dump(mode="json"), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-        if _sha256(folder / PROVENANCE) != sha256(text.encode()):
-            folder.mkdir(parents=True, exist_ok=True)
-            changed.append(write_whole(folder / PROVENANCE, text.encode()))
-    unchanged = len(provenance.files) - len(edited) - sum(path.name != PROVENANCE for path in changed)
-    return Written(tuple(changed), unchanged, tuple(removed), tuple(folder / name for name in sorted(edited)))
+            changed.append(write_whole(path, contents[name]))
+        for name in gone:
+            inside(folder, name).unlink()
+        if _write_provenance(folder, provenance) and provenance != before:
+            changed.append(folder / PROVENANCE)
+    unchanged = len(provenance.files.keys() - {*changing} - edited)
+    return Written(
+        tuple(changed), unchanged, tuple(folder / name for name in gone), tuple(folder / name for name in sorted(edited))
+    )
 
 
-def _is_edited(folder: Path, name: str, before: Provenance, content: bytes) -> bool:
-    """Check if there is a file of this name that SIERRA did not write."""
-    found = _sha256(inside(folder, name))
-    known = before.files[name].sha256 if name in before.files else None
-    return found is not None and found not in (known, sha256(content))
+def _write_provenance(folder: Path, provenance: Provenance) -> bool:
+    """Write `provenance.json`, unless it is so already; return whether it was written."""
+    content = provenance.model_dump(mode="json", exclude=set() if provenance.unfinished else {"unfinished"})
+    text = json.dumps(content, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    if _sha256(folder / PROVENANCE) == sha256(text.encode()):
+        return False
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / PROVENANCE, text.encode())
+    return True
 
 
 def faults(folder: Path, provenance: Provenance) -> Iterator[tuple[str, str]]:

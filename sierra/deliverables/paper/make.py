@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
@@ -18,17 +18,28 @@ from sierra.store.layout import PROVENANCE
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
 
-COMMIT = """
-SELECT s.commit FROM sessions e JOIN sources s USING (source) WHERE e.batch = $b AND s.commit IS NOT NULL
-ORDER BY e.lamport LIMIT 1
-"""
+SOURCE = "SELECT s.source FROM batches b JOIN specs s ON s.spec = b.spec WHERE b.batch = $b AND s.source IS NOT NULL"
 
 
 def requests(project: LoadedProject) -> list[QueryRequest]:
-    """Return the requests of all queries of the paper; each once. Raises NotFound if there are none."""
+    """Return the requests of all queries of the paper; each once.
+
+    Raises NotFound if there are none, and UsageError if the folder of the paper has other files.
+    """
+    folder.check(path(project), project.root, project.config.paper.folder)
+    _check_names(project)
     if found := bound_files.requests(project.config):
         return found
     raise NotFound("nothing is bound to a query: give figures, tables or comparisons of sierra.toml the key `query`")
+
+
+def _check_names(project: LoadedProject) -> None:
+    """Raise UsageError for a table and a comparison whose files have one name."""
+    config = project.config
+    comparisons = {name.lower(): name for name in config.comparisons}
+    for name, table in config.paper_tables.items():
+        if table.query and (other := comparisons.get(name.lower())):
+            raise UsageError(f"[paper_tables.{name}] and [comparisons.{other}] would have files of the same name; rename one")
 
 
 def path(project: LoadedProject) -> Path:
@@ -41,6 +52,7 @@ def make(project: LoadedProject, store: Store) -> Written:
 
     The files of a deliverable stay as they are if they show the same data in the same way, also if the batch is another one.
     """
+    folder.check(path(project), project.root, project.config.paper.folder)
     before = folder.read(path(project)) or Provenance()
     contents: dict[str, bytes] = {}
     files: dict[str, PaperFile] = {}
@@ -50,9 +62,8 @@ def make(project: LoadedProject, store: Store) -> Written:
         own = item.files() if kept is None else dict.fromkeys(kept, b"")
         if twice := sorted(own.keys() & files.keys()):
             raise UsageError(f"two deliverables of the paper have the file {twice[0]}; rename one of them: {item.name!r}")
-        if kept is None:
-            contents |= own
-            made.append((item, [*own]))
+        contents |= own if kept is None else {}
+        made.append((item, [*own]))
         files |= kept or {name: _described(item, data) for name, data in own.items()}
     written = folder.write(path(project), Provenance(queries=_batches(project, store), files=files), contents)
     _record(project, store, made, {*written.edited})
@@ -63,7 +74,8 @@ def _kept(item: PaperItem, before: Provenance, place: Path) -> dict[str, PaperFi
     """Return the files of a deliverable if they exist and show the same data in the same way; else None."""
     known = {name: file for name, file in before.files.items() if (file.kind, file.name) == (item.content.kind, item.name)}
     same = all((file.data, file.definition) == (item.data, _definition(item)) for file in known.values())
-    return known if known and same and not any(folder.faults(place, Provenance(files=known))) else None
+    whole = same and known.keys() == {*item.paths}
+    return known if whole and not any(folder.faults(place, Provenance(files=known))) else None
 
 
 def _described(item: PaperItem, data: bytes) -> PaperFile:
@@ -79,15 +91,19 @@ def _described(item: PaperItem, data: bytes) -> PaperFile:
 
 
 def _definition(item: PaperItem) -> str:
-    """Return the hash of how a deliverable is made."""
-    return sha256(json.dumps(item.content.definition, sort_keys=True, ensure_ascii=False).encode())
+    """Return the hash of how a deliverable is made; the names of its queries do not count."""
+    parts = {
+        key: {name: one for name, one in part.items() if name != "query"} if isinstance(part, Mapping) else part
+        for key, part in item.content.definition.items()
+    }
+    return sha256(json.dumps(parts, sort_keys=True, ensure_ascii=False).encode())
 
 
 def _batches(project: LoadedProject, store: Store) -> dict[str, PaperQuery]:
     found = BatchesOfQueries(project, store)
     batches = {word: found.last(word) for word in bound_files.queries(project.config)}
-    commits = {batch: next(iter(store.values(str, COMMIT, b=batch)), None) for batch in batches.values()}
-    return {word: PaperQuery(batch=batch, commit=commits[batch]) for word, batch in batches.items()}
+    sources = {batch: next(iter(store.values(str, SOURCE, b=batch)), None) for batch in batches.values()}
+    return {word: PaperQuery(batch=batch, source=sources[batch]) for word, batch in batches.items()}
 
 
 def _record(project: LoadedProject, store: Store, made: list[tuple[PaperItem, list[str]]], edited: set[Path]) -> None:
@@ -96,10 +112,10 @@ def _record(project: LoadedProject, store: Store, made: list[tuple[PaperItem, li
     recorders: dict[str, Recorder] = {}
     for item, names in made:
         batch = item.content.batches[0]
-        recorder = recorders.setdefault(batch, Recorder(store, project.root, batch))
-        own = tuple(root / name for name in names if root / name not in edited)
-        if own:
-            recorder.add(item.content, own)
+        if batch not in recorders:
+            recorders[batch] = Recorder(store, project.root, batch)
+        if own := tuple(root / name for name in names if root / name not in edited):
+            recorders[batch].add(item.content, own)
     for recorder in recorders.values():
         recorder.close()
 
@@ -115,6 +131,8 @@ def faults(project: LoadedProject, store: Store | None) -> Iterator[str]:
     if provenance is None:
         raise NotFound(f"{shown / PROVENANCE} does not exist; make it with: sierra paper")
     yield from (f"{shown / name} {fault}" for name, fault in folder.faults(place, provenance))
+    if provenance.unfinished:
+        yield f"{shown / PROVENANCE}: the paper was not finished; make it again with: sierra paper"
     if store is not None:
         yield from dict.fromkeys(_old_queries(project, store))
         yield from _differences(project, store, shown, provenance)
@@ -143,15 +161,17 @@ def _old_queries(project: LoadedProject, store: Store) -> Iterator[str]:
 def _differences(project: LoadedProject, store: Store, place: Path, provenance: Provenance) -> Iterator[str]:
     """Yield a line for each file of a deliverable that shows other data now, and for those that are no longer made."""
     known: dict[str, tuple[str, str]] = {}
+    paths: list[str] = []
     try:
         for item in bound_files.items(project, store):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
+            paths += item.paths
+        batches = _batches(project, store)
     except DamagedFile:
         raise
     except SierraError as error:
         yield f"{error}"
         return
-    recorded = {f"{file.kind} {file.name}" for file in provenance.files.values()}
     for name, file in provenance.files.items():
         data, definition = known.get(f"{file.kind} {file.name}", (None, None))
         if data is None:
@@ -160,4 +180,7 @@ def _differences(project: LoadedProject, store: Store, place: Path, provenance: 
             yield f"{place / name} shows other data than the store has now"
         elif definition != file.definition:
             yield f"{place / name} is made otherwise now: sierra.toml or SIERRA has changed"
-    yield from (f"{item} was not made for the paper yet" for item in known if item not in recorded)
+    yield from (f"{place / name} was not made yet" for name in paths if name not in provenance.files)
+    for word in sorted({*batches, *provenance.queries}):
+        if batches.get(word) != provenance.queries.get(word):
+            yield f"{place / PROVENANCE} has another batch of query {word!r} than the store; make the paper again"

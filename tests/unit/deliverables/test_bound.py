@@ -144,7 +144,7 @@ def test_keys_that_exclude_each_other_are_refused(tmp_path: Path) -> None:
     made = projects.make(tmp_path / "p", projects.CONFIG + '[comparisons.c]\nquery = "a"\ngroups = ["a", "b"]\n')
     refused = projects.quick(made, "compare", "c")
     assert refused.returncode == 2
-    assert '"groups" names the batches; "query" needs "by"' in refused.stderr
+    assert '"query" is one query, and needs "by"' in refused.stderr
 
 
 @pytest.mark.integration

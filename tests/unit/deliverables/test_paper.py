@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
 import sierra
-from sierra.errors import Damaged, NotFound
+from sierra.config import project_file
+from sierra.deliverables.paper import folder as folder_of_paper
+from sierra.design.query.query_request import request
+from sierra.errors import ConfigError, Damaged, NotFound
+from sierra.execution.batches_of_queries import labelled
 from tests import projects
 
 CONFIG = (
@@ -108,8 +112,7 @@ def test_the_folder_has_the_files_of_all_bound_deliverables(paper: Path) -> None
     described = json.loads(found["provenance.json"])
     assert set(described["files"]) == FILES - {"provenance.json"}
     assert set(described["queries"]) == {"small", "population_size=1,2", "a=small", "b=more", "noisy", "more"}
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=paper, check=True, capture_output=True, text=True).stdout.strip()
-    assert {query["commit"] for query in described["queries"].values()} == {commit}
+    assert all(query["source"].startswith("swh:1:dir:") for query in described["queries"].values())
     assert checked(paper) == (0, ["all files follow from the store"])
 
 
@@ -150,7 +153,6 @@ def test_files_that_somebody_edited_are_named_and_left_alone(paper: Path) -> Non
     edited = paper / "paper" / "sierra" / "texts" / "sizes.tex"
     edited.write_text("my own words\n")
     (paper / "paper" / "sierra" / "figures" / "boxes.pdf").unlink()
-    (paper / "paper" / "sierra" / "notes.txt").write_text("mine\n")
     code, lines = checked(paper)
     assert code == 1
     assert lines == [
@@ -162,7 +164,6 @@ def test_files_that_somebody_edited_are_named_and_left_alone(paper: Path) -> Non
     assert "paper/sierra/texts/sizes.tex was edited, and is left as it is; remove it to have it made again" in done.stderr
     assert "1 file written" in done.stdout
     assert edited.read_text() == "my own words\n"
-    assert (paper / "paper" / "sierra" / "notes.txt").read_text() == "mine\n"
     edited.unlink()
     assert projects.quick(paper, "paper").returncode == 0
     assert checked(paper)[0] == 0
@@ -182,7 +183,9 @@ def test_what_sierra_toml_changes_is_named_and_made_again(paper: Path) -> None:
         "paper/sierra/figures/boxes.pdf is made otherwise now: sierra.toml or SIERRA has changed",
         "paper/sierra/figures/lines.pgf: sierra.toml no longer binds this figure to a query",
         "paper/sierra/figures/lines.png: sierra.toml no longer binds this figure to a query",
-        "figure curves was not made for the paper yet",
+        "paper/sierra/figures/curves.png was not made yet",
+        "paper/sierra/figures/curves.pgf was not made yet",
+        "paper/sierra/captions/curves.tex was not made yet",
     ]
     done = projects.quick(paper, "paper")
     assert "paper/sierra/figures/lines.png (removed)" in done.stdout
@@ -248,3 +251,114 @@ def test_without_anything_bound_or_made_the_command_says_so(tmp_path: Path) -> N
         sierra.open(folder).check_paper()
     refused = projects.quick(folder, "paper", "--check", "-n")
     assert refused.returncode == 2
+
+
+def test_a_criterion_whose_value_is_the_name_of_a_query_stays_one(tmp_path: Path) -> None:
+    text = CONFIG.replace('query = "noisy"', 'query = "population_size=1,2 noise=small"')
+    config = project_file.load(projects.make(tmp_path / "p", text)).config
+    assert labelled(config, "a=small") == ("a", request(["small"]))
+    assert labelled(config, "small") == ("small", request(["small"]))
+    assert labelled(config, "noise=small") == ("", request(["noise=small"]))
+    assert labelled(config, "population_size=1,2 noise=small") == ("", request(["population_size=1,2", "noise=small"]))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[figures.x]\nquery = ""\n', "is neither the name of a query nor criteria"),
+        ('[figures.x]\nquery = "population_size=1 --runs 3"\n', "options belong to [queries.NAME]"),
+        ('[paper]\nfolder = "."\n', "the folder of a paper is one within the project"),
+        ('[paper]\nfolder = "../x"\n', "a path within the project"),
+        ('[paper]\nprefix = "s1"\n', "prefix"),
+    ],
+)
+def test_keys_that_cannot_be_right_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        project_file.load(projects.make(tmp_path / "p", CONFIG + text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (CONFIG.replace('["small", "more"]', '["small", "mor"]'), "'mor' is not the name of a query, but others are"),
+        (CONFIG + '[paper_tables.sizes]\nquery = "small"\ncolumn = "coverage"\n', "would have files of the same name"),
+        (CONFIG + '[paper]\nfolder = "src"\n', "src/helper.py is not a file of `sierra paper`"),
+        (CONFIG + '[paper]\nfolder = "sim.py"\n', "is a file"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_before_anything_is_executed(tmp_path: Path, text: str, message: str) -> None:
+    folder = projects.make(tmp_path / "p", text)
+    (folder / "src").mkdir()
+    (folder / "src" / "helper.py").write_text("")
+    done = projects.quick(folder, "paper")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not (folder / ".sierra").exists()
+
+
+@pytest.mark.integration
+def test_a_killed_process_leaves_files_that_are_known(paper: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = paper / "sierra.toml"
+    config.write_text(config.read_text().replace('kind = "box"', 'kind = "strip"').replace('"png", "pgf"', '"png", "svg"'))
+    project, written, real = sierra.open(paper), [], folder_of_paper.write_whole
+
+    def killed(path: Path, content: bytes) -> Path:
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        written.append(path)
+        return real(path, content)
+
+    monkeypatch.setattr(folder_of_paper, "write_whole", killed)
+    with pytest.raises(KeyboardInterrupt):
+        project.paper()
+    monkeypatch.undo()
+    code, lines = checked(paper)
+    assert code == 1
+    assert "paper/sierra/provenance.json: the paper was not finished; make it again with: sierra paper" in lines
+    config.write_text(config.read_text().replace('kind = "strip"', 'kind = "violin"'))
+    done = projects.quick(paper, "paper")
+    assert done.returncode == 0, done.stderr
+    assert "0 executed" in done.stdout, "the folder is not part of the source"
+    assert checked(paper) == (0, ["all files follow from the store"])
+
+
+@pytest.mark.integration
+def test_files_that_are_lost_or_forgotten_are_named_and_made_again(paper: Path) -> None:
+    described = paper / "paper" / "sierra" / "provenance.json"
+    content = json.loads(described.read_text())
+    del content["files"]["tables/noise.tex"]
+    described.write_text(json.dumps(content))
+    (paper / "paper" / "sierra" / "tables" / "noise.tex").unlink()
+    assert checked(paper) == (1, ["paper/sierra/tables/noise.tex was not made yet"])
+    assert projects.quick(paper, "paper").returncode == 0
+    assert checked(paper)[0] == 0
+    edited = paper / "paper" / "sierra" / "captions" / "boxes.tex"
+    edited.write_text("my own words\n")
+    config = paper / "sierra.toml"
+    config.write_text(re.sub(r"(?s)\[figures.boxes\].*?(?=\[figures.together\])", "", config.read_text()))
+    for _ in range(2):
+        done = projects.quick(paper, "paper")
+        assert done.returncode in (1, 2)
+        assert "captions/boxes.tex" in done.stderr, "it is named as long as it is there"
+    assert edited.read_text() == "my own words\n"
+
+
+@pytest.mark.integration
+def test_a_clone_with_a_committed_folder_knows_its_files(built: Path, tmp_path: Path) -> None:
+    clone = projects.make(tmp_path / "clone", CONFIG)
+    shutil.copytree(built / "paper", clone / "paper")
+    projects.commit(clone)
+    done = projects.quick(clone, "paper")
+    assert done.returncode == 0, done.stderr
+    assert f"0 files written, {len(FILES) - 1} unchanged" in done.stdout
+    assert "follows from the store" in projects.quick(clone, "show", "paper/sierra/tables/noise.tex").stdout
+
+
+@pytest.mark.integration
+def test_one_batch_can_belong_to_queries_of_two_targets(tmp_path: Path) -> None:
+    targets = '[targets.alt]\n[queries.alt]\ncriteria = "population_size=1,2"\nruns = 2\ntarget = "alt"\n'
+    bound = '[figures.of_alt]\nquery = "alt"\nkind = "summary"\ncolumn = "coverage"\n'
+    folder = projects.make(tmp_path / "p", CONFIG + targets + bound)
+    done = projects.quick(folder, "paper")
+    assert done.returncode == 0, done.stderr
+    assert checked(folder)[0] == 0
