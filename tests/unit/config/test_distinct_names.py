@@ -31,6 +31,7 @@ NAMED = {
     "models": '{ expression = "1", column = "c" }',
     "comparisons": '{ column = "c" }',
     "claims": '{ says = "s", paper = "p", query = "q", sql = "SELECT true AS holds" }',
+    "numbers": '{ query = "a=1", sql = "SELECT 1" }',
     "targets": "{ runner = 'local' }",
     "runners": '{ scheduler = "slurm" }',
 }
