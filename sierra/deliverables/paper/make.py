@@ -48,11 +48,12 @@ def path(project: LoadedProject) -> Path:
 
 
 def make(project: LoadedProject, store: Store) -> Written:
-    """Make the files of the paper from the last batches of its queries, and record them. Raises the errors of `items`.
+    """Make the files of the paper from the last batches of its queries, and record them.
 
     The files of a deliverable stay as they are if they show the same data in the same way, also if the batch is another one.
+    Raises the errors of `requests` and `items`.
     """
-    folder.check(path(project), project.root, project.config.paper.folder)
+    requests(project)  # checks the folder, and that there is anything to make
     before = folder.read(path(project)) or Provenance()
     contents: dict[str, bytes] = {}
     files: dict[str, PaperFile] = {}
