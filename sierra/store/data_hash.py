@@ -133,12 +133,13 @@ def _ranked(values: pa.Array) -> tuple[Sequence[bytes], Keys]:
     import numpy as np
     import pyarrow as pa
 
-    places: Keys = np.arange(len(values))
     if _is_text(values.type):
         coded = values.cast(pa.large_string()).dictionary_encode()
-        values = pa.concat_arrays([pa.array([""], pa.large_string()), coded.dictionary])
-        places = filled(coded.indices.cast(pa.int64()), -1) + 1
-    texts = [("" if one is None else _text(one)).encode("utf-8", "surrogateescape") for one in values.to_pylist()]
+        words, places = ["", *coded.dictionary.to_pylist()], filled(coded.indices.cast(pa.int64()), -1) + 1
+    else:
+        words = ["" if value is None else _text(value) for value in values.to_pylist()]
+        places = np.arange(len(words))
+    texts = [word.encode("utf-8", "surrogateescape") for word in words]
     known = sorted(set(texts))
     ranks = {text: rank for rank, text in enumerate(known)}
     return known, np.array([ranks[text] for text in texts], dtype=np.int64)[places]
