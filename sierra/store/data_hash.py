@@ -133,12 +133,11 @@ def _ranked(values: pa.Array) -> tuple[Sequence[bytes], Keys]:
     import numpy as np
     import pyarrow as pa
 
+    places: Keys = np.arange(len(values)) + 1
     if _is_text(values.type):
         coded = values.cast(pa.large_string()).dictionary_encode()
-        words, places = ["", *coded.dictionary.to_pylist()], filled(coded.indices.cast(pa.int64()), -1) + 1
-    else:
-        words = ["" if value is None else _text(value) for value in values.to_pylist()]
-        places = np.arange(len(words))
+        values, places = coded.dictionary, filled(coded.indices.cast(pa.int64()), -1) + 1
+    words = ("" if value is None else _text(value) for value in ("", *values.to_pylist()))
     texts = [word.encode("utf-8", "surrogateescape") for word in words]
     known = sorted(set(texts))
     ranks = {text: rank for rank, text in enumerate(known)}
