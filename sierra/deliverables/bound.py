@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
+from sierra.config.project_file import Project
 from sierra.errors import DamagedFile, SierraError
 from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.store.samples import Frame
+from sierra.store.store import Store
 
 
 class Bindable(Protocol):
@@ -26,12 +29,27 @@ def of_batch(declared: Mapping[str, B], queries: BatchesOfQueries, batch: str) -
     Also return notes on queries that are invalid.
     """
     found, notes = {}, []
-    for name, one in declared.items():
+    for name, declaration in declared.items():
+        words = declaration.query
         try:
-            if not one.query or (len(one.query) == 1 and batch in queries.last_of(one.query[0])):
-                found[name] = one
+            if not words or (len(words) == 1 and batch in queries.last_of(words[0])):
+                found[name] = declaration
         except DamagedFile:
             raise
         except SierraError as error:
             notes.append(f"{name}: query: {error}")
     return found, notes
+
+
+def unbound(declared: Mapping[str, B]) -> dict[str, B]:
+    """Return the declarations without a query."""
+    return {name: declaration for name, declaration in declared.items() if not declaration.query}
+
+
+def is_of_others(variables: Iterable[str], table: str, config: Project, store: Store, frame: Frame) -> bool:
+    """Check if a declaration without a query is about a variable or an output that only other batches have."""
+    groups = {"controller": config.controllers, "scenario": config.scenarios}
+    known = {*config.variables, *(name for name, declared in groups.items() if declared)}
+    if known.intersection(variables) - {axis.name for axis in frame.axes()}:
+        return True
+    return bool(table) and table not in frame.names and table in store.outputs()

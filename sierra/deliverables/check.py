@@ -130,9 +130,11 @@ def _kinds(between: Between | None, gallery: Callable[[], Gallery] | None = None
 
 def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     from sierra.deliverables.paper import bound_files
+    from sierra.execution.batches_of_queries import BatchesOfQueries
 
     del row
-    return next(item.content for item in bound_files.items(project, store) if item.content.kind == bound_files.NUMBERS)
+    items = bound_files.items(BatchesOfQueries(project, store))
+    return next(item.content for item in items if item.content.kind == bound_files.NUMBERS)
 
 
 def _comparison(declared: Comparison) -> dict[str, JsonView]:

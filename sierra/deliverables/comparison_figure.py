@@ -51,19 +51,13 @@ def rendered(compared: Compared, formats: tuple[Format, ...]) -> list[tuple[Form
     with style.applied():
         figure = forest(compared)
         style.settle(figure, drawn)
-        return drawing.files_of(figure, drawn)
+        return drawing.files_of(figure, drawn, drawn.data)
 
 
 def svg(compared: Compared) -> bytes:
     """Return the figure of a comparison as an SVG file. Raises UsageError if there is nothing to draw."""
-    from sierra.deliverables.figures import drawing, style
-    from sierra.deliverables.figures.forest import forest
-
-    drawn = replace(_drawing(compared), formats=("svg",))
-    with style.applied():
-        figure = forest(compared)
-        style.settle(figure, drawn)
-        return drawing.svg(figure, drawn)
+    [(_, data)] = rendered(compared, ("svg",))
+    return data
 
 
 def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:

@@ -182,24 +182,14 @@ class Gallery:
         """Return the declared figures that show this batch, and notes on those whose query is invalid."""
         declared = self._config.figures
         if together:
-            return {name: figure for name, figure in declared.items() if not figure.query}, []
+            return bound.unbound(declared), []
         found, invalid = bound.of_batch(declared, self._queries, self.frame.batch)
-        return {name: figure for name, figure in found.items() if not self._is_of_others(figure)}, [
-            f"figure {note}" for note in invalid
-        ]
+        shown = {name: figure for name, figure in found.items() if not self._is_of_others(figure)}
+        return shown, [f"figure {note}" for note in invalid]
 
     def _is_of_others(self, figure: Figure) -> bool:
-        """Check if a figure is about a variable, a controller, a scenario or an output that only other batches have."""
-        if figure.query:
-            return False
-        config = self._config
-        axes = {axis.name for axis in self._axes}
-        groups = {"controller": config.controllers, "scenario": config.scenarios}
-        known = {*config.variables, *(name for name, declared in groups.items() if declared)}
-        if any(name in known - axes for name in (figure.x, figure.series, figure.facet)):
-            return True
-        table = figure.table
-        return bool(table) and table not in self.frame.names and table in self._store.outputs()
+        variables = (figure.x, figure.series, figure.facet)
+        return not figure.query and bound.is_of_others(variables, figure.table, self._config, self._store, self.frame)
 
     def _best(self, figures: Mapping[str, Figure]) -> dict[str, Figure]:
         """Return as many figures as are drawn by default: those of columns that differ most between experiments."""

@@ -72,12 +72,8 @@ def figures(
 
 def _is_of_others(table: TableForPaper, frame: Frame, project: LoadedProject, store: Store) -> bool:
     """Check if a table for papers is about a variable or an output that only other batches have."""
-    if table.query:
-        return False
-    axes = {axis.name for axis in frame.axes()}
-    if not table.sql and table.across in project.config.variables and table.across not in axes:
-        return True
-    return bool(table.table) and table.table not in frame.names and table.table in store.outputs()
+    variables = () if table.sql or table.across not in project.config.variables else (table.across,)
+    return not table.query and bound.is_of_others(variables, table.table, project.config, store, frame)
 
 
 def _write_tables(
@@ -171,8 +167,7 @@ def overlaid(
         added = [one.frame.batch for one in others]
         drawer = _Drawer(project, store, first.frame, *added, again=True, formats=formats)
         declared = project.config.paper_tables
-        unbound = declared if name else {called: table for called, table in declared.items() if not table.query}
-        tables, failed = _write_tables(drawer, project, store, batches, name, unbound)
+        tables, failed = _write_tables(drawer, project, store, batches, name, declared if name else bound.unbound(declared))
         if name in project.config.paper_tables:
             return tables, drawer.close()
         wanted, notes = first.wanted(name, together=True)

@@ -11,7 +11,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables.gallery import Gallery
 from sierra.design.query import condition
 from sierra.errors import UsageError
-from sierra.model import Axis, Value
+from sierra.model import Value
 from sierra.stats import aggregate as stats
 from sierra.stats import survival
 from sierra.stats.comparison.model import RunValue
@@ -215,8 +215,7 @@ class RunTable:
         """Return the runs of the experiments that a condition on variables selects; "": all. Raises QueryError."""
         if not experiments:
             return self
-        axes = [Axis(name, tuple(dict.fromkeys(cell[name] for cell in self.cells.values()))) for name in self.axes]
-        kept = condition.matching(experiments, axes, self.cells, "experiments")
+        kept = condition.among(experiments, self.axes, self.cells)
         return replace(
             self,
             cells={place: self.cells[place] for place in self.cells if place in kept},

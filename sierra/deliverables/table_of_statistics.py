@@ -14,7 +14,7 @@ from sierra.deliverables.table_columns import Columns
 from sierra.design.query import condition
 from sierra.errors import UsageError
 from sierra.execution import targets
-from sierra.model import Axis, Value
+from sierra.model import Value
 from sierra.stats.rounding import rounded
 from sierra.store.samples import Frame
 from sierra.store.store import Store
@@ -94,7 +94,7 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     measure = declared.measure or "auto"
 
     def rows(frame: Frame) -> frozenset[int]:
-        return _experiments(declared, [axis.name for axis in frame.axes()], frame.cells())
+        return condition.among(declared.experiments, [axis.name for axis in frame.axes()], frame.cells())
 
     found = {
         column: statistics(project, store, batch, output, column, measure, declared.threshold, None, declared.statistics, rows)
@@ -103,7 +103,7 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     config = targets.of_batch(project, store, batch).config
     first = next(iter(found.values()))
     cells = {ordinal: first.cells[ordinal] for ordinal in first.table.column("experiment").to_pylist()}
-    chosen = _experiments(declared, first.axes, cells)
+    chosen = condition.among(declared.experiments, first.axes, cells)
     headers, values, methods = dict(zip(first.axes, paper_tables.axis_headers(config, first), strict=True)), {}, {}
     for column, one in found.items():
         for statistic, header in paper_tables.statistic_headers(config, one).items():
@@ -115,11 +115,3 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     return _Estimates(
         first.axes, rows_shown, first.labelled, values, headers, methods, notes, tuple(one.sql for one in found.values())
     )
-
-
-def _experiments(declared: TableForPaper, axes: Sequence[str], cells: Mapping[int, Mapping[str, Value]]) -> frozenset[int]:
-    """Return the positions of the experiments that are rows."""
-    if not declared.experiments:
-        return frozenset(cells)
-    spanned = [Axis(axis, tuple(dict.fromkeys(values[axis] for values in cells.values()))) for axis in axes]
-    return condition.matching(declared.experiments, spanned, cells, "experiments")

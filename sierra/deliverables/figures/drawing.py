@@ -134,11 +134,6 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     return save(rendered(drawing), drawing, folder)
 
 
-def files_of(figure: matplotlib.figure.Figure, drawing: Drawing) -> list[tuple[Format, bytes]]:
-    """Return the files of a figure that is drawn already, with the name, the formats and the metadata of `drawing`."""
-    return _files(figure, drawing, drawing.data)
-
-
 def save(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     """Write files with the name of `drawing` into a folder, by format. Return the paths."""
     try:
@@ -184,7 +179,7 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
 def _rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     shown = noted(drawing)
     figure = painted(shown)
-    return _files(figure, charted(shown) if "html" in drawing.formats else shown, drawing.data)
+    return files_of(figure, charted(shown) if "html" in drawing.formats else shown, drawing.data)
 
 
 def explorable(drawing: Drawing) -> tuple[Drawing, bytes]:
@@ -215,7 +210,7 @@ def explored(drawing: Drawing) -> tuple[Drawing, bytes]:
 
 def svg(figure: matplotlib.figure.Figure, drawing: Drawing) -> bytes:
     """Return the SVG file of a figure that is drawn already, with the metadata of `drawing`."""
-    [(_, data)] = _files(figure, replace(drawing, formats=("svg",)), drawing.data)
+    [(_, data)] = files_of(figure, replace(drawing, formats=("svg",)), drawing.data)
     return data
 
 
@@ -258,7 +253,7 @@ def painted(drawing: Drawing) -> matplotlib.figure.Figure:
     return figure
 
 
-def _files(figure: matplotlib.figure.Figure, drawing: Drawing, data: str) -> list[tuple[Format, bytes]]:
+def files_of(figure: matplotlib.figure.Figure, drawing: Drawing, data: str) -> list[tuple[Format, bytes]]:
     """Return the content of the files, by format; `data` is the hash of the drawing's data."""
     from sierra.deliverables.figures import formats
 

@@ -27,7 +27,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.paper import numbers
 from sierra.deliverables.record import Content, origin_of
 from sierra.design.query.query_request import QueryRequest
-from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
+from sierra.errors import DamagedFile, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries, labelled
 from sierra.store.samples import Frame
 from sierra.store.store import Store
@@ -62,7 +62,7 @@ def queries(config: Project) -> list[str]:
     """Return the queries that deliverables are bound to, as they are declared; each once."""
     words = [word for figure in config.figures.values() for word in figure.query]
     words += [word for table in config.paper_tables.values() for word in table.query]
-    words += [word for name, declared in config.comparisons.items() for word in _words(name, declared, config)]
+    words += [word for some in comparisons(config).values() for word in some]
     words += [word for number in config.numbers.values() for word in number.query]
     return list(dict.fromkeys(words))
 
@@ -74,6 +74,12 @@ def requests(config: Project) -> list[QueryRequest]:
         if claim := config.claims.get(number.claim):
             found += rests_on.requests(claim, config)
     return list(dict.fromkeys(found))
+
+
+def comparisons(config: Project) -> dict[str, tuple[str, ...]]:
+    """Return the queries of the comparisons that are bound to any, by their names. Raises UsageError, as `_words` does."""
+    words = {name: _words(name, declared, config) for name, declared in config.comparisons.items()}
+    return {name: some for name, some in words.items() if some}
 
 
 def _words(name: str, declared: Comparison, config: Project) -> tuple[str, ...]:
@@ -90,12 +96,12 @@ def _words(name: str, declared: Comparison, config: Project) -> tuple[str, ...]:
     return () if others else declared.groups
 
 
-def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
+def items(found: BatchesOfQueries) -> Iterator[PaperItem]:
     """Yield the deliverables of a paper, each computed from the last batches of its queries.
 
     Raises NotFound for a query that was not run, and SierraError for a deliverable that cannot be made.
     """
-    config, found = project.config, BatchesOfQueries(project, store)
+    project, store, config = found.project, found.store, found.project.config
     compared: dict[str, Compared] = {}
     with _Galleries(project, store) as galleries:
         for name, figure in config.figures.items():
@@ -109,15 +115,15 @@ def items(project: LoadedProject, store: Store) -> Iterator[PaperItem]:
                     content = made.content()
                     paths = f"{TABLES}/{fitting(name)}.tex", f"{SQL}/{fitting(name)}.sql"
                     yield PaperItem(name, content, content.data, paths, partial(_table, made))
-        for name, declared in config.comparisons.items():
-            if words := _words(name, declared, config):
-                with named("comparison", name):
-                    asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
-                    compared[name] = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
-                    content, made_files = comparison_figure.content_of(compared[name]), partial(_comparison, compared[name])
-                    yield PaperItem(name, content, content.data, _paths_of(compared[name]), made_files)
+        for name, words in comparisons(config).items():
+            declared = config.comparisons[name]
+            with named("comparison", name):
+                asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
+                compared[name] = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
+                content, made_files = comparison_figure.content_of(compared[name]), partial(_comparison, compared[name])
+                yield PaperItem(name, content, content.data, _paths_of(compared[name]), made_files)
     if config.numbers:
-        yield _numbers(project, store, compared)
+        yield _numbers(found, compared)
 
 
 @contextmanager
@@ -197,26 +203,19 @@ def _table(made: declared_tables.Made) -> dict[str, bytes]:
     }
 
 
-def _numbers(project: LoadedProject, store: Store, compared: Mapping[str, Compared]) -> PaperItem:
+def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared]) -> PaperItem:
     """Return the numbers in the text. Raises SierraError for one that cannot be computed."""
-    config, found = project.config, BatchesOfQueries(project, store)
-    numbers.check_names([*config.numbers])
-
-    def bound(name: str) -> Compared:
-        if name not in compared:
-            raise NotFound(f"no comparison {name!r} is bound to queries; {like(name, list(compared), 'bound are')}")
-        return compared[name]
-
+    config = found.project.config
+    claims = numbers.claims_of(found)
     shown: dict[str, tuple[str, str]] = {}
     batches = [found.last(word) for word in queries(config)]
     for name, number in config.numbers.items():
         with named("number", name):
-            numbers.known_claim(project, number.claim)
-            value = numbers.computed(project, store, number, bound)
+            value = numbers.computed(found, number, compared, claims)
             shown[name] = numbers.text(number, value, siunitx=config.paper.siunitx), value.origin
             batches += value.batches
     batches = list(dict.fromkeys(batches))
-    every = {name: (text, "") for name, text in numbers.built_in(store, batches).items()} | shown
+    every = {name: (text, "") for name, text in numbers.built_in(found.store, batches).items()} | shown
     definition: dict[str, JsonView] = {
         "numbers": {name: number.model_dump(mode="json", exclude_defaults=True) for name, number in config.numbers.items()},
         "paper": config.paper.model_dump(mode="json", include={"prefix", "siunitx"}),

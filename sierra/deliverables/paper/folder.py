@@ -101,13 +101,12 @@ def check(folder: Path, root: Path, shown: str) -> None:
             )
 
 
-def write(folder: Path, provenance: Provenance, contents: Mapping[str, bytes]) -> Written:
+def write(folder: Path, before: Provenance, provenance: Provenance, contents: Mapping[str, bytes]) -> Written:
     """Write the files whose content has changed, and remove those that SIERRA wrote and that the provenance no longer has.
 
-    `contents`: the files that were made; the others of the provenance stay as they are. Raises Missing if the folder cannot be
-    written.
+    `before`: the provenance that the folder has; empty if it has none. `contents`: the files that were made; the others of the
+    provenance stay as they are. Raises Missing if the folder cannot be written.
     """
-    before = read(folder) or Provenance()
     found = {name: _sha256(inside(folder, name)) for name in {*before.files, *before.unfinished, *contents}}
     own = {name: {before.unfinished.get(name)} for name in found}
     for name, file in before.files.items():

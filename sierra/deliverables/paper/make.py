@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
 
-from sierra.config.project_file import LoadedProject
-from sierra.deliverables.paper import bound_files, folder
+from sierra.config.project_file import LoadedProject, Project
+from sierra.deliverables.paper import bound_files, folder, numbers
 from sierra.deliverables.paper.bound_files import PaperItem
 from sierra.deliverables.paper.folder import PaperFile, PaperQuery, Provenance, Written
 from sierra.deliverables.record import Recorder
@@ -27,19 +27,23 @@ def requests(project: LoadedProject) -> list[QueryRequest]:
     Raises NotFound if there are none, and UsageError if the folder of the paper has other files.
     """
     folder.check(path(project), project.root, project.config.paper.folder)
-    _check_names(project)
+    _check_names(project.config)
     if found := bound_files.requests(project.config):
         return found
     raise NotFound("nothing is bound to a query: give figures, tables or comparisons of sierra.toml the key `query`")
 
 
-def _check_names(project: LoadedProject) -> None:
-    """Raise UsageError for a table and a comparison whose files have one name."""
-    config = project.config
-    comparisons = {name.lower(): name for name in config.comparisons}
-    for name, table in config.paper_tables.items():
-        if table.query and (other := comparisons.get(name.lower())):
-            raise UsageError(f"[paper_tables.{name}] and [comparisons.{other}] would have files of the same name; rename one")
+def _check_names(config: Project) -> None:
+    """Check the names of deliverables and numbers before anything is executed. Raises UsageError, NotFound."""
+    compared = bound_files.comparisons(config)
+    numbers.check(config, compared)
+    others = {name.lower(): f"figures.{name}" for name, figure in config.figures.items() if figure.query}
+    others |= {name.lower(): f"paper_tables.{name}" for name, table in config.paper_tables.items() if table.query}
+    for name in compared:
+        if other := others.get(name.lower()):
+            raise UsageError(f"[{other}] and [comparisons.{name}] would have files of the same name; rename one")
+    if config.numbers and others.get(bound_files.NUMBERS, "").startswith("paper_tables."):
+        raise UsageError(f"[{others[bound_files.NUMBERS]}] and [numbers] would have files of the same name; rename the table")
 
 
 def path(project: LoadedProject) -> Path:
@@ -57,24 +61,24 @@ def make(project: LoadedProject, store: Store) -> Written:
     before = folder.read(path(project)) or Provenance()
     contents: dict[str, bytes] = {}
     files: dict[str, PaperFile] = {}
-    made: list[tuple[PaperItem, list[str]]] = []
-    for item in bound_files.items(project, store):
+    items: list[PaperItem] = []
+    found = BatchesOfQueries(project, store)
+    for item in bound_files.items(found):
         kept = _kept(item, before, path(project))
-        own = item.files() if kept is None else dict.fromkeys(kept, b"")
-        if twice := sorted(own.keys() & files.keys()):
-            raise UsageError(f"two deliverables of the paper have the file {twice[0]}; rename one of them: {item.name!r}")
-        contents |= own if kept is None else {}
-        made.append((item, [*own]))
-        files |= kept or {name: _described(item, data) for name, data in own.items()}
-    written = folder.write(path(project), Provenance(queries=_batches(project, store), files=files), contents)
-    _record(project, store, made, {*written.edited})
+        made = {} if kept else item.files()
+        contents |= made
+        files |= kept or {name: _described(item, data) for name, data in made.items()}
+        items.append(item)
+    written = folder.write(path(project), before, Provenance(queries=_batches(found), files=files), contents)
+    _record(project, store, items, {*written.edited})
     return written
 
 
 def _kept(item: PaperItem, before: Provenance, place: Path) -> dict[str, PaperFile] | None:
     """Return the files of a deliverable if they exist and show the same data in the same way; else None."""
     known = {name: file for name, file in before.files.items() if (file.kind, file.name) == (item.content.kind, item.name)}
-    same = all((file.data, file.definition) == (item.data, _definition(item)) for file in known.values())
+    present = item.data, _definition(item)
+    same = all((file.data, file.definition) == present for file in known.values())
     whole = same and known.keys() == {*item.paths}
     return known if whole and not any(folder.faults(place, Provenance(files=known))) else None
 
@@ -100,22 +104,22 @@ def _definition(item: PaperItem) -> str:
     return sha256(json.dumps(parts, sort_keys=True, ensure_ascii=False).encode())
 
 
-def _batches(project: LoadedProject, store: Store) -> dict[str, PaperQuery]:
-    found = BatchesOfQueries(project, store)
-    batches = {word: found.last(word) for word in bound_files.queries(project.config)}
-    sources = {batch: next(iter(store.values(str, SOURCE, b=batch)), None) for batch in batches.values()}
+def _batches(found: BatchesOfQueries) -> dict[str, PaperQuery]:
+    """Return the last batch of each query of the paper, by the query as it is declared."""
+    batches = {word: found.last(word) for word in bound_files.queries(found.project.config)}
+    sources = {batch: next(iter(found.store.values(str, SOURCE, b=batch)), None) for batch in batches.values()}
     return {word: PaperQuery(batch=batch, source=sources[batch]) for word, batch in batches.items()}
 
 
-def _record(project: LoadedProject, store: Store, made: list[tuple[PaperItem, list[str]]], edited: set[Path]) -> None:
+def _record(project: LoadedProject, store: Store, items: Iterable[PaperItem], edited: Container[Path]) -> None:
     """Record the files of each deliverable, so that a copy of any of them is known by its content."""
     root = path(project)
     recorders: dict[str, Recorder] = {}
-    for item, names in made:
+    for item in items:
         batch = item.content.batches[0]
         if batch not in recorders:
             recorders[batch] = Recorder(store, project.root, batch)
-        if own := tuple(root / name for name in names if root / name not in edited):
+        if own := tuple(root / name for name in item.paths if root / name not in edited):
             recorders[batch].add(item.content, own)
     for recorder in recorders.values():
         recorder.close()
@@ -135,14 +139,14 @@ def faults(project: LoadedProject, store: Store | None) -> Iterator[str]:
     if provenance.unfinished:
         yield f"{shown / PROVENANCE}: the paper was not finished; make it again with: sierra paper"
     if store is not None:
-        yield from dict.fromkeys(_old_queries(project, store))
-        yield from _differences(project, store, shown, provenance)
+        found = BatchesOfQueries(project, store)
+        yield from dict.fromkeys(_old_queries(found))
+        yield from _differences(found, shown, provenance)
 
 
-def _old_queries(project: LoadedProject, store: Store) -> Iterator[str]:
+def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
     """Yield a line for each query that has no batch with the project as it is now."""
-    found = BatchesOfQueries(project, store)
-    for request in requests(project):
+    for request in requests(found.project):
         text = " ".join(request.criteria)
         try:
             now, last = found.now(request), found.same(request)[-1:]
@@ -159,15 +163,15 @@ def _old_queries(project: LoadedProject, store: Store) -> Iterator[str]:
             yield f"query {text!r} was requested last with other code, as batch {short(last[0])}; make the paper again"
 
 
-def _differences(project: LoadedProject, store: Store, place: Path, provenance: Provenance) -> Iterator[str]:
+def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance) -> Iterator[str]:
     """Yield a line for each file of a deliverable that shows other data now, and for those that are no longer made."""
     known: dict[str, tuple[str, str]] = {}
     paths: list[str] = []
     try:
-        for item in bound_files.items(project, store):
+        for item in bound_files.items(found):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
             paths += item.paths
-        batches = _batches(project, store)
+        batches = _batches(found)
     except DamagedFile:
         raise
     except SierraError as error:
@@ -176,12 +180,12 @@ def _differences(project: LoadedProject, store: Store, place: Path, provenance: 
     for name, file in provenance.files.items():
         data, definition = known.get(f"{file.kind} {file.name}", (None, None))
         if data is None:
-            yield f"{place / name}: sierra.toml no longer binds this {file.kind} to a query"
+            yield f"{shown / name}: sierra.toml no longer binds this {file.kind} to a query"
         elif data != file.data:
-            yield f"{place / name} shows other data than the store has now"
+            yield f"{shown / name} shows other data than the store has now"
         elif definition != file.definition:
-            yield f"{place / name} is made otherwise now: sierra.toml or SIERRA has changed"
-    yield from (f"{place / name} was not made yet" for name in paths if name not in provenance.files)
+            yield f"{shown / name} is made otherwise now: sierra.toml or SIERRA has changed"
+    yield from (f"{shown / name} was not made yet" for name in paths if name not in provenance.files)
     for word in sorted({*batches, *provenance.queries}):
         if batches.get(word) != provenance.queries.get(word):
-            yield f"{place / PROVENANCE} has another batch of query {word!r} than the store; make the paper again"
+            yield f"{shown / PROVENANCE} has another batch of query {word!r} than the store; make the paper again"

@@ -8,20 +8,20 @@ successful execution and of different seeds in all batches of the paper, and the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from decimal import Decimal
 from typing import NamedTuple
 
 from sierra.config.number_table import NumberInText
-from sierra.config.project_file import LoadedProject
+from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables import comparison, paper_tables
 from sierra.deliverables.claims import evaluate
+from sierra.deliverables.claims.evaluate import Evaluated
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.run_statistics import of_tables, statistics
 from sierra.design.query import condition
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries
-from sierra.model import Axis
 from sierra.stats.comparison.model import Pair
 from sierra.stats.comparison.wording import p_value
 from sierra.stats.rounding import rounded
@@ -52,7 +52,7 @@ class Computed:
     p: float | None = None
     verdict: str = ""
     origin: str = ""
-    """What it is, in one line."""
+    """The source of the number, in one line."""
     batches: tuple[str, ...] = ()
     """The batches of a claim, whose query may be bound to nothing else."""
 
@@ -63,24 +63,49 @@ class _Counts(NamedTuple):
     seeds: int
 
 
-def computed(project: LoadedProject, store: Store, number: NumberInText, compared: Callable[[str], Compared]) -> Computed:
+def check(config: Project, compared: Container[str]) -> None:
+    """Check the names that numbers have and use; `compared` are the comparisons that are bound to queries.
+
+    Raises UsageError for the name of a macro that each paper has, and NotFound for an unknown claim or comparison.
+    """
+    for name, number in config.numbers.items():
+        if name in BUILT_IN:
+            raise UsageError(f"[numbers.{name}] is the name of a macro that each paper has; choose another one")
+        if number.claim and number.claim not in config.claims:
+            known = like(number.claim, list(config.claims))
+            raise NotFound(f"number {name}: sierra.toml has no [claims.{number.claim}]; {known}")
+        if number.comparison and number.comparison not in compared:
+            known = like(number.comparison, list(config.comparisons), "there are")
+            raise NotFound(f"number {name}: no comparison {number.comparison!r} is bound to queries; {known}")
+
+
+def claims_of(queries: BatchesOfQueries) -> dict[str, Evaluated]:
+    """Return the evaluations of the claims whose numbers are printed, by their names."""
+    names = dict.fromkeys(number.claim for number in queries.project.config.numbers.values() if number.claim)
+    if not names:
+        return {}
+    return {claim.name: claim for claim in evaluate.evaluate(queries.project, queries.store, list(names))}
+
+
+def computed(
+    queries: BatchesOfQueries, number: NumberInText, compared: Mapping[str, Compared], claims: Mapping[str, Evaluated]
+) -> Computed:
     """Return one number. Raises SierraError for one that cannot be computed."""
     if number.claim:
-        return _of_claim(project, store, number.claim)
+        return _of_claim(claims[number.claim])
     if number.comparison:
-        return _of_comparison(compared(number.comparison), number.groups)
-    batches = comparison.of_queries(BatchesOfQueries(project, store), number.query)
+        return _of_comparison(compared[number.comparison], number.groups)
+    batches = comparison.of_queries(queries, number.query)
     if number.sql:
-        return _of_sql(store, number.sql, batches)
+        return _of_sql(queries.store, number.sql, batches)
     [batch] = batches.values()
-    return _of_statistic(project, store, number, batch)
+    return _of_statistic(queries.project, queries.store, number, batch)
 
 
-def _of_claim(project: LoadedProject, store: Store, name: str) -> Computed:
-    [found] = evaluate.evaluate(project, store, (name,))
+def _of_claim(found: Evaluated) -> Computed:
     if not found.batches:
         raise SierraError(found.text)
-    return Computed(found.value, found.low, found.high, found.p, found.verdict.value, f"claim {name}", found.batches)
+    return Computed(found.value, found.low, found.high, found.p, found.verdict.value, f"claim {found.name}", found.batches)
 
 
 def _of_comparison(compared: Compared, groups: Sequence[str]) -> Computed:
@@ -124,8 +149,7 @@ def _of_statistic(project: LoadedProject, store: Store, number: NumberInText, ba
     output, [column] = of_tables(project, store, batch, number.table, (number.column,) if number.column else ())
     measure = number.measure or "auto"
     found = statistics(project, store, batch, output, column, measure, number.threshold, chosen=(number.statistic,))
-    axes = [Axis(axis, tuple(dict.fromkeys(cell[axis] for cell in found.cells.values()))) for axis in found.axes]
-    chosen = condition.matching(number.experiments, axes, found.cells, "experiments") if number.experiments else {*found.cells}
+    chosen = condition.among(number.experiments, found.axes, found.cells)
     if len(chosen) != 1:
         hint = (
             f'select one by {", ".join(found.axes)}, as in experiments = "{found.axes[0]}=…"' if found.axes else "there is one"
@@ -212,16 +236,3 @@ def built_in(store: Store, batches: Sequence[str]) -> dict[str, str]:
         "seeds": str(counts.seeds),
         "version": paper_tables.escaped(__version__),
     }
-
-
-def check_names(names: Sequence[str]) -> None:
-    """Raise NotFound for a name that each paper has anyway."""
-    for name in names:
-        if name in BUILT_IN:
-            raise UsageError(f"[numbers.{name}] is the name of a macro that each paper has; choose another one")
-
-
-def known_claim(project: LoadedProject, name: str) -> None:
-    """Raise NotFound for a claim that is not declared."""
-    if name and name not in project.config.claims:
-        raise NotFound(f"sierra.toml has no [claims.{name}]; {like(name, list(project.config.claims))}")

@@ -95,6 +95,17 @@ def matching(text: str, axes: Sequence[Axis], cells: Mapping[int, Mapping[str, V
     return chosen
 
 
+def among(text: str, names: Sequence[str], cells: Mapping[int, Mapping[str, Value]]) -> frozenset[int]:
+    """Return the ordinals of the experiments that the key `experiments` selects; all if it is empty. `names`: of the variables.
+
+    Raises the errors of `matching`.
+    """
+    if not text:
+        return frozenset(cells)
+    axes = [Axis(name, tuple(dict.fromkeys(values[name] for values in cells.values()))) for name in names]
+    return matching(text, axes, cells, "experiments")
+
+
 def _comparison(text: str) -> Comparison:
     found = _COMPARISON.fullmatch(text)
     if found is None:

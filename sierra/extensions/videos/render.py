@@ -67,7 +67,7 @@ def videos(
     if not names and len(batches) == 1:
         wanted, invalid = bound.of_batch(wanted, BatchesOfQueries(project, store), *batches.values())
     elif not names:
-        wanted = {name: video for name, video in wanted.items() if not video.query}
+        wanted = bound.unbound(wanted)
     encode.check({format for video in wanted.values() for format in video.formats})
     made: list[Path] = []
     complete = True
