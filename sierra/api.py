@@ -168,11 +168,13 @@ class Project:
         return store.confined() if self._found.is_package else store
 
     def _rules(self) -> Rules:
-        """Return the derived tables, and the limits on SQL. A project without either is not validated: that takes too long."""
+        """Return the derived tables, and the limits on SQL. A project without any is not validated: that takes too long."""
         from sierra.store.derived_tables import Rules
 
         declared = (find_project.settings(self._found.file) or {}) if self._found.written else {}
-        return self._loaded.rules() if {"tables", "sql"} & declared.keys() else Rules()
+        success = declared.get("success")
+        needed = {"tables", "sql"} & declared.keys() or (isinstance(success, Mapping) and "accept" in success)
+        return self._loaded.rules() if needed else Rules()
 
     def stored(self) -> Store | None:
         """Return the project's store; None if there is none yet."""
@@ -276,6 +278,7 @@ class Project:
         progress: bool | None = None,
         only: str | None = None,
         supervisor: Supervisor | None = None,
+        retry: bool = False,
     ) -> Summary:
         """Run a query: execute its missing runs, record them, and draw the figures.
 
@@ -284,7 +287,8 @@ class Project:
         name of a cluster (default: the `runner` in `sierra.toml`); with `detach`, this function returns once the jobs are
         submitted. `only` is a condition that selects the experiments to execute, as in `population_size<=4`: see
         `sierra.design.query.condition`. `supervisor` starts, watches and judges trials if `[trials] supervised` is set: see
-        `sierra.execution.supervised.supervisor`. The summary counts failed runs; they raise no error. Raises the errors of
+        `sierra.execution.supervised.supervisor`. Runs that failed twice in the same way are executed again only with `retry`.
+        The summary counts failed runs; they raise no error. Raises the errors of
         `plan`, and Missing if the disk is full, or if trials need a supervisor.
 
         >>> summary = project.run("population_size=1,2", runs=2, figures=False)
@@ -303,6 +307,7 @@ class Project:
             progress=progress,
             only=only,
             supervisor=supervisor,
+            retry=retry,
         )
 
     def execute(
@@ -318,6 +323,7 @@ class Project:
         progress: bool | None = None,
         only: str | None = None,
         supervisor: Supervisor | None = None,
+        retry: bool = False,
     ) -> Summary:
         """Execute a plan as `run` does. `observer` receives progress and notices, and decides about jobs on a cluster.
 
@@ -336,6 +342,7 @@ class Project:
             selected,
             observer=observer or observer_for(progress),
             detach=detach,
+            retry=retry,
             supervisor=supervisor,
         )
         if supervisor is None:

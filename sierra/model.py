@@ -593,6 +593,8 @@ class Status(StrEnum):
     """The outcome of an execution."""
 
     OK = "ok"
+    ACCEPTED = "accepted"
+    """An end that is no success, but a result: `accept` in [success] names it. The reason of such an execution is this end."""
     FAILED = "failed"
     """A failure: by its exit status, a missing output or marker, or too few rows."""
     TIMEOUT = "timeout"
@@ -607,6 +609,11 @@ class Status(StrEnum):
     INTERRUPTED = "interrupted"
     INVALID = "invalid"
     """A success that does not count, because somebody marked the trial as invalid."""
+
+    @property
+    def is_result(self) -> bool:
+        """True if the execution may be effective, so that its run is not executed again."""
+        return self in (Status.OK, Status.ACCEPTED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 PREVIEW = {
     ChangeReason.NEW: "new",
     ChangeReason.FAILED: "failed: {}",
+    ChangeReason.FAILED_TWICE: "failed twice in the same way, and only --retry executes them: {}",
     ChangeReason.RULES: "[outputs] or [success] have changed",
     ChangeReason.PROGRAMS: "executed with other programs or files",
     ChangeReason.UNOBSERVED: "not observed: nobody knows whether these experiments used what has changed",

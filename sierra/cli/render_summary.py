@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.summary import Summary
 
-COUNTED = ("runs", "succeeded", "failed")
+COUNTED = ("runs", "succeeded", "accepted", "failed")
 
 
 def print_notes(summary: Summary, printed: Collection[str] = ()) -> None:
@@ -82,6 +82,7 @@ def _answer(summary: Summary) -> dict[str, object]:
     answer: dict[str, object] = {name: getattr(summary, name) for name in names}
     answer["figures"] = list(summary.figures)
     answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
+    answer["outcomes"] = dict(summary.outcomes)
     answer["failures"] = [asdict(failure) for failure in summary.failures]
     answer["outputs"] = asdict(summary.outputs) if summary.outputs else None
     answer["notes"] = list(summary.notes)
@@ -95,8 +96,9 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
 
     print(heading(summary.batch, summary.query, summary.target))
     axes = list(summary.counts[0].values)
-    rows = [[*one.values.values(), one.runs, one.succeeded, one.failed] for one in summary.counts]
-    table([*axes, *COUNTED], rows, right=COUNTED)
+    names = [name for name in COUNTED if name != "accepted" or any(one.accepted for one in summary.counts)]
+    rows = [[*one.values.values(), *(getattr(one, name) for name in names)] for one in summary.counts]
+    table([*axes, *names], rows, right=names)
     failed = f", {summary.failed} failed" if summary.failed else ""
     wanted = summary.missing - summary.left_out
     missing = f", {wanted} {'pending' if left else 'not executed'}" if wanted else ""
@@ -107,6 +109,9 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
     if summary.selected is not None:
         print(f"{summary.selected} of {counted(summary.experiments, 'experiment')} selected by --only")
     print(f"{runs}: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{others}{judged}")
+    if summary.outcomes:
+        ends = ", ".join(f"{end} in {count}" for end, count in summary.outcomes.items())
+        print(f"ended as [success] accept names: {ends} of {runs}")
     if summary.outputs:
         print("\n".join(render_outputs.short_lines(summary.outputs)))
     _print_failures(summary)

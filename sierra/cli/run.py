@@ -57,6 +57,7 @@ def run(
     explain: Annotated[bool, typer.Option("--explain", help="Show why runs execute or are reused.")] = False,
     only: Only = None,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failed run.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="Execute also runs that failed twice in the same way.")] = False,
     figures: DrawFigures = None,
     as_json: AsJson = False,
     yes: Annotated[
@@ -128,6 +129,7 @@ def run(
         dry_run=dry_run,
         explain=explain,
         fail_fast=fail_fast,
+        retry=retry,
         figures=user.load().figures if figures is None else figures,
         as_json=as_json,
         agreed=yes,
@@ -167,6 +169,7 @@ class Options:
     dry_run: bool
     explain: bool
     fail_fast: bool
+    retry: bool
     figures: bool
     as_json: bool
     agreed: bool
@@ -260,6 +263,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
             plan,
             jobs=options.jobs,
             fail_fast=options.fail_fast,
+            retry=options.retry,
             figures=options.figures,
             observer=display,
             runner=options.runner,
@@ -307,7 +311,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
 
     store, explain = project.stored(), options.explain
     runs = selection.runs if selection else None
-    found = forecast(plan, store, runs)
+    found = forecast(plan, store, runs, retry=options.retry)
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
     other = explain and has_other_files(reasons)
@@ -323,7 +327,8 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
         selected=len(selection.experiments) if selection else None,
         runs=len(found.states),
         to_execute=len(found.to_execute),
-        reused=len(found.states) - len(found.to_execute) - len(found.on_clusters),
+        reused=len(found.states) - len(found.to_execute) - len(found.on_clusters) - len(found.given_up),
+        given_up=len(found.given_up),
         to_reevaluate=found.to_reevaluate,
         on_clusters=len(found.on_clusters),
         clusters=tuple(seen(store, found.on_clusters)) if store and found.on_clusters else (),
@@ -368,7 +373,8 @@ def _print(
         followed, judged = preview.on_clusters, preview.to_reevaluate
         follow_up = f", {followed} {'is' if followed == 1 else 'are'} on a cluster and would be followed" if followed else ""
         again = f", {judged} would be evaluated again because [outputs] or [success] have changed" if judged else ""
-        print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{follow_up}")
+        failed = f", {preview.given_up} failed twice in the same way (--retry)" if preview.given_up else ""
+        print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{follow_up}{failed}")
     for line in render_status.lines(preview.clusters):
         print(line)
 

@@ -81,7 +81,7 @@ class Person:
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         self._terminal.show(_ending(ended))
-        if not self._is_valid(good=ended.status is Status.OK):
+        if not self._is_valid(good=ended.status.is_result):
             return Verdict(valid=False, reason=self._reason(), note=self._note())
         return Verdict(valid=True, note=self._note())
 

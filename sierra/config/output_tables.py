@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import re
+import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from typing import Annotated, ClassVar, Literal
@@ -410,6 +412,25 @@ STATUSES = range(-64, 256)
 """The exit statuses of programs; those below 0 are signals."""
 
 
+ACCEPTED = "_accepted"
+"""The end of the name of a table that has an output's rows of accepted ends."""
+END = regex(r"exit (\d{1,3})|signal (?:SIG)?([A-Z][A-Z0-9+]*|\d{1,2})")
+"""An end of a program that is no success, as `accept` names it."""
+
+
+def _end(text: str) -> str:
+    """Return an end in its usual form: `exit 3`, `signal ABRT`. Raises ValueError for what is no end."""
+    match = END.fullmatch(text)
+    if match and match[1] and int(match[1]) in range(256):
+        return f"exit {int(match[1])}"
+    if match and match[2]:
+        known = {one.name.removeprefix("SIG"): one for one in signal.Signals}
+        with contextlib.suppress(KeyError, ValueError):
+            number = signal.Signals(int(match[2])) if match[2].isdigit() else known[match[2]]
+            return f"signal {number.name.removeprefix('SIG')}"
+    raise ValueError(f'{text!r} is no end of a program; write "exit 3" (from 0 to 255) or "signal ABRT"')
+
+
 class Success(Table):
     """Conditions for a successful run, in addition to its required outputs."""
 
@@ -417,6 +438,12 @@ class Success(Table):
     contains: str = Field("", description="text that the marker file must contain")
     exit_status: tuple[int, ...] = Field(
         (0,), min_length=1, description="exit statuses that mean success; 139 and -11 both mean an end by signal 11"
+    )
+    accept: tuple[Annotated[str, AfterValidator(_end)], ...] = Field(
+        (),
+        description="ends that are results although they are no successes: `exit 3`, `signal ABRT` (also the exit status 134); "
+        "such a run has this outcome and is not executed again; required outputs and the marker are not asked of it, and its "
+        "rows are in tables of their own, `NAME_accepted`",
     )
     stderr: Annotated[str, AfterValidator(regular_expression)] = Field(
         "",
@@ -432,12 +459,38 @@ class Success(Table):
     @property
     def statuses(self) -> frozenset[int]:
         """Return the exit statuses that mean success, with both spellings of each signal: 139 and -11."""
-        return frozenset({*self.exit_status, *(SHELL - one for one in self.exit_status if one < 0 or one > SHELL)})
+        return _both_spellings(self.exit_status)
+
+    def accepted(self, status: int | None) -> str | None:
+        """Return the end in `accept` with which a program has ended; None if it is none of these.
+
+        `status` is its exit status, negative for a signal.
+        """
+        return next((end for end in self.accept if status in _both_spellings([_status(end)])), None)
+
+    @model_validator(mode="after")
+    def _distinct_ends(self) -> Success:
+        for end in self.accept:
+            if _status(end) in self.statuses:
+                raise ValueError(f'accept: "{end}" is a success by exit_status; remove it from one of them')
+        return self
 
     @property
     def unused_later_keys(self) -> frozenset[str]:
         """Return the later keys that have their default; hashes of rules do not contain them, and stay the same."""
-        return _unused(self, ("stderr", "leftovers"))
+        return _unused(self, ("stderr", "leftovers", "accept"))
+
+
+def _both_spellings(statuses: Iterable[int]) -> frozenset[int]:
+    """Return exit statuses with both numbers of each signal: 139 and -11."""
+    known = tuple(statuses)
+    return frozenset({*known, *(SHELL - one for one in known if one < 0 or one > SHELL)})
+
+
+def _status(end: str) -> int:
+    """Return the exit status of an end, negative for a signal."""
+    kind, value = end.split()
+    return int(value) if kind == "exit" else -signal.Signals[f"SIG{value}"]
 
 
 class Equivalence(Table):

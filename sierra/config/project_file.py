@@ -56,7 +56,7 @@ from sierra.config.field_types import (
 from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
 from sierra.config.number_table import Letters, NumberInText, Paper
-from sierra.config.output_tables import STATUSES, Equivalence, Output, Success, file_once
+from sierra.config.output_tables import ACCEPTED, STATUSES, Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
@@ -358,6 +358,9 @@ class Project(Table):
                 f"success.exit_status: {impossible[0]} should be from 0 to 255, or from -64 to -1 for a signal "
                 "(-11 or 139 for signal 11)"
             )
+        for key, names in (("outputs", self.outputs), ("tables", self.tables)) if self.success.accept else ():
+            if taken := [name for name in names if name.lower().endswith(ACCEPTED)]:
+                raise ValueError(f"{key}.{taken[0]}: with accept in [success], such names are those of tables of accepted ends")
         marker, needs = self.success.marker, self.limits.after_marker is not None and not self.targets
         if needs and not marker:
             raise ValueError("limits.after_marker: give the marker in [success]")
@@ -503,8 +506,19 @@ class LoadedProject:
         """Return the derived tables with their statements, and the limits on these; at most the default ones for a package."""
         from sierra.store.derived_tables import Rules
 
-        tables = {name.lower(): self.definition(name, table, f"[tables.{name}]") for name, table in self.config.tables.items()}
+        declared = {**self._outcomes(), **self.config.tables}
+        tables = {name.lower(): self.definition(name, table, f"[tables.{name}]") for name, table in declared.items()}
         return Rules(tables, self._sql_limits())
+
+    def _outcomes(self) -> dict[str, DerivedTable]:
+        """Return the table with a flag for each outcome of a run, if some ends are accepted and no output has this name."""
+        if not self.config.success.accept or "outcomes" in map(str.lower, (*self.config.outputs, *self.config.tables)):
+            return {}
+        from sierra.store.sql_names import identifier, quote
+
+        outcomes = ("success", *self.config.success.accept)
+        flags = ", ".join(f"outcome = {quote(outcome)} AS {identifier(outcome)}" for outcome in outcomes)
+        return {"outcomes": DerivedTable(sql=f"FROM runs SELECT run, {flags} WHERE outcome IS NOT NULL")}
 
     def _sql_limits(self) -> Limits:
         from sierra.store.derived_tables import Limits

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import Output, volatile_and_rates
+from sierra.config.output_tables import ACCEPTED, Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import bound, chosen_groups, kinds, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -101,7 +101,8 @@ class _Output:
         if not row["count"]:
             those = f"fulfils where = {self.where!r}" if self.where else "belongs to a run of the chosen groups"
             raise SierraError(f"no row of output {self.output.name!r} {those}")
-        return replace(stats.coverage(self.samples(column), several=True), selected=True)
+        seen = stats.coverage(self.samples(column), several=True)
+        return replace(seen, selected=True, accepted=_accepted(self.frame, self.output))
 
     def rows(self, statement: str) -> pa.Table:
         self.frame.data(self.output.name, self.time, self.condition, timed='"# t"' in statement)
@@ -483,7 +484,9 @@ class Gallery:
             self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
             seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._series(output)[0] > 1 else seen.doubled
-            self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)
+            selected = output.name not in self.frame.written
+            accepted = _accepted(self.frame, output)
+            self._seen[output.name] = replace(seen, selected=selected, doubled=doubled, accepted=accepted)
         if not several:
             number, column = self._series(output)
             if number > 1:
@@ -598,6 +601,11 @@ class Gallery:
 
     def _with_labels(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
         return {name: self._label(name, value) for name, value in values.items()}
+
+
+def _accepted(frame: Frame, output: OutputTable) -> Mapping[int, Mapping[str, int]]:
+    """Return the ends of runs that have no rows in an output because these are in a table of their own, by experiment."""
+    return {} if output.name.endswith(ACCEPTED) else frame.accepted()
 
 
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:

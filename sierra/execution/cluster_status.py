@@ -164,7 +164,8 @@ class SessionCounts(NamedTuple):
 
 COUNTS = """
 WITH mine AS (
-    SELECT session, run, bool_or(status = 'ok') AS good FROM executions WHERE list_contains($s, session) GROUP BY ALL
+    SELECT session, run, bool_or(status IN ('ok', 'accepted')) AS good FROM executions
+    WHERE list_contains($s, session) GROUP BY ALL
 )
 SELECT session, count(*) AS executed, count(*) FILTER (NOT good) AS failed FROM mine GROUP BY session
 """

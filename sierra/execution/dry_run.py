@@ -22,6 +22,8 @@ class Forecast:
     to_execute: AbstractSet[str]
     on_clusters: AbstractSet[str]
     """Runs that a cluster executes now; they would be followed."""
+    given_up: AbstractSet[str] = frozenset()
+    """Runs that failed twice in the same way, and would not be executed again."""
 
     @property
     def to_reevaluate(self) -> int:
@@ -40,9 +42,10 @@ def has_other_files(reasons: Mapping[Reason, int]) -> bool:
     return any(reason.kind in (ChangeReason.PROGRAMS, ChangeReason.UNOBSERVED) for reason in reasons)
 
 
-def forecast(plan: Plan, store: Store | None, runs: Container[str] | None = None) -> Forecast:
-    """Return the forecast for these runs of a plan (None: all). Executes nothing."""
+def forecast(plan: Plan, store: Store | None, runs: Container[str] | None = None, *, retry: bool = False) -> Forecast:
+    """Return the forecast for these runs of a plan (None: all). `retry`: also those that failed twice. Executes nothing."""
     found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
     missing = {run for run, state in found.items() if not (state.succeeded or state.reevaluated)}
+    given_up = set() if retry else {run for run in missing if found[run].failed_twice}
     on_clusters = missing & claimed(store).keys() if store and missing else set()
-    return Forecast(found, missing - on_clusters, on_clusters)
+    return Forecast(found, missing - on_clusters - given_up, on_clusters, given_up - on_clusters)

@@ -7,6 +7,7 @@ query executes only the runs without a successful execution.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -20,11 +21,12 @@ from sierra.execution.reasons import FAILED
 from sierra.execution.reuse import FileCheck, is_answered, states
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
-from sierra.execution.sum_up import of_session
+from sierra.execution.sum_up import of_session, with_outcomes
 from sierra.execution.summary import Summary
 from sierra.store import index_builder
 from sierra.store.store import Store
 from sierra.util.lazy_logger import Log
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.execution.execute_missing import Executor
@@ -40,13 +42,14 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     recover.finish_dead(store, options.observer)
     began = datetime.now(UTC)
     if is_answered(plan, store):
-        return of_session(
+        summary = of_session(
             plan,
             store,
             len({run.id for run in plan.batch.runs}),
             only=options.only,
             notes=(*shared_services.note(plan, store), *_robot_notes(plan, store)),
         )
+        return with_outcomes(plan, store, summary)
     return _execute(plan, store, options, began)
 
 
@@ -92,7 +95,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         if session.paths not in executor.left:
             session_records.close(plan, store, session, summary, begun)
             index_builder.keep_up(store.paths)
-        return summary
+        return with_outcomes(plan, store, summary)
     except Exception:
         session_records.withdraw(store, session)
         raise
@@ -132,9 +135,10 @@ def _sum_up(executor: Executor) -> Summary:
         del now[run]
     bad = now.keys()
     only = executor.only
-    failed = bad & (executor.attempted | executor.failed)
+    failed = bad & (executor.attempted | executor.failed | executor.given_up)
     failed = failed if only is None else failed & only
     reused = shared_services.note(plan, store) if runs > len(executor.attempted | bad) else ()
+    given_up = tuple(_given_up(len(executor.given_up & bad)))
     return of_session(
         plan,
         store,
@@ -148,6 +152,11 @@ def _sum_up(executor: Executor) -> Summary:
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=executor.interrupted,
         detached=tuple(paths.root.name for paths in executor.left),
-        notes=(*executor.notes, *reused, *_robot_notes(plan, store)),
+        notes=(*executor.notes, *given_up, *reused, *_robot_notes(plan, store)),
         only=only,
     )
+
+
+def _given_up(runs: int) -> Iterator[str]:
+    if runs:
+        yield f"{counted(runs, 'run')} failed twice in the same way, and only --retry executes them again"

@@ -17,7 +17,7 @@ from sierra.execution.expected_durations import Order
 from sierra.execution.follow import Followed
 from sierra.execution.observer import Relay, Tally
 from sierra.execution.plan import Plan, context
-from sierra.execution.reuse import FileCheck, State, rules_changed, states
+from sierra.execution.reuse import FileCheck, State, failed_twice, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
@@ -94,6 +94,8 @@ class Executor:
         self._claimed: AbstractSet[str] = frozenset()
         self._doubted: Doubt | None = None
         self._looked_at: set[str] = set()
+        self.given_up: AbstractSet[str] = frozenset()
+        """Runs that failed twice in the same way, and are not executed again."""
         self._skipped: set[str] = set()
         """Supervised runs that the person has skipped."""
 
@@ -189,12 +191,13 @@ class Executor:
         wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
-            lacking = wanted if self.only is None else wanted & self.only
+            self.given_up = frozenset() if self._options.retry else failed_twice(self.plan, self.store, now)
+            lacking = wanted - self.given_up if self.only is None else (wanted - self.given_up) & self.only
             self._tally.reused = self._tally.total - len(lacking)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
         if self._options.only is not None:
             wanted &= self._options.only
-        wanted -= self.failed
+        wanted -= self.failed | self.given_up
         wanted -= self.attempted
         wanted -= self._skipped
         return wanted

@@ -163,11 +163,12 @@ SELECT b.controller AS "of controller", b.scenario AS "of scenario", b.overrides
        x.* EXCLUDE (batch, ordinal, experiment)
 FROM executions e JOIN batch_runs m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
      JOIN specs r ON r.spec = b.spec
-WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
+WHERE e.status IN ('ok', 'accepted') AND e.purpose = 'run' AND r.command = $command
 GROUP BY ALL
 """
 RECORDED = """
-SELECT run, avg(wall_s) FROM executions SEMI JOIN asked USING (run) WHERE status = 'ok' AND purpose = 'run' GROUP BY run
+SELECT run, avg(wall_s) FROM executions SEMI JOIN asked USING (run)
+WHERE status IN ('ok', 'accepted') AND purpose = 'run' GROUP BY run
 """
 
 

@@ -119,7 +119,8 @@ COUNTS = """
 WITH members_of AS (SELECT DISTINCT batch, run FROM batch_runs WHERE list_contains($batches, batch)),
 tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
 good AS (SELECT DISTINCT batch, run, true AS good FROM effective WHERE list_contains($batches, batch))
-SELECT batch, count(good) AS succeeded, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
+SELECT batch, count(good) AS succeeded,
+       count(*) FILTER (good IS NULL AND last NOT IN ('ok', 'accepted')) AS failed
 FROM members_of LEFT JOIN tried USING (run) LEFT JOIN good USING (batch, run) GROUP BY batch
 """
 

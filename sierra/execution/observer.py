@@ -90,7 +90,7 @@ class Tally:
         if run not in self.statuses:
             self._done_s += self._seconds.get(run, 0.0)
         self.statuses[run] = status
-        if status is Status.OK:
+        if status.is_result:
             self.failed.discard(run)
         else:
             self.failed.add(run)

@@ -26,6 +26,7 @@ class PlanPreview(BaseModel):
     to_reevaluate: int = Field(
         description="number of these that would be evaluated again, because [outputs] or [success] have changed"
     )
+    given_up: int = Field(0, description="number of runs that failed twice in the same way; only --retry executes them again")
     on_clusters: int = Field(description="number of runs that a cluster executes now; they would be followed")
     clusters: tuple[ClusterSession, ...] = Field(description="the sessions on clusters with these runs")
     reasons: dict[str, int] = Field(description="number of runs by the reason why they would execute or be reused")

@@ -14,6 +14,8 @@ class ChangeReason(StrEnum):
     """No execution of the run was known."""
     FAILED = "failed"
     """The last execution failed."""
+    FAILED_TWICE = "failed twice"
+    """The last two executions failed in the same way, by the same programs and rules."""
     FINDING = "finding"
     """A problem was found in the last execution after it was recorded."""
     RULES = "rules"

@@ -50,6 +50,8 @@ class State:
     """True if an execution counts although the source or the programs differ."""
     unobserved: bool = False
     """True if it is not known whether the execution used what has changed."""
+    failed_twice: bool = False
+    """True if its last two executions failed in the same way. Only `foreseen` sets this."""
 
     @property
     def succeeded(self) -> bool:
@@ -66,8 +68,8 @@ class State:
             return Reason(ChangeReason.NEW)
         if self.unobserved and self.worth == PROGRAMS:
             return Reason(ChangeReason.UNOBSERVED)
-        kind = WORTH[self.worth]
-        if kind is ChangeReason.FAILED:
+        kind = ChangeReason.FAILED_TWICE if self.failed_twice else WORTH[self.worth]
+        if kind in (ChangeReason.FAILED, ChangeReason.FAILED_TWICE):
             return Reason(kind, self.reason or "")
         return Reason(kind, self.lack or "") if kind is ChangeReason.RULES else Reason(kind)
 
@@ -162,8 +164,32 @@ def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None
     return runs
 
 
+TWICE = """
+WITH ends AS (
+    SELECT run, arg_max((status, coalesce(reason, '')), place) AS how,
+           row_number() OVER (PARTITION BY run ORDER BY any_value(lamport) DESC) AS back
+    FROM all_judgements SEMI JOIN failed USING (run)
+    WHERE purpose = 'run' AND packages IS NULL AND programs = $programs AND ingest_rules = $ingest_rules GROUP BY run, execution
+)
+SELECT run FROM ends WHERE back <= 2 GROUP BY run
+HAVING count(*) = 2 AND min(how) = max(how) AND min(how)[1] NOT IN ('ok', 'accepted', 'invalid', 'stopped')
+"""
+
+
+def failed_twice(plan: Plan, store: Store, found: Mapping[str, State]) -> set[str]:
+    """Return the runs whose last two executions failed in the same way, by the programs and rules of a plan."""
+    failed = [run for run, state in found.items() if state.worth == FAILED and state.executions > 1]
+    if not failed:
+        return set()
+    with store.snapshot() as snapshot:
+        snapshot.add_table("failed", run=failed)
+        snapshot.views.make(("all_judgements",))
+        rows = snapshot.run(TWICE, {"programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules})
+    return {run for (run,) in rows}
+
+
 def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dict[str, State]:
-    """Return these states with the effect of evaluating executions again by changed rules."""
+    """Return these states with the effect of evaluating executions again by changed rules, and with those that failed twice."""
     bad = [run for run, state in found.items() if state.worth in (FAILED, RULES)]
     if store is None or not bad:
         return dict(found)
@@ -171,6 +197,8 @@ def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dic
 
     now = context(plan)
     result = dict(found)
+    for run in failed_twice(plan, store, found):
+        result[run] = replace(found[run], failed_twice=True)
     for evaluation in foresee(store, now, bad, mismatched=rules_changed(plan, store)):
         result |= {run: replace(found[run], reevaluated=True) for run in evaluation.possible}
         result |= {run: replace(found[run], lack=lack) for run, lack in evaluation.lacking.items()}
@@ -190,7 +218,7 @@ OF_SPEC = (
     "OR batch NOT IN (SELECT batch FROM batches))"
 )
 EACH = f"""
-SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {RULES}
+SELECT run, CASE WHEN status NOT IN ('ok', 'accepted') THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {RULES}
     WHEN programs <> $programs OR list_contains($stale, session) THEN {PROGRAMS} ELSE {REUSED} END AS worth,
     CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
 {OF_SPEC}

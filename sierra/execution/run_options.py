@@ -21,5 +21,7 @@ class RunOptions:
     observer: Observer = field(default_factory=Observer)
     detach: bool = False
     """True to leave jobs on a cluster without waiting for them."""
+    retry: bool = False
+    """True to execute runs again that failed twice in the same way."""
     supervisor: Supervisor | None = None
     """The person who supervises trials; needed if `[trials] supervised` is set and runs are to be executed."""

@@ -262,7 +262,10 @@ class Counts(NamedTuple):
 
 
 COUNTS = """
-WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(lamport) AS began FROM executions WHERE session = $s GROUP BY run)
+WITH mine AS (
+    SELECT run, bool_or(status IN ('ok', 'accepted')) AS good, min(lamport) AS began
+    FROM executions WHERE session = $s GROUP BY run
+)
 SELECT count(*) AS executed, count(*) FILTER (
     EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.lamport < mine.began)
 ) AS reexecuted, count(*) FILTER (NOT good) AS failed FROM mine

@@ -189,13 +189,16 @@ class _Counts(NamedTuple):
     ordinal: int
     runs: int
     succeeded: int
+    accepted: int
     failed: int
 
 
 COUNTS = """
 WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
-good AS (SELECT ordinal, run, true AS good FROM effective WHERE batch = $b)
-SELECT ordinal, count(*) AS runs, count(good) AS succeeded, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
+good AS (SELECT ordinal, run, outcome FROM effective WHERE batch = $b)
+SELECT ordinal, count(*) AS runs, count(*) FILTER (outcome = 'success') AS succeeded,
+       count(*) FILTER (outcome <> 'success') AS accepted,
+       count(*) FILTER (outcome IS NULL AND last NOT IN ('ok', 'accepted')) AS failed
 FROM (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $b)
 LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal ORDER BY ordinal
 """
@@ -204,7 +207,9 @@ LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal
 def _experiments(snapshot: Snapshot, batch: str, axes: Sequence[str]) -> list[CountedExperiment]:
     cells = snapshot.cells(batch)
     return [
-        CountedExperiment(row.ordinal, str(cell["experiment"]), axis_values(axes, cell), row.runs, row.succeeded, row.failed)
+        CountedExperiment(
+            row.ordinal, str(cell["experiment"]), axis_values(axes, cell), row.runs, row.succeeded, row.failed, row.accepted
+        )
         for row in snapshot.select(_Counts, COUNTS, b=batch)
         if (cell := cells.get(row.ordinal)) is not None
     ]
@@ -227,7 +232,7 @@ failed AS (
     SELECT m.ordinal, m.number, m.run, coalesce(t.last.reason, t.last.status) AS reason
     FROM (SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b) m JOIN tried t USING (run)
     ANTI JOIN (SELECT ordinal, run FROM effective WHERE batch = $b) c ON c.ordinal = m.ordinal AND c.run = m.run
-    WHERE t.last.status <> 'ok'
+    WHERE t.last.status NOT IN ('ok', 'accepted')
 )
 SELECT reason, count(*) AS runs, arg_min(run, (ordinal, number)) AS run, arg_min(number, (ordinal, number)) AS number,
        min(ordinal) AS ordinal
@@ -244,8 +249,8 @@ def _failures(snapshot: Snapshot, batch: str, experiments: Sequence[CountedExper
 
 RUNS = """
 SELECT m.number, m.run, m.seed, count(e.execution) AS executions,
-       CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok'
-            WHEN arg_max(e.status, e.lamport) = 'ok' THEN 'stale'
+       CASE WHEN any_value(c.outcome) = 'success' THEN 'ok' WHEN any_value(c.outcome) IS NOT NULL THEN 'accepted'
+            WHEN arg_max(e.status, e.lamport) IN ('ok', 'accepted') THEN 'stale'
             ELSE coalesce(arg_max(e.status, e.lamport), 'missing') END AS status,
        arg_max(e.reason, e.lamport) AS reason
 FROM (SELECT DISTINCT number, run, seed FROM batch_runs WHERE batch = $b AND ordinal = $o) m

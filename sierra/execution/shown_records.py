@@ -48,9 +48,11 @@ class CountedExperiment:
     runs: int
     succeeded: int
     failed: int
+    accepted: int = 0
+    """The number of runs with an end that [success] accepts."""
 
     def as_dict(self) -> Record:
-        counts = {"runs": self.runs, "succeeded": self.succeeded, "failed": self.failed}
+        counts = {"runs": self.runs, "succeeded": self.succeeded, "accepted": self.accepted, "failed": self.failed}
         return {"ordinal": self.ordinal, "experiment": self.experiment, **self.values, **counts}
 
 

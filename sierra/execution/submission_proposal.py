@@ -31,7 +31,7 @@ class Written(NamedTuple):
 WROTE = """
 WITH those AS (
     SELECT execution FROM executions e JOIN batches b USING (batch) JOIN specs r USING (spec)
-    WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
+    WHERE e.status IN ('ok', 'accepted') AND e.purpose = 'run' AND r.command = $command
 )
 SELECT sum(size)::DOUBLE / (SELECT count(*) FROM those) AS bytes
 FROM (SELECT DISTINCT execution, path, size FROM artifacts SEMI JOIN those USING (execution))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,6 +11,7 @@ from sierra.execution.plan import Plan
 from sierra.execution.plan_notes import out_of_reach
 from sierra.model import Batch
 from sierra.store.store import Store
+from sierra.util.lazy_definitions import replace
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -80,6 +82,32 @@ def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Ite
         yield Counted(experiment.values, len(runs), len(runs - bad), len(runs & tried))
 
 
+class _Accepted(NamedTuple):
+    ordinal: int
+    outcome: str
+    runs: int
+
+
+ACCEPTED = """
+SELECT ordinal, outcome, count(*) AS runs FROM effective WHERE batch = $b AND outcome <> 'success' GROUP BY ALL ORDER BY ALL
+"""
+
+
+def with_outcomes(plan: Plan, store: Store, summary: Summary) -> Summary:
+    """Return the summary of a recorded session, in which ends that [success] accepts are no successes."""
+    if not plan.project.config.success.accept:
+        return summary
+    outcomes, ends = Counter[str](), Counter[int]()
+    for row in store.select(_Accepted, ACCEPTED, b=plan.batch.id):
+        outcomes[row.outcome] += row.runs
+        ends[row.ordinal] += row.runs
+    counts = (
+        replace(one, succeeded=one.succeeded - ends[ordinal], accepted=ends[ordinal])
+        for ordinal, one in enumerate(summary.counts)
+    )
+    return replace(summary, counts=tuple(counts), outcomes=dict(outcomes))
+
+
 REASONS = """
 WITH last AS (
     SELECT run, arg_max(status, lamport) AS status, coalesce(arg_max(reason, lamport), '') AS reason,
@@ -123,8 +151,8 @@ def of_recorded(
     from sierra.execution import show_record
 
     shown = show_record.batch(store, batch)
-    counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed) for one in shown.experiments)
-    succeeded, unsuccessful = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
+    counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed, one.accepted) for one in shown.experiments)
+    succeeded, unsuccessful = sum(one.succeeded + one.accepted for one in counts), sum(one.failed for one in counts)
     missing = max(0, shown.row.runs - succeeded - unsuccessful)
     return Summary(
         batch=batch,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sierra.model import Value
 from sierra.util.hashing import short
-from sierra.util.lazy_definitions import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 
 if TYPE_CHECKING:
     from sierra.execution.outputs_taken import TakenOutputs
@@ -34,6 +34,8 @@ class Counted:
     runs: int
     succeeded: int
     failed: int
+    accepted: int = 0
+    """Number of runs with an end that [success] accepts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +61,8 @@ class Summary:
     """Ids of sessions on a cluster that continue without this process."""
     counts: tuple[Counted, ...] = ()
     """Numbers of runs by experiment, in the batch's order."""
+    outcomes: Mapping[str, int] = field(default_factory=dict)
+    """Numbers of runs by an end that [success] accepts, such as `exit 3`."""
     failures: tuple[Failure, ...] = ()
     """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
     target: str | None = None
@@ -79,9 +83,9 @@ class Summary:
     def _repr_html_(self) -> str:
         from sierra.util import html
 
-        names = ("runs", "succeeded", "failed")
+        names = ("runs", "succeeded", "accepted", "failed")
         axes = list(self.counts[0].values) if self.counts else []
-        rows = ([*one.values.values(), one.runs, one.succeeded, one.failed] for one in self.counts)
+        rows = ([*one.values.values(), one.runs, one.succeeded, one.accepted, one.failed] for one in self.counts)
         counts = (
             f"{self.runs} runs: {self.executed} executed, {self.reused} reused, {self.failed} failed, {self.missing} missing"
         )

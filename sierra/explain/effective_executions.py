@@ -69,13 +69,14 @@ STANDINGS = f"""
 WITH last AS (SELECT * FROM all_judgements WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts))
 SELECT t.counts,
        coalesce(t.own IN (SELECT execution FROM reused_executions WHERE session = $session), false) AS unchanged,
-       t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
+       t.execution IS NOT NULL AS tried, coalesce(t.status IN ('ok', 'accepted'), false) AS good, e.reason, e.programs,
        e.ingest_rules, coalesce(e.imported, false) AS imported, coalesce(e.unobserved, false) AS unobserved,
        count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
 FROM standing t LEFT JOIN (
-    SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
-           CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN ingest_rules END AS ingest_rules,
-           packages IS NOT NULL AS imported, status = 'ok' AND (session, run) NOT IN (
+    SELECT judgement AS execution, CASE WHEN status NOT IN ('ok', 'accepted') THEN coalesce(reason, status) END AS reason,
+           CASE WHEN status IN ('ok', 'accepted') THEN programs END AS programs,
+           CASE WHEN status IN ('ok', 'accepted') THEN ingest_rules END AS ingest_rules,
+           packages IS NOT NULL AS imported, status IN ('ok', 'accepted') AND (session, run) NOT IN (
                SELECT (session, run) FROM ({OBSERVED} AND e.session IN (SELECT session FROM last))
                JOIN batch_runs USING (batch, ordinal) WHERE run IN (SELECT run FROM last)
            ) AS unobserved

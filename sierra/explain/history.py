@@ -80,7 +80,7 @@ earlier AS (
     SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.ingest_rules, p.reason,
            f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
            (p.session, p.run) NOT IN (SELECT (session, run) FROM observed) AS unobserved,
-           CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
+           CASE WHEN p.status NOT IN ('ok', 'accepted') AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
                 WHEN p.ingest_rules <> e.ingest_rules THEN $rules
                 WHEN p.programs <> e.programs OR (e.session, p.session) IN (SELECT (session, stale) FROM stale_sessions)
                 THEN $programs
@@ -138,7 +138,7 @@ SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHE
        CASE WHEN worth = 1 THEN best.ingest_rules END AS was_rules, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
        CASE WHEN worth = 1 THEN ingest_rules END AS ingest_rules, CASE WHEN worth = 2 THEN programs END AS programs,
        CASE WHEN worth = 2 THEN best.unobserved END AS unobserved,
-       count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
+       count(*) AS executions, count(*) FILTER (status NOT IN ('ok', 'accepted')) AS failed, min(started) AS started,
        min(lamport) AS lamport, arg_min(execution, lamport) AS execution, arg_min(run, lamport) AS run,
        arg_min(best.prior, lamport) AS prior
 FROM happened GROUP BY ALL ORDER BY executions DESC, execution

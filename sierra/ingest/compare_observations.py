@@ -19,7 +19,7 @@ TRACER = regex("(?:^|; )strace: ")
 """The beginning of the reason why the tracer cannot be used, as the worker writes it."""
 SEEN = """
 WITH seen AS (
-    SELECT DISTINCT m.ordinal, e.run, e.execution, e.status = 'ok' AND o.reason IS NULL AS complete, o.files
+    SELECT DISTINCT m.ordinal, e.run, e.execution, e.status IN ('ok', 'accepted') AND o.reason IS NULL AS complete, o.files
     FROM observations o JOIN executions e USING (execution)
     JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
     WHERE e.session = $session

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.output_tables import Output
+from sierra.config.output_tables import ACCEPTED, Output
 from sierra.ingest import robot_files
 from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
@@ -21,7 +21,7 @@ from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import OUTPUT, Writer
 from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
-from sierra.util.lazy_definitions import dataclass, field
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 
 class TableFile(NamedTuple):
@@ -42,7 +42,8 @@ class _Named(NamedTuple):
 
 NAMED = """
 SELECT DISTINCT path, output FROM all_artifacts
-WHERE kind IN ('table', 'file') AND regexp_matches(path, '^([0-9]{1,9}/)?[^/]+[.](csv|tsv|parquet|jsonl|ndjson)$', 'i')
+WHERE kind IN ('table', 'file') AND NOT coalesce(ends_with(output, $accepted), false)
+    AND regexp_matches(path, '^([0-9]{1,9}/)?[^/]+[.](csv|tsv|parquet|jsonl|ndjson)$', 'i')
 ORDER BY ALL
 """
 
@@ -50,9 +51,10 @@ ORDER BY ALL
 def recorded_names(store: Store) -> list[_Named]:
     """Return the recorded files that could be undeclared tables, each with its table, or None."""
     with store.snapshot() as snapshot:
-        return snapshot.select(_Named, NAMED) if snapshot.holds("artifacts") else []
+        return snapshot.select(_Named, NAMED, accepted=ACCEPTED) if snapshot.holds("artifacts") else []
 
 
+NAME_TAKEN = "{path}: makes the table {name!r}, as rows of accepted ends do ([success] accept); give it another name"
 NO_TABLE = TableFile(None, None, None, None)
 
 
@@ -72,6 +74,8 @@ class TableIngest:
     def judged(self, one: Judgement) -> Judgement:
         """Return the judgement after the tables were read."""
         execution = one.result.execution
+        if one.status is Status.ACCEPTED:  # a program that did not come to its end may have written anything
+            return one
         if execution in self.faults:
             return Judgement(one.result, Status.MISMATCH, self.faults[execution])
         files = one.result.outputs if one.status is Status.OK else ()
@@ -128,15 +132,21 @@ def tabled(
     assigning: OutputMatcher,
     shapes: dict[str, Shape],
 ) -> TableIngest:
-    """Read all tables of successful executions into a segment; add new tables to `shapes`."""
+    """Read all tables of executions that are results into a segment; add new tables to `shapes`.
+
+    The rows of accepted ends are in tables of their own: the programs may not have come to the end of their files.
+    """
     from sierra.store.connections import connect
 
     made = TableIngest(context.outputs)
     files: dict[str, list[Written]] = {}
-    for result in (one.result for one in executions if one.status is Status.OK):
-        for name, shape, file in assigning.of(result):
-            shapes.setdefault(name, shape)
-            files.setdefault(name, []).append(_written(result, file, context.outputs.get(name)))
+    for judged in executions:
+        for output, shape, file in assigning.of(judged.result) if judged.status.is_result else ():
+            name = output if judged.status is Status.OK else output + ACCEPTED
+            if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
+                made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(file.path), name=name))
+            shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
+            files.setdefault(name, []).append(_written(judged.result, file, context.outputs.get(output)))
     if not files:
         return made
     connection = connect()

@@ -222,7 +222,7 @@ class Recorder:
         self._pending, self._bytes = [], 0
         self._other_rows, self._copies = {}, []
         self._record_late()
-        return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
+        return [(one.result.run, one.status, one.reason or "") for one in judged if not one.status.is_result]
 
     def _compared(self) -> Iterator[DuplicateRow]:
         """Yield the copies that are not recorded yet, each compared with the record of its execution."""
@@ -328,7 +328,7 @@ class Recorder:
     def _marked(self, one: Judgement) -> Judgement:
         """Return the judgement by which the run is reported: that of a person who found the trial invalid, if there is one."""
         trials = [row for table, row in self._parts.get(one.result.execution, ()) if table == "trials"]
-        if one.status is not Status.OK or not trials or trials[-1].get("valid") in (None, True):
+        if not one.status.is_result or not trials or trials[-1].get("valid") in (None, True):
             return one
         reason = trials[-1].get("reason")
         return Judgement(one.result, Status.INVALID, f"{INVALID_TRIAL}: {reason}" if reason else INVALID_TRIAL)

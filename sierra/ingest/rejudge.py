@@ -107,7 +107,7 @@ class Past:
 
     @property
     def succeeded(self) -> bool:
-        return self.last.status == Status.OK
+        return self.last.status in (Status.OK, Status.ACCEPTED)
 
     def result(self, execution: str, directory: Path, files: Mapping[str, OutputFile]) -> Result:
         """Return the result that a worker would have reported; `files` are the files whose bytes are in `directory`."""
@@ -186,13 +186,13 @@ WITH last AS (
 ),
 may AS (
     SELECT l.*, f.execution IS NOT NULL AS found FROM last l LEFT JOIN findings f ON f.execution = l.j.judgement
-    WHERE l.j.status IN ('ok', 'failed', 'mismatch')
+    WHERE l.j.status IN ('ok', 'accepted', 'failed', 'mismatch')
         AND (l.j.ingest_rules <> $ingest_rules OR ($mismatched AND f.execution IS NOT NULL))
 ),
 best AS (
     SELECT run, arg_max({{'execution': execution, 'exit_code': exit_code, 'signal': signal, 'found': found, 'status': j.status,
            'reason': j.reason, 'ingest_rules': j.ingest_rules, 'judgement': j.judgement}},
-           (j.status = 'ok', lamport, execution)) AS b
+           (j.status IN ('ok', 'accepted'), lamport, execution)) AS b
     FROM may GROUP BY run
 )
 SELECT run, b.execution AS execution, b.exit_code AS exit_code, b.signal AS signal, b.found AS found, b.status AS status,
@@ -254,6 +254,9 @@ def _endings(snapshot: Snapshot, executions: Sequence[str]) -> tuple[dict[str, l
 
 def _is_tabled(one: Past, context: Context) -> bool:
     """Check that the files that become tables are already recorded as these tables, read in the same way, with their rows."""
+    result = one.result(one.last.execution, Path(), {})
+    if Status.ACCEPTED in (one.last.status, judge(result, context.outputs, context.success)[0]):
+        return False
     recorded = {(row.output, row.path) for row in one.artifacts if row.rows is not None}
     before, now = ({(n, file.path): shape for n, shape, file in _tables(one, rules)} for rules in (one, context))
     return before == now and now.keys() == recorded
@@ -270,7 +273,7 @@ def _is_hopeless(one: Past, context: Context) -> bool:
     if one.succeeded:
         return False
     result = one.result(one.last.execution, Path(), {})
-    if judge(result, context.outputs, context.success.model_copy(update=UNREAD))[0] is not Status.OK:
+    if not judge(result, context.outputs, context.success.model_copy(update=UNREAD))[0].is_result:
         return True
     return not (one.success.marker or one.success.stderr or one.failed_by_rules(result))
 
@@ -346,7 +349,7 @@ class _Group:
             Judgement(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()
         ]
         # an execution that failed before and still fails is not recorded: its run is executed
-        first = [one for one in first if results[one.result.execution][0].succeeded or one.status is Status.OK]
+        first = [one for one in first if results[one.result.execution][0].succeeded or one.status.is_result]
         writer = self.store.writer(self.session.segment, self.context.batch)
         if past[0].tabled:
             tables: TableIngest = self._copied(

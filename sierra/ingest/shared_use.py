@@ -119,7 +119,8 @@ SHARED = f"""
 WITH {MEMBERS},
 mine AS (
     SELECT DISTINCT execution, run, ordinal, CASE WHEN alone THEN -1 ELSE ordinal END AS scope,
-           bool_or(status = 'ok') OVER (PARTITION BY execution) AS ok, min(lamport) OVER (PARTITION BY session) AS place
+           bool_or(status IN ('ok', 'accepted')) OVER (PARTITION BY execution) AS ok,
+           min(lamport) OVER (PARTITION BY session) AS place
     FROM all_judgements JOIN members USING (run) WHERE purpose = 'run'
 ),
 observed AS (
@@ -189,7 +190,9 @@ seen AS (
     SELECT e.session, e.batch, m.ordinal, bool_or(u.execution IS NOT NULL) AS uses
     FROM near e JOIN batch_runs m USING (batch, run) JOIN observations o USING (execution)
     LEFT JOIN (FROM ({uses}) WHERE list_contains($names, name)) u USING (execution)
-    WHERE e.purpose = 'run' AND (u.execution IS NOT NULL OR (o.method = 'strace' AND o.reason IS NULL AND e.status = 'ok'))
+    WHERE e.purpose = 'run' AND (
+        u.execution IS NOT NULL OR (o.method = 'strace' AND o.reason IS NULL AND e.status IN ('ok', 'accepted'))
+    )
     GROUP BY ALL
 ),
 exempt AS (
@@ -198,7 +201,7 @@ exempt AS (
 )
 SELECT n.judgement, n.run, n.batch, n.session
 FROM near n JOIN timed t USING (execution) ANTI JOIN exempt x ON x.judgement = n.judgement
-WHERE n.status = 'ok' AND n.purpose = 'run' AND (t.overlaps OR (n.session = $session AND epoch(n.ended) > $lost))
+WHERE n.status IN ('ok', 'accepted') AND n.purpose = 'run' AND (t.overlaps OR (n.session = $session AND epoch(n.ended) > $lost))
 ORDER BY n.batch, n.judgement
 """
 """The judgements of executions that overlapped another one in time. Those of one slot follow each other, whatever a clock says.
@@ -210,7 +213,7 @@ WITH {MEMBERS},
 others AS (
     SELECT DISTINCT run, ordinal, list_contains($near, run) AS near FROM members
     JOIN all_judgements USING (run)
-    WHERE status = 'ok' AND purpose = 'run' AND run NOT IN (
+    WHERE status IN ('ok', 'accepted') AND purpose = 'run' AND run NOT IN (
         SELECT run FROM all_judgements JOIN ({{uses}}) USING (execution) WHERE list_contains($names, name)
     )
 ),
@@ -221,7 +224,7 @@ SELECT arg_max(run, (near, run)) FROM scoped WHERE list_contains($scopes, scope)
 UNSEEN = f"""
 WITH {MEMBERS},
 mine AS (
-    SELECT run, ordinal, status = 'ok' AS ok, execution IN (SELECT execution FROM observations) AS observed
+    SELECT run, ordinal, status IN ('ok', 'accepted') AS ok, execution IN (SELECT execution FROM observations) AS observed
     FROM all_judgements JOIN members USING (run) WHERE session = $session AND purpose = 'run'
 )
 SELECT max(run) FILTER (ok) FROM mine GROUP BY ordinal

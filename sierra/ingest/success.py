@@ -32,7 +32,7 @@ class Judgement:
     result: Result
     status: Status
     reason: str | None
-    """The reason why it is not successful."""
+    """The reason why it is not successful; of an accepted end, this end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,8 @@ class Doubt:
 
 
 def doubted(one: Judgement, doubt: Doubt) -> Judgement:
-    """Return the judgement as failed because of the doubt, if it was successful and may have used what has changed."""
-    if one.status is not Status.OK:
+    """Return the judgement as failed because of the doubt, if it is a result and may have used what has changed."""
+    if not one.status.is_result:
         return one
     seen = observed(one.result) if doubt.files is not None else None
     if seen is not None and doubt.files is not None and not seen.concerned(doubt.files):
@@ -61,6 +61,9 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     if result.stopped is not None:
         met = success.marker and result.stopped == Status.TIMEOUT and _marked(result, success)[0] is Status.OK
         return Status(result.stopped), STOPPED[Status(result.stopped)] + (AFTER_MARKER if met else "")
+    if (end := _accepted(result, success)) is not None:
+        wrong = _left_running(result, success) or astray.failure(result, outputs) or claimed_twice(result, outputs)
+        return (Status.FAILED, wrong) if wrong else (Status.ACCEPTED, end)
     if result.after_marker is None and (reason := _bad_end(result, success)) is not None:
         return Status.FAILED, reason
     for name, output in outputs.items():
@@ -74,6 +77,13 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     if status is Status.OK and (printed := stderr.against(success.stderr, result.directory)) is not None:
         return Status.FAILED, printed
     return status, reason
+
+
+def _accepted(result: Result, success: Success) -> str | None:
+    """Return the end of a program if it is no success, but a result; None otherwise."""
+    if not success.accept or result.after_marker is not None:
+        return None
+    return success.accepted(result.exit_code if result.signal is None else -result.signal)
 
 
 def _bad_end(result: Result, success: Success) -> str | None:

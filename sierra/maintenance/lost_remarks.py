@@ -26,7 +26,7 @@ REMARKS = ("findings", "trials")
 REASON = "remarks on executions of its batch were lost in a damaged file"
 SUCCESSES = """
 SELECT batch, execution FROM executions
-WHERE status = 'ok' AND purpose = 'run' AND (
+WHERE status IN ('ok', 'accepted') AND purpose = 'run' AND (
     batch[:12] IN (SELECT value FROM doubtful)
     OR run IN (SELECT run FROM batch_runs WHERE batch[:12] IN (SELECT value FROM doubtful))
 ) ORDER BY ALL

@@ -24,10 +24,10 @@ comparable, and 130 after Ctrl-C.
     patterns      the patterns of outputs whose names may differ, except those in `named`
 
 Each line of `jobs` is a run: `argv`, `environment` (the variables that differ from the shared ones; null removes one), `files`
-(inputs), `folders` (marks in inputs, see `worker.py`), `seconds` (its recorded duration), and `outputs` (the SHA-256 of each
-file). An input is a text in which each character stands for a byte, or an object with the lines that differ from the same input
-of the line before. PROJECT_MARK and PYTHON_MARK stand for paths of this machine, ARCH_MARK for its processor, and NUL for the
-folder of the run.
+(inputs), `folders` (marks in inputs, see `worker.py`), `seconds` (its recorded duration), `ended` (its recorded exit status,
+negative for a signal, if it was no success), and `outputs` (the SHA-256 of each file). An input is a text in which each
+character stands for a byte, or an object with the lines that differ from the same input of the line before. PROJECT_MARK and
+PYTHON_MARK stand for paths of this machine, ARCH_MARK for its processor, and NUL for the folder of the run.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ IN_PROJECT = INSIDE + "/project"
 IN_CONDUCTOR = INSIDE + "/conductor.py"
 WAYS = ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs"))
 POLL_S = 0.1
+SHELL = 128  # what a shell adds to the number of the signal that has ended a program
 SHOWN = 20  # runs that are printed
 WIDTH = 200  # characters of a text that are printed
 IDENTICAL, DIFFERENT, FAILED, NOT_COMPARABLE = "identical", "different", "failed", "not comparable"
@@ -138,6 +139,7 @@ class Run(NamedTuple):
     files: dict[str, bytes]
     folders: dict[str, str]
     outputs: dict[str, str]
+    ended: int | None
 
     def called(self) -> str:
         return f"run {self.number} of experiment {self.experiment} ({clean(self.run)[:10]})"
@@ -217,6 +219,7 @@ def read_run(line: str, before: Mapping[str, str]) -> tuple[Run, dict[str, str]]
         {name: text.encode("latin-1") for name, text in texts.items()},
         texts_of(given.get("folders", {})),
         texts_of(given["outputs"]),
+        None if given.get("ended") is None else int(given["ended"]),
     )
     return found, texts
 
@@ -552,7 +555,7 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
     batch: Batch = place.batch
     if end.get("error"):
         raise missing(f"{run.called()}: {end['error']}")
-    trouble, last = trouble_of(batch, end), log_tail(folder)
+    trouble, last = trouble_of(batch, run, end), log_tail(folder)
     refused = place.error.match(f"{end.get('exit_code')} {last}")
     if refused:
         raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
@@ -591,8 +594,10 @@ def natural(path: str) -> tuple[list[Any], str]:
     return [int(part) if place % 2 else part for place, part in enumerate(parts)], path
 
 
-def trouble_of(batch: Batch, end: Mapping[str, Any]) -> str:
-    """Return why a run has failed; "" if it has not."""
+def trouble_of(batch: Batch, run: Run, end: Mapping[str, Any]) -> str:
+    """Return why a run has failed; "" if it has not, or if it has ended with the same error as before."""
+    if run.ended is not None:
+        return "" if run.ended in both_numbers(end) else f"{ended_with(end)}, and not {status_words(run.ended)} as before"
     if end.get("stopped"):
         return f"stopped: {end['stopped']}"
     if end.get("after_marker") is not None:
@@ -600,6 +605,25 @@ def trouble_of(batch: Batch, end: Mapping[str, Any]) -> str:
     if end.get("signal"):
         return "" if -end["signal"] in batch.success else f"ended by signal {end['signal']}"
     return "" if end.get("exit_code") in batch.success else f"exit status {end.get('exit_code')}"
+
+
+def both_numbers(end: Mapping[str, Any]) -> Sequence[int]:
+    """Return the exit statuses that an end can have: of a signal, also that of a shell or a container's engine."""
+    if end.get("stopped") or end.get("after_marker") is not None:
+        return ()
+    if end.get("signal"):
+        return (-end["signal"], SHELL + end["signal"])
+    status = int(end.get("exit_code") or 0)
+    return (status, SHELL - status) if status > SHELL else (status,)
+
+
+def status_words(status: int) -> str:
+    return f"signal {-status}" if status < 0 else f"exit status {status}"
+
+
+def ended_with(end: Mapping[str, Any]) -> str:
+    numbers = both_numbers(end)
+    return status_words(numbers[0]) if numbers else f"stopped: {end.get('stopped') or 'after its marker'}"
 
 
 def log_tail(folder: Path) -> str:

@@ -12,7 +12,7 @@ from sierra.model import Run, Value
 from sierra.replay.options import ReplayOptions
 from sierra.store.recorded_files import ChosenExecution, take, where
 from sierra.store.sql_names import stored_names
-from sierra.store.store import Found, Store
+from sierra.store.store import Found, Snapshot, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
@@ -58,6 +58,8 @@ SELECT output, list(DISTINCT table_layout ORDER BY table_layout) AS forms FROM a
 WHERE kind = 'table' GROUP BY output
 """
 """SQL: the recorded forms of tables, by output."""
+REPEATED = ("ok", "accepted", "failed")
+"""The statuses of executions that are repeated if their id is named."""
 WROTE = "SELECT DISTINCT execution FROM all_artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
 """SQL: the executions that left files or tables."""
 
@@ -66,12 +68,10 @@ def find(store: Store, found: Found, options: ReplayOptions) -> Record:
     """Return the recorded data of the runs to replay. Raises NotFound, Missing if there is nothing to compare with."""
     with store.snapshot() as snapshot:
         named = take(snapshot, found)
-        good = [one for one in named if one.status == "ok"]
+        good = _repeatable(snapshot, found, named)
         taken = [one for one in good if options.includes(one)]
         if not taken:
-            raise NotFound(
-                f"{found.kind} {short(found.id)} has no successful execution to compare with; execute it with sierra run"
-            )
+            raise NotFound(f"{found.kind} {short(found.id)} has no execution to compare with; execute it with sierra run")
         snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
         snapshot.add_table("taken", execution=[str(one.judgement) for one in taken])
@@ -99,16 +99,25 @@ def find(store: Store, found: Found, options: ReplayOptions) -> Record:
         used=used,
         notes=[],
     )
-    left = sum(one.judgement in wrote for one in taken)
+    left = sum(one.judgement in wrote or one.status != "ok" for one in taken)  # of others, the end is compared too
     if not left:
         raise Missing(f"{found.kind} {short(found.id)} wrote only logs, and logs are not compared")
     if left < len(taken):
         record.notes.append(f"{len(taken) - left} of {counted(len(taken), 'run')} wrote only logs, and logs are not compared")
     if without := len(named) - len(good):
-        record.notes.append(f"not executed again: {without} of {counted(len(named), 'run')} without a successful execution")
+        record.notes.append(f"not executed again: {without} of {counted(len(named), 'run')} without an execution that counts")
     if len({(row.programs, row.ingest_rules) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; the first ones are used")
     return record
+
+
+def _repeatable(snapshot: Snapshot, found: Found, named: Sequence[ChosenExecution]) -> list[ChosenExecution]:
+    """Return the executions to repeat: those that count, programs that ended with an error, and the one that is named."""
+    if all(one.which == "counts" for one in named):
+        return list(named)
+    snapshot.views.make(("ended",))
+    ended = set(snapshot.values(str, "SELECT judgement FROM ended WHERE batch = $b", b=where(snapshot, found).batch))
+    return [one for one in named if one.judgement in ended or (one.which == "asked" and one.status in REPEATED)]
 
 
 def _columns(forms: list[str]) -> list[str]:

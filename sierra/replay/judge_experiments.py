@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Output
@@ -27,7 +28,7 @@ def recorded_metrics(
     if not record.whole:
         record.notes.append("equivalence is tested only for whole experiments: replay without --runs")
         return None
-    executions = {one.run: str(one.judgement) for one in record.runs}
+    executions = {one.run: str(one.judgement) for one in record.runs if one.status == "ok"}
     tables: dict[str, Output | DerivedTable] = {**project.config.tables, **declared}
     try:
         return equivalence.values(store, record.of.batch, executions, project.config.equivalence, tables)
@@ -36,20 +37,58 @@ def recorded_metrics(
         return None
 
 
+class _End(NamedTuple):
+    """How an execution has ended, by one of its judgements."""
+
+    judgement: str
+    status: str
+    reason: str | None
+    exit_code: int | None
+    signal: int | None
+
+    @property
+    def words(self) -> str:
+        return "success" if self.status == Status.OK else str(self.reason or self.status)
+
+    def is_like(self, other: _End) -> bool:
+        return (self.status, self.exit_code, self.signal) == (other.status, other.exit_code, other.signal)
+
+
+ENDS = "SELECT judgement, status, reason, exit_code, signal FROM all_judgements SEMI JOIN ends USING (judgement)"
+
+
 def compare_runs(
     record: Record, store: Store, made: Mapping[str, str], failed: Mapping[str, Status], declared: Mapping[str, Output]
 ) -> Iterator[Compared]:
-    """Yield each run with the agreement of its outputs. `made`: the new executions; `failed`: the status of failed runs."""
-    done = [one for one in record.runs if one.run not in failed]
+    """Yield each run with the agreement of its outputs, and of its end if it was no success.
+
+    `made`: the new executions; `failed`: the status of runs that failed now.
+    """
     with store.snapshot() as snapshot:
+        names = [str(one.judgement) for one in record.runs] + [made[one.run] for one in record.runs]
+        snapshot.add_table("ends", judgement=names)
+        snapshot.views.make(("all_judgements",))
+        ends = {end.judgement: end for end in snapshot.select(_End, ENDS)}
+        both = ((one.run, ends[str(one.judgement)], ends.get(made[one.run])) for one in record.runs)
+        whole = {run: _of_end(was, now, failed.get(run)) for run, was, now in both}
+        done = [one for one in record.runs if (end := whole[one.run]) is None or end.verdict is Verdict.IDENTICAL]
         pairs = [(str(one.judgement), made[one.run]) for one in done]
-        for taken, outputs in zip(done, compare_all(snapshot, pairs, declared), strict=True):
-            yield Compared(taken, made[taken.run], outputs)
-        snapshot.views.make(("executions",))
-        for taken in (one for one in record.runs if one.run in failed):
-            execution = made[taken.run]
-            [(reason,)] = snapshot.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
-            yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
+        compared = dict(zip((one.run for one in done), compare_all(snapshot, pairs, declared), strict=True))
+        for taken in record.runs:
+            end = whole[taken.run]
+            of_end: dict[str | None, Agreement] = {} if end is None else {None: end}
+            yield Compared(taken, made[taken.run], of_end | compared.get(taken.run, {}))
+
+
+def _of_end(was: _End, now: _End | None, failed: Status | None) -> Agreement | None:
+    """Return how the ends of two executions of a run agree; None if both were successful."""
+    if now is None or (failed is not None and Status(was.status).is_result):
+        return Agreement(Verdict.FAILED, (now.reason if now else None) or str(failed or "it has no record"))
+    if was.status == now.status == Status.OK:
+        return None
+    if was.is_like(now):
+        return Agreement(Verdict.IDENTICAL, f"it ended as before: {now.words}")
+    return Agreement(Verdict.DIFFERENT, f"it ended with {was.words} before, and with {now.words} now", form=True)
 
 
 def judge(
@@ -67,7 +106,8 @@ def judge(
     stochastic = {place: runs for place, runs in by_place.items() if was is not None and _wavers(runs)}
     now: equivalence.Values = {}
     if stochastic:
-        executions = {run.taken.run: str(run.execution) for runs in stochastic.values() for run in runs}
+        of_runs = (run for runs in stochastic.values() for run in runs if run.taken.status == "ok")
+        executions = {run.taken.run: str(run.execution) for run in of_runs}
         tables: dict[str, Output | DerivedTable] = {**project.config.tables, **declared}
         try:
             now = equivalence.values(store, record.of.batch, executions, project.config.equivalence, tables)
@@ -77,7 +117,7 @@ def judge(
     for place, runs in by_place.items():
         found: tuple[Metric, ...] = ()
         if place in stochastic and was is not None:
-            names = [run.taken.run for run in runs]
+            names = [run.taken.run for run in runs if run.taken.status == "ok"]
             found = tuple(equivalence.compare(project.config.equivalence, was, now, place, names))
         yield OfExperiment(runs[0].taken.experiment, place, record.cells[place], tuple(runs), found)
 

@@ -399,7 +399,7 @@ def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[st
 
 
 class Finished(NamedTuple):
-    """A successful execution of an earlier call."""
+    """An execution of an earlier call that need not be repeated."""
 
     run: str
     execution: str
@@ -409,7 +409,7 @@ class Finished(NamedTuple):
 FINISHED = """
 SELECT run, max(execution) AS execution, arg_max(session, execution) AS session FROM executions
 WHERE (purpose = 'replay' AND list_contains($sessions, session) OR list_contains($executions, execution))
-  AND list_contains($runs, run) AND status = 'ok'
+  AND list_contains($runs, run) AND (status IN ('ok', 'accepted') OR list_contains($failed, run))
   AND programs = $programs AND environment = $environment AND ingest_rules = $rules
   AND isolation IS NOT DISTINCT FROM $isolation
 GROUP BY run
@@ -427,6 +427,7 @@ def finished(store: Store, record: Record, options: ReplayOptions, context: Cont
         sessions=sorted(options.earlier),
         executions=sorted(options.variation.finished),
         runs=[one.run for one in record.runs],
+        failed=[one.run for one in record.runs if one.status not in ("ok", "accepted")],
         programs=context.programs,
         environment=context.environment,
         rules=context.ingest_rules,

@@ -24,6 +24,7 @@ The statements run on a `Frame`, which has one relation. The store makes it from
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -127,6 +128,8 @@ class Coverage:
     """The number of runs whose time goes back from one row to the next."""
     ends: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     """The times at which the first and the last of an experiment's runs end, by experiment."""
+    accepted: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
+    """The number of runs by an end that is a result but no success, such as `exit 3`, by experiment; they have no such rows."""
 
     def about_ends(self) -> list[str]:
         """Return a note if runs of an experiment end at different times."""
@@ -540,7 +543,8 @@ def left_out(
     wanted = sum((planned or {}).values())
     absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
     if absent:
-        notes.append(f"{absent} of {counted(wanted, 'run')} missing{' or without such rows' if seen.selected else ''}")
+        because = _accepted_ends(seen, planned or {})
+        notes.append(f"{absent} of {counted(wanted, 'run')} missing{' or without such rows' if seen.selected else ''}{because}")
     for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
         if count := sum(_total(table, name) for table in tables):
             notes.append(f"{counted(count, what)} left out")
@@ -550,6 +554,14 @@ def left_out(
     if seen.untimed:
         notes.append(f"{counted(seen.untimed, 'row')} without a time left out")
     return notes
+
+
+def _accepted_ends(seen: Coverage, experiments: Iterable[int]) -> str:
+    """Return how runs have ended that are results without being successes, in parentheses; "" if there are none."""
+    ends = Counter[str]()
+    for experiment in experiments:
+        ends.update(seen.accepted.get(experiment, {}))
+    return f" ({', '.join(f'{count} with {end}' for end, count in sorted(ends.items()))})" if ends else ""
 
 
 def _nothing(figure: Figure, tables: Mapping[str, pa.Table], seen: Coverage) -> str:

@@ -19,7 +19,7 @@ QUALIFY row_number() OVER (PARTITION BY w.judgement ORDER BY c.lamport DESC) = 1
 
 CUT_OFF = """
 SELECT g.execution, e.session, g.run, g.rendering FROM renderings g JOIN executions e USING (execution)
-WHERE list_contains($r, g.run) AND e.status = 'ok' AND g.execution NOT IN (SELECT execution FROM captures)
+WHERE list_contains($r, g.run) AND e.status IN ('ok', 'accepted') AND g.execution NOT IN (SELECT execution FROM captures)
 """
 
 

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from sierra.store.clock_times import SECONDS
-from sierra.store.samples import FLAG, MEMBERS, NUMERIC, Frame, names_time
+from sierra.store.samples import FLAG, NUMERIC, Frame, names_time
 from sierra.store.sql_names import identifier, stored_name
 from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
@@ -45,7 +45,8 @@ DIGITS = 5
 SMALL, ROUNDED = 100, 1e-6
 """unless it is a fraction of numbers up to SMALL, written with six digits."""
 
-SIZES = "SELECT experiment, count(*) AS runs FROM membership GROUP BY experiment ORDER BY experiment"
+SUCCESSFUL = "(FROM membership WHERE outcome = 'success')"
+SIZES = f"SELECT experiment, count(*) AS runs FROM {SUCCESSFUL} GROUP BY experiment ORDER BY experiment"
 VALUES = """
 SELECT DISTINCT {column} AS value FROM data WHERE "# experiment" = $experiment AND run = $run AND (
     SELECT count(DISTINCT content) > 1 FROM (
@@ -70,17 +71,18 @@ SELECT coalesce((SELECT bool_and(runs = seeds) FROM (
 FILES = f"""
 SELECT a.output, a.path, bool_or(contains(lower(a.table_layout), 'seed')) AS seed,
     any_value(a.table_layout) AS table_layout FROM all_artifacts a
-WHERE a.kind = 'table' AND a.rows > 0 AND a.execution IN ({MEMBERS}) GROUP BY a.output, a.path ORDER BY ALL
+WHERE a.kind = 'table' AND a.rows > 0 AND a.execution IN (SELECT judgement FROM {SUCCESSFUL})
+GROUP BY a.output, a.path ORDER BY ALL
 """
-OF_FILES = """
+OF_FILES = f"""
 SELECT m.experiment, m.run, coalesce(list(a.sha256 ORDER BY a.path)::VARCHAR, '') AS content
-FROM membership m LEFT JOIN all_artifacts a
+FROM {SUCCESSFUL} m LEFT JOIN all_artifacts a
     ON a.execution = m.judgement AND a.kind IN ('table', 'file') AND a.output = $output
 GROUP BY ALL
 """
 OF_ROWS = """
 SELECT m.experiment, m.run, (count(d.run), sum(hash({columns})::HUGEINT))::VARCHAR AS content
-FROM membership m LEFT JOIN data d ON d.run = m.run AND d."# experiment" = m.experiment GROUP BY ALL
+FROM {successful} m LEFT JOIN data d ON d.run = m.run AND d."# experiment" = m.experiment GROUP BY ALL
 """
 SHARED = """
 SELECT experiment, run, content FROM ({contents})
@@ -196,7 +198,7 @@ def _shared(frame: Frame, output: str, volatile: Collection[str] | None) -> list
     columns = [name for name in kinds if name not in left_out]
     seeds = _of_seeds(frame, [name for name in columns if re.fullmatch(NUMERIC, kinds[name]) and name != "# place"])
     named = ", ".join(f"d.{identifier(name)}" for name in columns if name not in seeds)
-    rows = frame.sql(SHARED.format(contents=OF_ROWS.format(columns=named))).to_pylist()
+    rows = frame.sql(SHARED.format(contents=OF_ROWS.format(columns=named, successful=SUCCESSFUL))).to_pylist()
     return [_Run(row["experiment"], row["run"], row["content"]) for row in rows]
 
 

@@ -34,7 +34,7 @@ from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import read_regular
 from sierra.util.scratch import remove_abandoned
 
-FORMAT = 5
+FORMAT = 6
 """The number of the format of what an index holds besides the tables of records. It is raised with each change of that."""
 NAME = regex(r"([0-9a-f]{8})-([0-9]{9})-([0-9a-f]{16})\.duckdb")
 UNFINISHED = regex(rf"\.{NAME.pattern}{UNFINISHED_END}")

@@ -174,9 +174,10 @@ class ExecutionRow(NamedTuple):
     ended: Annotated[datetime, "when its program ended"]
     status: Annotated[
         Kept,
-        "ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)",
+        "ok, accepted (an end that [success] accept names), failed, timeout, memory, cpu, output, mismatch, stopped (by the "
+        "operator), interrupted, or invalid (see trials)",
     ]
-    reason: Annotated[Kept | None, "why the status is not ok, in one line"]
+    reason: Annotated[Kept | None, "why the status is not ok, in one line; of an accepted end, this end"]
     exit_code: Annotated[int | None, "the program's exit status; NULL if a signal ended it"]
     signal: Annotated[int | None, "the signal that ended it; NULL if none did"]
     wall_s: Annotated[float, "time from start to end", "s"]

@@ -32,7 +32,7 @@ from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.verified_files import verify
-from sierra.store.views import files_with
+from sierra.store.views import OUTCOME, files_with
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.scratch import scratch
@@ -67,6 +67,9 @@ FROM wanted w LEFT JOIN (
 ) last USING (run)
 """
 """SQL: the number of successful runs, of all runs and of executed runs, and the reason of the first one that was executed."""
+
+
+ACCEPTED = "SELECT experiment, outcome, count(*) FROM membership WHERE outcome <> 'success' GROUP BY ALL"
 
 
 class AllFailed(SierraError):
@@ -169,11 +172,11 @@ class Frame:
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
-        taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"
+        taken = "(SELECT ordinal, run, judgement, outcome FROM effective WHERE batch = $b)"
         if these is not None:
             self._snapshot.add_table("these", run=these, judgement=these.values())
-            self._snapshot.views.define("effective", THESE.format(batch=quote(self.batch)))
-            taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
+            self._snapshot.views.define("effective", THESE.format(batch=quote(self.batch), outcome=OUTCOME))
+            taken = "(SELECT ordinal, run, judgement, outcome FROM effective)"
         self._snapshot.views.make(("effective",))
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b",
@@ -181,7 +184,7 @@ class Frame:
         )
         run(
             "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
-            f"c.judgement, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
+            f"c.judgement, c.outcome, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
             "JOIN all_judgements e ON e.judgement = c.judgement",
             {"b": self.batch} if these is None else {},
         )
@@ -255,6 +258,16 @@ class Frame:
             "ON m.run = w.run AND m.experiment = w.ordinal GROUP BY w.ordinal"
         )
         return {row[0]: (row[1], row[2]) for row in rows}
+
+    def accepted(self) -> Mapping[int, Mapping[str, int]]:
+        """Return the number of runs by an end that is a result but no success, by the experiment's position."""
+        return self.once("accepted", self._accepted)
+
+    def _accepted(self) -> dict[int, dict[str, int]]:
+        ends: dict[int, dict[str, int]] = {}
+        for experiment, outcome, runs in self._snapshot.run(ACCEPTED):
+            ends.setdefault(experiment, {})[outcome] = runs
+        return ends
 
     def first_and_last_inputs(self) -> tuple[tuple[int, str], ...]:
         """Return pairs of the position of an experiment and the SHA-256 of an input: those of its first and of its last run."""
@@ -836,7 +849,7 @@ class Frame:
 
 
 THESE = """
-SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.ended AS submitted, e.lamport
+SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.ended AS submitted, e.lamport, {outcome} AS outcome
 FROM batch_runs m JOIN these t ON t.run = m.run JOIN all_judgements e ON e.judgement = t.judgement WHERE m.batch = {batch}
 """
 """The table `effective`, if statistics use given executions instead."""

@@ -111,8 +111,13 @@ DERIVED = {
             (
                 "status",
                 TEXT,
-                "ok if it has an effective execution; otherwise the status of its last execution (stale if that is ok); "
-                "missing if there is none",
+                "ok or accepted if it has an effective execution; otherwise the status of its last execution (stale if that is "
+                "ok or accepted); missing if there is none",
+            ),
+            (
+                "outcome",
+                TEXT,
+                "success, or the end that [success] accept names, such as exit 3; NULL without an effective execution",
             ),
             (
                 "execution",
@@ -133,6 +138,18 @@ DERIVED = {
             ("judgement", ID, "the effective judgement of that execution, as in all_judgements"),
             ("submitted", TIME, "when the batch was last submitted"),
             ("lamport", INT, "position of that session in the logical order, as in sessions"),
+            ("outcome", TEXT, "success, or the end that [success] accept names, such as exit 3"),
+        ),
+        _table(
+            "ended",
+            "The execution of each run in each batch that a replay repeats: the effective one or, if there is none, the last "
+            "one with the programs and rules of the batch's last session whose program has ended with an error.",
+            ("batch", ID, "the batch"),
+            ("ordinal", INT, "the experiment's position in the batch, from 0"),
+            ("run", ID, "the run"),
+            ("execution", ID, "the execution"),
+            ("judgement", ID, "the judgement of that execution, as in all_judgements"),
+            ("status", TEXT, "its status by this judgement"),
         ),
         _table(
             "all_judgements",

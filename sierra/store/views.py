@@ -35,6 +35,7 @@ NEEDS = {
     "all_trials": ("trials",),
     "all_candidates": ("all_judgements", "reused_executions"),
     "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
+    "ended": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
     "nondeterminism": ("executions", "verdicts", "imported_sessions"),
     "robot_clocks": ("robots",),
     "points": ("batch_runs", "experiments", "batches"),
@@ -518,9 +519,12 @@ class Views:
             "WHERE purpose <> 'capture' GROUP BY run), "
             f"counted AS ({self._last_effective}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
-            "any_value(m.spec) AS spec, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
-            "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
-            "any_value(c.execution) AS execution, coalesce(any_value(s.executions), 0) AS executions "
+            f"any_value(m.spec) AS spec, CASE WHEN any_value(c.outcome) = '{SUCCESS}' THEN 'ok' "
+            "WHEN any_value(c.outcome) IS NOT NULL THEN 'accepted' "
+            "WHEN any_value(s.last) IN ('ok', 'accepted') THEN 'stale' "
+            "ELSE coalesce(any_value(s.last), 'missing') END AS status, "
+            "any_value(c.outcome) AS outcome, any_value(c.execution) AS execution, "
+            "coalesce(any_value(s.executions), 0) AS executions "
             "FROM batch_runs m JOIN experiments x USING (batch, ordinal) LEFT JOIN batches b USING (batch) "
             "LEFT JOIN state s USING (run) "
             "LEFT JOIN counted c USING (run) GROUP BY m.run"
@@ -641,7 +645,8 @@ origin that counts in the batch. One commit's rows have one lamport time, so tha
 as a whole, in whatever order the files are read.
 """
 
-COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
+RESULTS_ONLY = "e.status IN ('ok', 'accepted')"
+COUNTS = f"""{RESULTS_ONLY} AND e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
     AND CASE WHEN e.reusing IS NULL THEN e.packages IS NOT DISTINCT FROM l.packages AND e.programs = l.programs
         AND NOT coalesce(list_contains(l.stale, e.session), false)
         ELSE e.reusing = l.session END"""
@@ -649,12 +654,18 @@ COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = l.ingest_
 judgement of the last execution is effective.
 """
 
+SUCCESS = "success"
+"""The outcome of a run that was successful."""
+OUTCOME = f"CASE WHEN e.status = 'accepted' THEN e.reason ELSE '{SUCCESS}' END"
+"""The SQL expression for the outcome of a judgement e that may be effective: the end that [success] accepts, or `SUCCESS`."""
+
 INVALID_TRIAL = "invalid trial"
 """The beginning of the reasons of executions that people marked as invalid."""
 JUDGED_BY_PEOPLE = """
 SELECT e.* REPLACE (
-    CASE WHEN t.refused AND e.status = 'ok' THEN 'invalid' ELSE e.status END AS status,
-    CASE WHEN t.refused AND e.status = 'ok' THEN {beginning} || coalesce(': ' || t.said, '') ELSE e.reason END AS reason
+    CASE WHEN t.refused AND e.status IN ('ok', 'accepted') THEN 'invalid' ELSE e.status END AS status,
+    CASE WHEN t.refused AND e.status IN ('ok', 'accepted') THEN {beginning} || coalesce(': ' || t.said, '')
+         ELSE e.reason END AS reason
 ) FROM ({judgements}) e LEFT JOIN (
     SELECT execution, NOT coalesce(valid, true) AS refused, reason AS said FROM trials
 ) t ON t.execution = e.execution
@@ -674,11 +685,23 @@ LAST_FIRST = ", ".join(f"{place} DESC NULLS FIRST" for place in _PLACES)
 """The same order reversed, for ORDER BY. To sort by one row of these columns takes half as much memory again."""
 
 COUNTING = f"""{LATEST}
-SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, l.submitted, l.lamport
+SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, l.submitted, l.lamport, {OUTCOME} AS outcome
 FROM batch_runs m
 JOIN latest l ON m.batch = l.batch
 JOIN all_candidates e ON e.run = m.run AND {COUNTS}
 QUALIFY row_number() OVER (PARTITION BY m.batch, m.ordinal, m.run ORDER BY {LAST_FIRST}) = 1
+"""
+
+BY_ITSELF = "e.status = 'failed' AND (e.signal IS NOT NULL OR e.exit_code <> 0)"
+"""The SQL condition that a program has ended with an error; limits and missing outputs are other failures."""
+ENDED = f"""{LATEST}
+SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.status
+FROM batch_runs m
+JOIN latest l ON m.batch = l.batch
+JOIN all_candidates e ON e.run = m.run AND ({COUNTS} OR {COUNTS.replace(RESULTS_ONLY, BY_ITSELF)})
+QUALIFY row_number() OVER (
+    PARTITION BY m.batch, m.ordinal, m.run ORDER BY e.status IN ('ok', 'accepted') DESC, {LAST_FIRST}
+) = 1
 """
 
 LAST = """
@@ -712,7 +735,7 @@ NONDETERMINISM = """
 WITH several AS (
     SELECT run, programs, count(*) AS executions, count(DISTINCT result) AS results
     FROM executions e ANTI JOIN imported_sessions i ON i.session = e.session
-    WHERE status = 'ok' AND purpose <> 'capture' GROUP BY run, programs HAVING min(result) < max(result)
+    WHERE status IN ('ok', 'accepted') AND purpose <> 'capture' GROUP BY run, programs HAVING min(result) < max(result)
 ),
 compared AS (
     SELECT e.run, e.programs, max(CASE v.verdict WHEN 'identical' THEN 0 WHEN 'equal' THEN 1 WHEN 'within tolerance' THEN 2
@@ -731,19 +754,22 @@ SELECT execution, place, clock_start_ns AS clock_ns, offset_start_ns AS offset_n
 FROM robots WHERE offset_start_ns IS NOT NULL AND clock_start_ns IS NOT NULL
 """
 """Old rows have no `uneven_ns`. Their clocks were not watched, and the whole change of an offset may have come at once."""
-DEFINED = {"effective": COUNTING, "nondeterminism": NONDETERMINISM, "robot_clocks": ROBOT_CLOCKS}
+DEFINED = {"effective": COUNTING, "ended": ENDED, "nondeterminism": NONDETERMINISM, "robot_clocks": ROBOT_CLOCKS}
 
 
 COUNTED = """
-SELECT run, c.execution AS execution, c.judgement AS judgement
-FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, lamport) AS c FROM effective GROUP BY run)
+SELECT run, c.execution AS execution, c.judgement AS judgement, c.outcome AS outcome
+FROM (
+    SELECT run, arg_max({'execution': execution, 'judgement': judgement, 'outcome': outcome}, lamport) AS c
+    FROM effective GROUP BY run
+)
 """
 """Each run's effective execution and its judgement, in the batch that was submitted last."""
 COUNTED_BY_ORIGIN = """
 WITH imported AS (SELECT packages, min(lamport) AS imported FROM imported_sessions GROUP BY packages)
-SELECT run, c.execution AS execution, c.judgement AS judgement
+SELECT run, c.execution AS execution, c.judgement AS judgement, c.outcome AS outcome
 FROM (
-    SELECT run, arg_max({'execution': execution, 'judgement': judgement},
+    SELECT run, arg_max({'execution': execution, 'judgement': judgement, 'outcome': outcome},
            (o.packages IS NULL, -coalesce(i.imported, 0), -coalesce(len(o.packages), 0), f.lamport)) AS c
     FROM effective f LEFT JOIN origins o USING (batch) LEFT JOIN imported i ON i.packages = o.packages GROUP BY run
 )

@@ -18,13 +18,16 @@ from sierra.util.lazy_definitions import dataclass
 STATES = """
 WITH members AS (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $b),
 tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
-good AS (SELECT DISTINCT ordinal, run, true AS good FROM effective WHERE batch = $b)
-SELECT ordinal, CASE WHEN good THEN 'ok' WHEN last IS NULL THEN 'not executed' WHEN last = 'ok' THEN 'outdated' ELSE last END
-       AS state, count(*) AS runs
+good AS (SELECT DISTINCT ordinal, run, outcome FROM effective WHERE batch = $b)
+SELECT ordinal, CASE WHEN outcome = 'success' THEN 'ok' WHEN outcome IS NOT NULL THEN 'accepted: ' || outcome
+       WHEN last IS NULL THEN 'not executed' WHEN last IN ('ok', 'accepted') THEN 'outdated' ELSE last END AS state,
+       count(*) AS runs
 FROM members LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ALL ORDER BY ordinal, state
 """
-"""The ends of the runs of each experiment: ok, not executed, or the status of the last execution."""
+"""The ends of the runs of each experiment: ok, an accepted outcome, not executed, or the status of the last execution."""
 RUNS = "SELECT DISTINCT run FROM batch_runs WHERE batch = $b"
+ACCEPTED = "accepted: "
+"""The beginning of the states of runs that have ended as [success] accepts."""
 LEFT_OUT = ("not executed", "outdated")
 """States of runs that the next `sierra run` executes, although nothing went wrong in them."""
 
@@ -81,7 +84,12 @@ class BatchState:
     @property
     def unsuccessful(self) -> int:
         """The number of runs whose last execution failed, was cut off, or is invalid."""
-        return self.shown.row.runs - self.succeeded - self.unexecuted
+        return self.shown.row.runs - self.succeeded - self.accepted - self.unexecuted
+
+    @property
+    def accepted(self) -> int:
+        """The number of runs that are results although they were not successful."""
+        return sum(runs for state, runs in self.counts.items() if state.startswith(ACCEPTED))
 
 
 def read(project: LoadedProject, store: Store, batch: str) -> BatchState:

@@ -29,6 +29,7 @@ MEANINGS = {
     "outdated": "executed, but does not count: code, programs or rules have changed since",
 }
 """The meanings of the states of runs."""
+ACCEPTED_END = "no success, but a result: its rows are in tables of their own, and count in no other number"
 MOST = 1000
 """The largest number of experiments that are listed."""
 
@@ -59,7 +60,7 @@ def _experiments(state: BatchState) -> Iterator[Markup]:
     yield table((*(axes or ["experiment"]), "runs", *states), rows, "Runs of each experiment by their state", tuple(numbers))
     if len(experiments) > MOST:
         yield note(f"The first {MOST:,} of {len(experiments):,} experiments are listed.")
-    meant = "; ".join(f"{name}: {MEANINGS[name]}" for name in states if name in MEANINGS)
+    meant = "; ".join(f"{name}: {MEANINGS.get(name, ACCEPTED_END)}" for name in states)
     yield note(f"States: {meant}.")
     yield sql(STATES, state.id)
 

@@ -19,7 +19,7 @@ SELECT status, host, log_tail FROM executions WHERE run = $r AND purpose = 'run'
 EARLIER = """
 SELECT e.status, coalesce(e.reason, '') AS reason, count(*) AS executions
 FROM (SELECT DISTINCT run FROM effective WHERE batch = $b) JOIN executions e USING (run)
-WHERE e.purpose = 'run' AND e.status <> 'ok' GROUP BY ALL ORDER BY executions DESC, e.status, reason
+WHERE e.purpose = 'run' AND e.status NOT IN ('ok', 'accepted') GROUP BY ALL ORDER BY executions DESC, e.status, reason
 """
 REASONS, LINES, WIDTH = 20, 15, 400
 """The largest number of reasons, of lines of a log, and of characters of a line."""

@@ -100,6 +100,7 @@ def standing(state: BatchState) -> Markup:
     """Return what is to be known first: whether the batch is complete, still executing, or has failures."""
     row = state.shown.row
     done = f"{state.succeeded:,} of {counted(row.runs, 'run')} succeeded"
+    done += f", {state.accepted:,} ended otherwise as accepted" if state.accepted else ""
     failed = f", {state.unsuccessful:,} did not" if state.unsuccessful else ""
     if state.executing or state.shown.clusters:
         waiting = f", {state.unexecuted:,} are not finished"
@@ -122,7 +123,8 @@ def _tiles(states: Sequence[BatchState], claims: Claims) -> Markup:
     sizes = {"experiment": sum(one.experiments for one in rows), "run": sum(one.runs for one in rows)}
     always = {counted(number, noun).partition(" ")[2]: number for noun, number in sizes.items()}
     always["succeeded"] = sum(one.succeeded for one in states)
-    perhaps = {"failed or cut off": sum(one.unsuccessful for one in states)}
+    perhaps = {"accepted ends": sum(one.accepted for one in states)}
+    perhaps["failed or cut off"] = sum(one.unsuccessful for one in states)
     perhaps["not executed"] = sum(one.unexecuted for one in states)
     found = {**always, **{name: number for name, number in perhaps.items() if number}}
     tiles = [element("div", element("dt", name), element("dd", f"{number:,}")) for name, number in found.items()]

@@ -82,7 +82,8 @@ same AS (
 SELECT s.run, e.execution, o.files, s.spec, e.programs
 FROM same s JOIN executions e ON e.run = s.executed JOIN observations o ON o.execution = e.execution
 ANTI JOIN imported_sessions i ON i.session = e.session
-WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND o.reason IS NULL AND len(o.notes) = 0
+WHERE e.status IN ('ok', 'accepted') AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules
+    AND o.reason IS NULL AND len(o.notes) = 0
 ORDER BY s.run, s.spec = $spec, e.lamport
 """
 """The last row of each run is the best: an execution of the same run if there is one, and the last of several. The batch of an
@@ -93,12 +94,12 @@ WITH mine AS (
     SELECT s.run, e.execution, e.session, e.programs, e.lamport, m.batch, m.ordinal, m.seed
     FROM sought s JOIN executions e USING (run) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
     ANTI JOIN imported_sessions i ON i.session = e.session
-    WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules
+    WHERE e.status IN ('ok', 'accepted') AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules
     AND (e.programs <> $programs AND NOT $own OR list_contains($stale, e.session) AND e.programs = $programs)
     AND ($own OR e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0))
 ),
 seen AS (
-    SELECT e.session, m.batch, m.ordinal, m.seed, o.files, o.reason IS NULL AND e.status = 'ok' AS good,
+    SELECT e.session, m.batch, m.ordinal, m.seed, o.files, o.reason IS NULL AND e.status IN ('ok', 'accepted') AS good,
            o.reason IS NULL AND len(o.notes) = 0 AS complete
     FROM observations o JOIN executions e USING (execution) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
     WHERE e.purpose = 'run'

@@ -62,13 +62,13 @@ WHERE list_contains($sessions, e.session)
 OBSERVED = """
 SELECT DISTINCT e.session, m.batch, m.ordinal
 FROM observations o JOIN executions e USING (execution) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
-WHERE o.reason IS NULL AND e.status = 'ok' AND e.purpose = 'run'
+WHERE o.reason IS NULL AND e.status IN ('ok', 'accepted') AND e.purpose = 'run'
 """
 """Experiments of which a session observed a successful run completely. A reader may append a condition on `e.session`."""
 UNOBSERVED = f"""
 SELECT DISTINCT e.session FROM all_judgements e LEFT JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
 ANTI JOIN ({OBSERVED}) o ON o.session = e.session AND o.batch = m.batch AND o.ordinal = m.ordinal
-WHERE list_contains($sessions, e.session) AND e.programs = $programs AND e.status = 'ok' AND e.purpose = 'run'
+WHERE list_contains($sessions, e.session) AND e.programs = $programs AND e.status IN ('ok', 'accepted') AND e.purpose = 'run'
 """  # noqa: S608 - of our own parts
 PATHS = """
 SELECT environment, json_extract_string(variables, '$.PATH') AS search FROM environments

@@ -113,7 +113,7 @@ def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool 
         order=ORDER,
         counts=f"coalesce({COUNTS}, false)",
         which="e.execution = $named" if named else "e.purpose = 'run'",
-        best="counts, status = 'ok', " if good_first else "counts, ",
+        best="counts, status IN ('ok', 'accepted'), " if good_first else "counts, ",
     )
     snapshot.run(statement, {**place.parameters, **named})
 

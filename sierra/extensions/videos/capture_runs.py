@@ -103,7 +103,8 @@ def _chosen(store: Store, found: Found, options: CaptureOptions) -> list[ChosenE
     """Return the measured executions that are captured. Raises NotFound if there is none."""
     with store.snapshot() as snapshot:
         named = take(snapshot, found)
-    chosen = [one for one in named if one.status == "ok" and (found.kind in ("run", "execution") or one.number < options.runs)]
+    good = [one for one in named if one.status in ("ok", "accepted")]
+    chosen = [one for one in good if found.kind in ("run", "execution") or one.number < options.runs]
     if not chosen:
         raise NotFound(f"{found.kind} {short(found.id)} has no successful execution to capture; execute it with sierra run")
     return chosen

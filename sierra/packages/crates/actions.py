@@ -47,8 +47,8 @@ ACTIONS = f"""
 SELECT {{key}} AS key, list(DISTINCT batch || ' ' || ordinal ORDER BY batch || ' ' || ordinal) AS places, min(run) AS run,
        min(seed) AS seed, list(DISTINCT spec ORDER BY spec) AS specs, min(started) AS started, max(ended) AS ended,
        count(DISTINCT md5_number(execution)) AS executions,
-       count(DISTINCT md5_number(execution)) FILTER (status <> 'ok') AS failed,
-       min(coalesce(reason, status)) FILTER (status <> 'ok') AS reason
+       count(DISTINCT md5_number(execution)) FILTER (status NOT IN ('ok', 'accepted')) AS failed,
+       min(coalesce(reason, status)) FILTER (status NOT IN ('ok', 'accepted')) AS reason
 FROM ({EXECUTED}) GROUP BY key ORDER BY min((batch, ordinal, number)), key
 """  # noqa: S608 - of our own parts
 BATCHES = """

@@ -35,12 +35,13 @@ OLDER_PART = "[-._]*"
 """A pattern for the ends of the names of older parts of a rotated file."""
 EFFECTIVE = """
 SELECT * FROM (
-    SELECT DISTINCT ON (f.run) f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s
-    FROM effective f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
+    SELECT DISTINCT ON (f.run) f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s,
+        CASE WHEN f.status = 'ok' THEN NULL WHEN e.signal IS NULL THEN e.exit_code ELSE -e.signal END AS ended
+    FROM ended f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
     WHERE f.batch = $b AND f.run >= $first AND f.run < $end ORDER BY f.run, f.ordinal, m.number
 ) ORDER BY ordinal, number
 """
-"""SQL: a part of the runs of a batch with a successful execution, each once, in order."""
+"""SQL: a part of the runs of a batch with an execution that can be repeated, each once, in order."""
 COUNT = "SELECT count(DISTINCT run) FROM batch_runs WHERE batch = $b"
 OUTPUTS = """
 SELECT a.execution, a.path, a.sha256, a.output FROM all_artifacts a SEMI JOIN some_runs USING (execution)
@@ -50,7 +51,7 @@ WHERE a.kind <> 'log' QUALIFY row_number() OVER (PARTITION BY a.execution, a.pat
 
 
 class Taken(NamedTuple):
-    """A run with a successful execution."""
+    """A run with an execution that can be repeated."""
 
     ordinal: int
     number: int
@@ -58,6 +59,8 @@ class Taken(NamedTuple):
     seed: int
     judgement: str
     wall_s: float
+    ended: int | None
+    """The exit status, negative for a signal, if it was no success; None if it was."""
 
 
 class _Left(NamedTuple):
@@ -115,7 +118,7 @@ class Jobs:
         return {"patterns": patterns, "named": named} if patterns else {}
 
     def write(self, batch: str, path: Path) -> None:
-        """Write the line of each successful run of a batch. Raises Damaged if the store lacks an input."""
+        """Write the line of each run of a batch that can be repeated. Raises Damaged if the store lacks an input."""
         with path.open("w", encoding="utf-8", newline="\n") as file:
             for line in self._lines(batch):
                 file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")) + "\n")
@@ -151,6 +154,7 @@ class Jobs:
                 name: variables.get(name) for name in sorted(names) if variables.get(name) != self.environment.get(name)
             },
         }
+        line |= {"ended": one.ended} if one.ended is not None else {}
         return line | ({"folders": dict(job.folders)} if job.folders else {})
 
     def _reason(self, left: _Left) -> str:
@@ -173,10 +177,10 @@ def _declared(rules: Output) -> str:
 
 
 def _some(store: Store, batch: str) -> Iterator[list[Taken]]:
-    """Yield the successful runs of a batch, some at a time."""
+    """Yield the runs of a batch that can be repeated, some at a time."""
     for first, end in itertools.pairwise(_bounds(count(store, batch) // IN_A_PART + 1)):
         with store.snapshot() as snapshot:
-            snapshot.views.make(("effective", "batch_runs", "all_judgements"))
+            snapshot.views.make(("ended", "batch_runs", "all_judgements"))
             rows = snapshot.each(EFFECTIVE, {"b": batch, "first": first, "end": end})
             while some := [Taken(*row) for row in itertools.islice(rows, AT_A_TIME)]:
                 yield some

@@ -32,11 +32,11 @@ CONTAINERS = ("podman", "apptainer")
 
 RUNS = """
 SELECT f.batch, f.ordinal, m.number, f.run, coalesce(e.wall_s, 0.0) AS seconds
-FROM effective f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
+FROM ended f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
 WHERE f.batch = $b ORDER BY f.ordinal, m.number
 """
 USED = """
-SELECT DISTINCT e.programs, e.ingest_rules FROM effective f JOIN all_judgements e ON e.judgement = f.judgement
+SELECT DISTINCT e.programs, e.ingest_rules FROM ended f JOIN all_judgements e ON e.judgement = f.judgement
 WHERE f.batch = $b ORDER BY ALL LIMIT 1
 """
 BATCHES = """
@@ -46,7 +46,7 @@ GROUP BY b.batch, b.query, b.lamport ORDER BY b.lamport, b.batch
 
 
 class RecordedRun(NamedTuple):
-    """A run with its position in a batch, and the recorded duration of its effective execution in seconds."""
+    """A run with its position in a batch, and the recorded duration of its execution in seconds."""
 
     batch: str
     ordinal: int
@@ -75,7 +75,7 @@ class PlannedBatch:
     batch: str
     query: str
     runs: tuple[RecordedRun, ...]
-    """Its runs with a successful execution."""
+    """Its runs with an execution that can be repeated."""
     of: int
     """The number of all its runs."""
     commands: tuple[tuple[str, ...], ...] = ()
@@ -122,7 +122,7 @@ def plan(project: LoadedProject, store: Store, batch: RecordedBatch, engine: str
     planned = PlannedBatch(batch.batch, batch.query, tuple(store.select(RecordedRun, RUNS, b=batch.batch)), batch.runs)
     used = store.select(_Used, USED, b=batch.batch)
     if not used:
-        return _lacking(planned, "it has no successful run")
+        return _lacking(planned, "it has no run to execute again")
     try:
         recalled = plan_from_record.recall(store, batch.batch, *used[0])
         return _with_engine(project, store, planned, recalled, engine, local=local)
