@@ -60,8 +60,8 @@ CREATE TABLE executions (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)
-    "reason" VARCHAR,  -- why the status is not ok, in one line
+    "status" VARCHAR,  -- ok, accepted (an end that [success] accept names), failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)
+    "reason" VARCHAR,  -- why the status is not ok, in one line; of an accepted end, this end
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
     "wall_s" DOUBLE,  -- time from start to end [s]
@@ -628,7 +628,8 @@ CREATE TABLE runs (
     "number" BIGINT,  -- its number in its experiment, from 0; the smallest number if it belongs to several experiments
     "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
     "spec" VARCHAR,  -- the specification that it shares with other runs
-    "status" VARCHAR,  -- ok if it has an effective execution; otherwise the status of its last execution (stale if that is ok); missing if there is none
+    "status" VARCHAR,  -- ok or accepted if it has an effective execution; otherwise the status of its last execution (stale if that is ok or accepted); missing if there is none
+    "outcome" VARCHAR,  -- success, or the end that [success] accept names, such as exit 3; NULL without an effective execution
     "execution" VARCHAR,  -- its effective execution in the batch that was submitted last; batches that were executed here come first
     "executions" BIGINT  -- number of its executions, without captures [1]
 );
@@ -641,7 +642,18 @@ CREATE TABLE effective (
     "execution" VARCHAR,  -- the execution
     "judgement" VARCHAR,  -- the effective judgement of that execution, as in all_judgements
     "submitted" TIMESTAMP WITH TIME ZONE,  -- when the batch was last submitted
-    "lamport" BIGINT  -- position of that session in the logical order, as in sessions
+    "lamport" BIGINT,  -- position of that session in the logical order, as in sessions
+    "outcome" VARCHAR  -- success, or the end that [success] accept names, such as exit 3
+);
+
+-- The execution of each run in each batch that a replay repeats: the effective one or, if there is none, the last one with the programs and rules of the batch's last session whose program has ended with an error.
+CREATE TABLE ended (
+    "batch" VARCHAR,  -- the batch
+    "ordinal" BIGINT,  -- the experiment's position in the batch, from 0
+    "run" VARCHAR,  -- the run
+    "execution" VARCHAR,  -- the execution
+    "judgement" VARCHAR,  -- the judgement of that execution, as in all_judgements
+    "status" VARCHAR  -- its status by this judgement
 );
 
 -- All judgements of executions: the first, made when the execution was recorded, and later ones by changed rules.
@@ -655,8 +667,8 @@ CREATE TABLE all_judgements (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials); by this judgement
-    "reason" VARCHAR,  -- why the status is not ok, in one line; by this judgement
+    "status" VARCHAR,  -- ok, accepted (an end that [success] accept names), failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials); by this judgement
+    "reason" VARCHAR,  -- why the status is not ok, in one line; of an accepted end, this end; by this judgement
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
     "wall_s" DOUBLE,  -- time from start to end [s]
@@ -689,8 +701,8 @@ CREATE TABLE all_candidates (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)
-    "reason" VARCHAR,  -- why the status is not ok, in one line
+    "status" VARCHAR,  -- ok, accepted (an end that [success] accept names), failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)
+    "reason" VARCHAR,  -- why the status is not ok, in one line; of an accepted end, this end
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
     "wall_s" DOUBLE,  -- time from start to end
