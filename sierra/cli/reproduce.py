@@ -162,4 +162,4 @@ def _show(done: Reproduction) -> None:
     if done.claims:
         print_table(done.claims, [f"{one.ground} ({executed(done, one.batches)})" for one in done.claims])
     print(one_line(done.verdict))
-    print(f"report: {done.folder / 'reproduction.md'}")
+    print(f"report: {done.folder / ('index.html' if done.drawn else 'reproduction.md')}")

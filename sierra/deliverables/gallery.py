@@ -605,7 +605,7 @@ class Gallery:
 
 def _accepted(frame: Frame, output: OutputTable) -> Mapping[int, Mapping[str, int]]:
     """Return the ends of runs that have no rows in an output because these are in a table of their own, by experiment."""
-    return {} if output.name.endswith(ACCEPTED) else frame.accepted()
+    return frame.accepted() if output.name in frame.written and not output.name.endswith(ACCEPTED) else {}
 
 
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:

@@ -115,15 +115,22 @@ def items(found: BatchesOfQueries) -> Iterator[PaperItem]:
                     content = made.content()
                     paths = f"{TABLES}/{fitting(name)}.tex", f"{SQL}/{fitting(name)}.sql"
                     yield PaperItem(name, content, content.data, paths, partial(_table, made))
-        for name, words in comparisons(config).items():
-            declared = config.comparisons[name]
+        for name, made_now in compared_by(found):
+            compared[name] = made_now
             with named("comparison", name):
-                asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
-                compared[name] = comparison.compare(project, store, name, comparison.of_queries(found, words), asked)
-                content, made_files = comparison_figure.content_of(compared[name]), partial(_comparison, compared[name])
-                yield PaperItem(name, content, content.data, _paths_of(compared[name]), made_files)
+                content, made_files = comparison_figure.content_of(made_now), partial(_comparison, made_now)
+                yield PaperItem(name, content, content.data, _paths_of(made_now), made_files)
     if config.numbers:
         yield _numbers(found, compared)
+
+
+def compared_by(found: BatchesOfQueries) -> Iterator[tuple[str, Compared]]:
+    """Yield the comparisons that are bound to queries, by their names, each made from the last batches of its queries."""
+    for name, words in comparisons(found.project.config).items():
+        declared = found.project.config.comparisons[name]
+        with named("comparison", name):
+            asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
+            yield name, comparison.compare(found.project, found.store, name, comparison.of_queries(found, words), asked)
 
 
 @contextmanager

@@ -64,6 +64,11 @@ def decide(
     return tuple(found[name] for name in rests)
 
 
+def recorded(project: LoadedProject, store: Store, names: Sequence[str]) -> tuple[Evaluated, ...]:
+    """Return the evaluation of claims by the recorded runs."""
+    return tuple(evaluate.evaluate(project, store, list(names), among=received.batches(store))) if names else ()
+
+
 def _ground(replays: Sequence[Replay | None]) -> Ground:
     """Return the ground of a claim from the complete replays of its batches, each None if there is none."""
     complete = [one for one in replays if one is not None]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sierra.deliverables.claims.model import Evaluated, Verdict
 from sierra.packages.reproduction.planned import PlannedBatch
 from sierra.replay.verdicts import Replay
-from sierra.util.lazy_definitions import dataclass
+from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    from sierra.packages.reproduction.drawn_again import DrawnAgain
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +74,10 @@ class Reproduction:
     notes: tuple[str, ...]
     batches: tuple[ReproducedBatch, ...]
     claims: tuple[Evaluated, ...]
+    drawn: tuple[DrawnAgain, ...] = ()
+    """The deliverables of batches of which all runs were executed again."""
+    numbers: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """The numbers of a paper's text by name, from the recorded and from the reproduced runs."""
     left_out: tuple[str, ...] = ()
     """One line for each batch and claim of which runs were left out because of the budget."""
 
@@ -92,8 +100,8 @@ class Reproduction:
 
     @property
     def lacking(self) -> bool:
-        """True if a batch was not executed because something is missing."""
-        return any(one.lacking for one in self.batches)
+        """True if a batch was not executed because something is missing, or if a figure was not made from the new runs."""
+        return any(one.lacking for one in self.batches) or any(one.is_lost for one in self.drawn)
 
     @property
     def verdict(self) -> str:
@@ -104,10 +112,18 @@ class Reproduction:
             return "not reproduced: nothing was executed"
         if self.differs:
             return f"not reproduced: {' and '.join(self._faults())}"
-        if self.lacking:
+        if any(one.lacking for one in self.batches):
             return "reproduced in part: not all batches were executed"
         runs, of = sum(one.executed for one in self.batches), sum(one.planned.of for one in self.batches)
-        return f"reproduced: {runs:,} of {counted(of, 'run')} executed again"
+        said = f"{runs:,} of {counted(of, 'run')} executed again{self._made()}"
+        return f"reproduced in part: {said}" if self.lacking else f"reproduced: {said}"
+
+    def _made(self) -> str:
+        """Return how many deliverables were made from the reproduced runs, in words; "" if there are none."""
+        if not self.drawn:
+            return ""
+        made = sum(one.reproduced is not None for one in self.drawn)
+        return f", {made} of {len(self.drawn)} figures, tables and comparisons made from them"
 
     @property
     def exit_code(self) -> int:

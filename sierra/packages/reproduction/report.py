@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sierra.deliverables.claims.model import Evaluated
 from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction
@@ -14,6 +14,9 @@ from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
 from sierra.util.text import one_line
+
+if TYPE_CHECKING:
+    from sierra.packages.reproduction.drawn_again import DrawnAgain
 
 FORMAT = "sierra reproduction 1"
 SHOWN = 20
@@ -40,6 +43,8 @@ def as_json(done: Reproduction) -> dict[str, Any]:
         "left_out": list(done.left_out),
         "batches": [_batch(one) for one in done.batches],
         "claims": [_claim(done, one) for one in done.claims],
+        "drawn": [_drawn(one) for one in done.drawn],
+        "numbers": {name: {"recorded": before, "reproduced": now} for name, (before, now) in done.numbers.items()},
     }
 
 
@@ -63,6 +68,11 @@ def _batch(one: ReproducedBatch) -> dict[str, Any]:
             for each in (replay.experiments if replay else ())
         ],
     }
+
+
+def _drawn(one: DrawnAgain) -> dict[str, Any]:
+    found = {name: getattr(one, name) for name in ("kind", "name", "batches", "same", "difference", "problem")}
+    return {**found, "reproduced": one.reproduced is not None}
 
 
 def _claim(done: Reproduction, one: Evaluated) -> dict[str, Any]:
@@ -99,9 +109,22 @@ def _lines(done: Reproduction) -> Iterator[str]:
     yield from ("", "## Batches", "")
     for batch in done.batches:
         yield from _of_batch(batch)
+    if done.drawn:
+        lines = [f"{one.kind} {one.name}: {_found(one)}" for one in done.drawn]
+        yield from _listed("Figures, tables and comparisons (see index.html)", lines)
+    changed = [f"{name}: {before}, now {now}" for name, (before, now) in done.numbers.items() if before != now]
+    same = [f"{len(done.numbers) - len(changed)} of {len(done.numbers)} are the same"] if done.numbers else []
+    yield from _listed("Numbers in the text", [*same, *changed])
     yield from _listed("Left out", done.left_out)
     yield from _listed("Notes", [f"{short(one.planned.batch)}: {note}" for one in done.batches for note in _notes(one)])
     yield from _listed("Notes on the package", done.notes)
+
+
+def _found(one: DrawnAgain) -> str:
+    """Return how a deliverable from the reproduced runs differs from that of the recorded ones, in words."""
+    if one.problem:
+        return f"not made: {one.problem}"
+    return "the same values" if one.same else f"other values: {one.difference}"
 
 
 def _notes(one: ReproducedBatch) -> Sequence[str]:

@@ -7,7 +7,7 @@ network; for anything else, the user is asked first.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra import runners
@@ -26,7 +26,9 @@ from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
 from sierra.replay.options import ReplayOptions
 from sierra.replay.replay import replay
 from sierra.store.layout import STORE
+from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.util.fs import write_whole
 from sierra.util.hashing import short
 from sierra.util.regular_files import read_regular
 from sierra.util.text import counted, one_line
@@ -73,9 +75,30 @@ def reproduce(
             observer.notice(one_line(note))
         store = Store(project.root / STORE, project.rules).confined()
         earlier = workspace.replays_here(found, store, observer)
-        parts = _Work(project, store, options, observer, earlier).reproduce(agree)
-        done = Reproduction(found.id, described.title, folder, notes, *parts)
+        batches, decided, left_out = _Work(project, store, options, observer, earlier).reproduce(agree)
+        done = Reproduction(found.id, described.title, folder, notes, batches, decided, left_out=left_out)
+        done = _drawn(done, project, store, observer)
         report.write(done)
+    return done
+
+
+def _drawn(done: Reproduction, project: LoadedProject, store: Store, observer: Observer) -> Reproduction:
+    """Make the deliverables of all batches that were executed again, and write the page that shows both; return them too."""
+    complete = {one.planned.batch: one.replay for one in done.batches if one.replay and one.complete}
+    if not complete or done.interrupted:
+        return done
+    from sierra.packages.reproduction import drawn_again, page
+
+    sessions = [session for replayed in complete.values() for session in replayed.sessions]
+    sides = drawn_again.Sides(project, store, store.replayed(sessions), done.folder / workspace.COPY)
+    observer.notice("drawing the figures from the reproduced runs")
+    drawn = tuple(drawn_again.make(sides, list(complete)))
+    texts, problem = drawn_again.numbers_of(sides)
+    done = replace(done, drawn=drawn, numbers=texts, notes=(*done.notes, *dict.fromkeys(sides.notes)))
+    recorded = claims.recorded(project, store, [one.name for one in done.claims])
+    shown = page.page(done, drawn, page.Numbers(texts, problem), recorded, project.config)
+    with disk_errors(done.folder):
+        write_whole(done.folder / workspace.PAGE, shown)
     return done
 
 

@@ -34,6 +34,7 @@ COPY = "package"
 SEGMENTS = f"{STORED}segments/"
 FORMAT_FILE = f"{STORED}format"
 REPORT = "reproduction"
+PAGE = "index.html"
 """The stem of the names of the reports."""
 MARK = ".sierra-reproduction"
 UNFINISHED = ".sierra-unfinished"
@@ -51,7 +52,7 @@ def alone(folder: Path) -> Iterator[None]:
     Raises UsageError if it has other files under the names of this module, or if another process works there; Missing if the
     folder cannot be written.
     """
-    taken = [name for name in (COPY, UNFINISHED, f"{REPORT}.md", f"{REPORT}.json") if os.path.lexists(folder / name)]
+    taken = [name for name in (COPY, UNFINISHED, f"{REPORT}.md", f"{REPORT}.json", PAGE) if os.path.lexists(folder / name)]
     if taken and not (folder / MARK).is_file():
         raise UsageError(f"{folder / taken[0]} exists already; choose another folder with --into")
     try:
