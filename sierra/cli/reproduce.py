@@ -58,6 +58,7 @@ def reproduce(
     All files are verified and copied first. Runs execute in the package's container without network. If they would execute on
     this machine without a container, or with access to the network or devices, you are asked first. Clusters are those of your
     own settings, not of the package. The verdicts and their grounds are in reproduction.md and reproduction.json.
+    Figures, tables and numbers are made from the reproduced runs, and index.html shows them beside those of the package.
 
     Exit status 0 means that all outputs are as recorded and all claims hold, 1 that something differs or a claim does not hold
     or can't be told, 3 that something is missing.

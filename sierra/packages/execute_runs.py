@@ -69,6 +69,9 @@ WAYS = ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=run
 POLL_S = 0.1
 SHELL = 128  # what a shell adds to the number of the signal that has ended a program
 SHOWN = 20  # runs that are printed
+REPORTED = 10000  # runs that the report lists
+REPORT = "reproduction.md"
+MANIFEST = "manifest-sha256.txt"
 WIDTH = 200  # characters of a text that are printed
 IDENTICAL, DIFFERENT, FAILED, NOT_COMPARABLE = "identical", "different", "failed", "not comparable"
 
@@ -826,28 +829,80 @@ def execute(package: Path, work: Path, runs: int | None, seconds: float | None, 
     of = sum(batch.of for batch in batches)
     ask(proposal(batches, places, count, took, slots), yes)
     folder = new_folder(work)
+    began = time.time()
     counts = dict.fromkeys((IDENTICAL, DIFFERENT, FAILED, NOT_COMPARABLE), 0)
     unlike = 0
+    faults: list[str] = []
     for batch, place in zip(batches, places):
         within = folder / batch.id[:12]
         within.mkdir()
         for outcome in Execution(batch, place, within, slots).outcomes():
             counts[outcome.verdict] += 1
             unlike += outcome.verdict != IDENTICAL
-            if outcome.verdict != IDENTICAL and unlike <= SHOWN:
-                print(f"{outcome.verdict}: {outcome.run.called()}: {clean(outcome.reason)}")
-    return concluded(counts, of, folder, obstacles)
+            if outcome.verdict != IDENTICAL and unlike <= REPORTED:
+                faults.append(f"{outcome.verdict}: {outcome.run.called()}: {clean(outcome.reason)}")
+                if unlike <= SHOWN:
+                    print(faults[-1])
+    verdict = verdict_of(counts, of)
+    lines = (*(f"batch {clean(one.id)[:10]}: {where.place()}" for one, where in zip(batches, places)), *obstacles)
+    write_report(work / REPORT, package, verdict, lines, faults, unlike, began)
+    return concluded(counts, verdict, folder, work / REPORT, obstacles)
 
 
-def concluded(counts: Mapping[str, int], of: int, folder: Path, obstacles: Sequence[str]) -> int:
-    """Print the verdict; return the exit status."""
+def verdict_of(counts: Mapping[str, int], of: int) -> str:
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
+    return f"LEVEL 2: {sum(counts.values())} of {of} runs executed again: {said or 'nothing'}"
+
+
+def write_report(
+    path: Path, package: Path, verdict: str, lines: Sequence[str], faults: Sequence[str], unlike: int, began: float
+) -> None:
+    """Write the verdict, the machine, the time and each difference as Markdown: something to attach to a review."""
+    system = os.uname()
+    shown = [
+        "# Reproduction without SIERRA",
+        "",
+        f"**{marked(verdict)}**",
+        "",
+        f"- package: `{identity(package)}`",
+        f"- machine: {system.sysname} {system.release}, {arch()}, {cores()} cores, Python {sys.version.split()[0]}",
+        f"- began: {time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(began))} UTC, and took {duration(time.time() - began)}",
+        *(f"- {marked(line)}" for line in lines),
+        "",
+        "Level 2 of 3 compares the bytes of all outputs. It evaluates neither values within tolerances nor claims.",
+    ]
+    if faults:
+        shown += ["", "## Differences", "", *(f"- {marked(fault)}" for fault in faults)]
+    if unlike > len(faults):
+        shown.append(f"- and {unlike - len(faults)} more")
+    path.write_text("\n".join(shown) + "\n", encoding="utf-8")
+
+
+def identity(package: Path) -> str:
+    """Return the id of a package, as `reproduce.py` computes it from the list of files; "" without a list."""
+    try:
+        lines = (package / MANIFEST).read_text("utf-8").splitlines()
+    except OSError:
+        return ""
+    members = sorted(line.split("  ", 1)[::-1] for line in lines)
+    fields = {"format": 1, "members": members, "sierra": "package"}
+    return hashlib.sha256(json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()).hexdigest()
+
+
+def marked(text: str) -> str:
+    """Return a text without marks of Markdown and HTML."""
+    return "".join("\\" + sign if sign in "\\`*_[]<>|#~" else sign for sign in text)
+
+
+def concluded(counts: Mapping[str, int], verdict: str, folder: Path, report: Path, obstacles: Sequence[str]) -> int:
+    """Print the verdict; return the exit status."""
     total = sum(counts.values())
-    print(f"LEVEL 2: {total} of {of} runs executed again: {said or 'nothing'}")
+    print(verdict)
     if counts[IDENTICAL] < total:
         print(f"The folders of the other runs are in {folder}")
     else:
         shutil.rmtree(str(folder), ignore_errors=True)
+    print(f"The report is {report}")
     print("Level 2 of 3 reached: bytes were compared. Values and claims: can't tell; level 3 evaluates them.")
     if counts[DIFFERENT] or counts[FAILED]:
         return 1

@@ -3,6 +3,7 @@
     FOLDER/package/             verified copy of the package; replays are recorded in its store
     FOLDER/reproduction.md      report
     FOLDER/reproduction.json    report for programs
+    FOLDER/index.html           figures, tables, comparisons and numbers from the reproduced runs, beside those of the package
     FOLDER/.sierra-reproduction mark, and lock of the process that works here
 
 The copy appears complete or not at all. If an earlier process was killed or interrupted, the next one with the same package
