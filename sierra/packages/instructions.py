@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from sierra.packages.layout import CRATE, INSTRUCTIONS, OWN_REQUIREMENTS, PROGRAM, README, REQUIREMENTS, SIERRA, WHEELS
 from sierra.packages.manifest import PackageManifest, PackedBatch
 from sierra.packages.members import MANIFEST
 from sierra.packages.needs import Machine
 from sierra.packages.subject import Member
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import counted, one_line, size
 
 QUICK_S = 600
@@ -59,7 +60,8 @@ def member(described: PackageManifest, members: Mapping[str, Member]) -> Member:
 
 def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterator[str]:
     yield f"# {_text(described.title)}\n"
-    yield from beginning(described.sierra, members)
+    measured = [batch.needs.seconds for batch in described.batches if batch.needs]
+    yield from beginning(described.sierra, members, sum(measured) if measured else None)
     yield "\nThis package has all that is needed to check the results below."
     if described.redacted:
         yield "\nIt is anonymous, for review: hosts, folders, commits and times in its records are not the original ones."
@@ -90,12 +92,22 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"
 
 
-def beginning(version: str, members: Mapping[str, Member]) -> Iterator[str]:
-    """Yield the command that needs nothing but Python, what SIERRA is, and the commands that install it from a package."""
-    yield f"```sh\npython3 {PROGRAM}\n```\n"
-    yield "This command checks all files of the package. It needs nothing but Python 3.8 or newer, and executes nothing of the"
-    yield f"package. `python3 {PROGRAM} --execute` also executes its runs again and compares them, after one question.\n"
-    yield f"{ABOUT}\n"
+def beginning(version: str, members: Mapping[str, Member], seconds: float | None = None) -> Iterator[str]:
+    """Yield the commands that need nothing but Python, each level with what it proves, and how SIERRA is installed.
+
+    `seconds`: the measured time of all runs; None if it is not known.
+    """
+    yield f"```sh\npython3 {PROGRAM}\npython3 {PROGRAM} --execute --yes\n```\n"
+    if fitting := _fitting(members):
+        yield f"The wheels in `{WHEELS}` are for {fitting}. For another Python, installing SIERRA needs a network.\n"
+    yield "The first command checks all files of the package. It needs nothing but Python 3.8 or newer, and executes nothing of"
+    yield "the package. The second one also executes its runs again, at the highest level that this machine allows:\n"
+    long = "" if seconds is None else f"; {_time(SPARE * seconds)} on one core of {SLOWER} speed"
+    yield "| level | command | time | shows that |\n|---|---|---|---|"
+    yield f"| 1 | `python3 {PROGRAM}` | seconds | all files are those that the authors listed |"
+    yield f"| 2 | `python3 {PROGRAM} --execute --level 2` | all runs{long} | the packed code gives the same bytes again |"
+    yield f"| 3 | `sierra reproduce .` | all runs{long} | values within tolerances, figures and claims follow again |"
+    yield f"\n{ABOUT}\n"
     yield f"SIERRA {version} wrote this package. To install it for Python 3.11 or newer, in the extracted package:\n"
     if any(name.startswith(WHEELS) for name in members):
         yield f"- without a network, for the versions of Python and the processors that `{WHEELS}` has:\n"
@@ -103,6 +115,16 @@ def beginning(version: str, members: Mapping[str, Member]) -> Iterator[str]:
         yield "- for others, with a network:\n"
     yield _sh(f"{PIP} {_installed(version, members)}")
     yield f"The command `sierra` is then `{VENV}/bin/sierra`."
+
+
+FOR_ONE = regex(r"-cp3(\d{1,2})-cp3\d{1,2}-\S*?_(x86_64|aarch64)\.whl")
+"""The end of the name of a wheel for one version of Python and one processor."""
+
+
+def _fitting(members: Iterable[str]) -> str:
+    """Return the Pythons and processors for which a package has wheels, in words; "" if none is for a certain one."""
+    found = sorted({(int(match[1]), match[2]) for name in members if (match := FOR_ONE.search(name))})
+    return " and ".join(f"Python 3.{minor} on {machine}" for minor, machine in found)
 
 
 def _installed(version: str, members: Mapping[str, Member]) -> str:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from sierra.errors import Missing
 from sierra.packages.archive import info
 from sierra.packages.layout import OWN_REQUIREMENTS, SIERRA
-from sierra.packages.parts.python_packages import EXTRAS
+from sierra.packages.parts.python_packages import DRAWING, READING
 from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.dependency_model import normalized
 from sierra.provenance.pythons import OWN
@@ -147,7 +147,7 @@ def _required(own: metadata.Distribution) -> Iterator[str]:
     from packaging.requirements import Requirement
 
     for one in map(Requirement, own.requires or ()):
-        if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in ("", *EXTRAS)):
+        if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in ("", *DRAWING, *READING.values())):
             yield normalized(one.name)
 
 

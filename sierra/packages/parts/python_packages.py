@@ -18,8 +18,10 @@ from sierra.provenance.pythons import OWN
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
-EXTRAS = ("figures", "embedding", "hdf5", "netcdf", "bags")
-"""SIERRA's extras that reading and drawing may need. Those whose packages are installed count."""
+DRAWING = ("figures", "embedding")
+"""SIERRA's extras with libraries that draw."""
+READING = {"hdf5": "hdf5", "netcdf": "netcdf", "bag": "bags"}
+"""SIERRA's extras that read outputs, by the format of these."""
 GLIBC = (*range(28, 4, -1), *range(29, 42))
 """Minor versions of glibc 2 that wheels may need, the preferred ones first: most systems have 2.28."""
 OLD = ("manylinux2014", "manylinux2010", "manylinux1", "linux")
@@ -57,16 +59,16 @@ def target(python: str, machine: str) -> Target:
     return Target(python, machine)
 
 
-def needed(requires: Iterable[str], target: Target, recorded: Mapping[str, str]) -> dict[str, str]:
+def needed(requires: Iterable[str], target: Target, recorded: Mapping[str, str], extras: Iterable[str] = ()) -> dict[str, str]:
     """Return the needed packages as pip takes them, by normalized name: SIERRA, `requires`, and all that they require.
 
-    Versions are those in `recorded`, else the installed ones. A package that is not installed here has no version, only what is
-    required of it.
+    `extras` are SIERRA's own that are needed, too. Versions are those in `recorded`, else the installed ones. A package
+    that is not installed here has no version, only what is required of it.
     """
     from packaging.requirements import Requirement
 
     found: dict[str, str] = {}
-    waiting = [Requirement(f"{OWN}[{','.join(_extras())}]"), *_that_apply(requires, "", target)]
+    waiting = [Requirement(f"{OWN}[{','.join(sorted(extras))}]"), *_that_apply(requires, "", target)]
     seen: set[tuple[str, str]] = set()
     while waiting:
         one = waiting.pop()
@@ -109,13 +111,16 @@ def _that_apply(texts: Iterable[str], extra: str, target: Target) -> Iterator[Re
             yield one
 
 
-def _extras() -> list[str]:
-    """Return the extras of SIERRA whose packages are installed here."""
+def extras(libraries: Iterable[str], formats: Iterable[str]) -> set[str]:
+    """Return SIERRA's extras with any of these libraries that draw, and those that read outputs of these formats."""
     from packaging.requirements import Requirement
 
-    own = metadata.distribution(OWN)
-    requirements = [Requirement(text) for text in own.requires or ()]
-    wanted = {
-        extra: [one for one in requirements if one.marker and f'extra == "{extra}"' in str(one.marker)] for extra in EXTRAS
+    wanted = {normalized(name) for name in libraries}
+    requirements = [Requirement(text) for text in metadata.distribution(OWN).requires or ()]
+    drawing = {
+        extra
+        for extra in DRAWING
+        for one in requirements
+        if one.marker and f'extra == "{extra}"' in str(one.marker) and normalized(one.name) in wanted
     }
-    return [extra for extra, ones in wanted.items() if ones and all(_installed(one.name) is not None for one in ones)]
+    return drawing | {READING[format] for format in formats if format in READING}

@@ -7,6 +7,7 @@ resolves the lock from the wheels alone, as an offline installation will. pip's 
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import re
@@ -18,12 +19,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import Missing
+from sierra.ingest.recording_context import rules_of
 from sierra.packages.layout import REQUIREMENTS, WHEELS
 from sierra.packages.parts import own_wheel
-from sierra.packages.parts.python_packages import Target, needed, target
+from sierra.packages.parts.python_packages import Target, extras, needed, target
 from sierra.packages.subject import Made, Member, Options, Subject
 from sierra.provenance.dependency_model import normalized, versions
 from sierra.provenance.pythons import OWN
+from sierra.store import deliverable_records
 from sierra.util.hashing import sha256_file
 
 PIP = "pip"
@@ -33,6 +36,9 @@ SELECT e.distributions FROM sessions s JOIN environments e USING (environment)
 WHERE e.distributions <> '' ORDER BY s.lamport DESC LIMIT 1
 """
 """SQL: the Python distributions of the newest session."""
+
+
+DECLARED = "SELECT DISTINCT declared FROM ingest_rules"
 
 
 class Wheel(NamedTuple):
@@ -51,15 +57,35 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     targets = _targets(subject.options)
     recorded = versions("".join(subject.store.values(str, RECORDED)))
     own = own_wheel.wheel(metadata.distribution(OWN), subject.folder / "sierra")
+    used = extras(_libraries(subject), _formats(subject))
     wheels = {}
     for one in targets:
-        wanted = needed(subject.project.config.requires, one, recorded)
+        wanted = needed(subject.project.config.requires, one, recorded, used)
         wheels[one] = _download(subject.folder / f"wheels-{one.python}-{one.machine}", one, wanted, own)
     if HERE in wheels:
         _resolve(subject.folder, wheels[HERE])
     files = {wheel.path.name: wheel.path for ones in wheels.values() for wheel in ones}
     made = [Member(WHEELS + name, path, "Python package") for name, path in sorted(files.items())]
     return Made([*made, Member(REQUIREMENTS, lock(wheels).encode(), "versions and SHA-256 of the Python packages")])
+
+
+def _libraries(subject: Subject) -> Iterator[str]:
+    """Yield the libraries that draw the declared figures, and those that have drawn deliverables of the packed batches."""
+    from sierra.deliverables.figures.base import made_by
+
+    for figure in subject.project.config.figures.values():
+        yield from (text.partition("==")[0] for text in made_by(figure.kind))
+    for batch in subject.batches:
+        for row in deliverable_records.latest(subject.store, batch):
+            yield from (text.partition("==")[0] for text in row.made_by)
+
+
+def _formats(subject: Subject) -> Iterator[str]:
+    """Yield the formats of the outputs that are declared now, or were when runs were recorded."""
+    yield from (output.kind or "" for output in subject.project.config.outputs.values())
+    for declared in subject.store.values(str, DECLARED):
+        outputs, _, _ = rules_of(json.loads(declared))
+        yield from (output.kind or "" for output in outputs.values())
 
 
 def check(options: Options) -> None:

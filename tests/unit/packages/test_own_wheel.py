@@ -99,7 +99,7 @@ def test_a_package_begins_with_what_needs_only_python_and_installs_sierra(packed
         listed = file.read("environment/sierra/requirements.txt").decode()
         [own] = [one for one in file.namelist() if one.endswith(".whl")]
         digest = hashlib.sha256(file.read(own)).hexdigest()
-    assert text.startswith("# T\n\n```sh\npython3 reproduce.py\n```\n")
+    assert text.startswith("# T\n\n```sh\npython3 reproduce.py\npython3 reproduce.py --execute --yes\n```\n")
     assert f"\nSIERRA {__version__} wrote this package." in text
     assert "bin/pip install --require-hashes -r environment/sierra/requirements.txt\n" in text
     needs = (

@@ -13,7 +13,7 @@ import pytest
 import sierra
 from sierra.errors import UsageError
 from sierra.packages.parts import own_wheel, wheels
-from sierra.packages.parts.python_packages import needed, target
+from sierra.packages.parts.python_packages import extras, needed, target
 from sierra.packages.parts.wheels import HERE, Wheel, lock
 from tests import projects
 
@@ -42,6 +42,15 @@ def test_recorded_versions_are_needed_as_markers_say() -> None:
     assert newer["sierra-experiments"] == f"sierra-experiments=={metadata.version('sierra-experiments')}"
     assert {"pydantic-core", "typer"} <= newer.keys()
     assert not {"pytest", "sphinx"} & newer.keys()
+
+
+def test_only_the_extras_that_were_used_are_needed() -> None:
+    assert extras(["matplotlib", "sierra-experiments"], ["csv", "file"]) == set()
+    assert extras(["seaborn"], ["netcdf", "bag"]) == {"figures", "netcdf", "bags"}
+    lean = needed((), target("3.11", "x86_64"), {})
+    more = needed((), target("3.11", "x86_64"), {}, extras(["scikit-learn"], ["hdf5"]))
+    assert not {"pandas", "scikit-learn", "h5py", "rosbags", "av"} & lean.keys()
+    assert more.keys() - lean.keys() >= {"scikit-learn", "h5py"}
 
 
 def test_a_lock_has_all_hashes_of_a_version_and_markers_where_targets_differ() -> None:
@@ -75,16 +84,16 @@ def test_wheels_come_from_the_users_index_and_are_checked_together(tmp_path: Pat
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
 
-    monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0", "two": "two>=2"})
+    monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded, extras: {"one": "one==1.0", "two": "two>=2"})
     ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--wheels")
     assert (ended.returncode, ended.stderr.count("\n"), "no wheels for Python 3" in ended.stderr) == (3, 1, True)
     assert "No matching distribution found for two" in ended.stderr
-    monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0"})
+    monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded, extras: {"one": "one==1.0"})
     ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--wheels")
     assert (ended.returncode, "two" in ended.stderr) == (3, True)
     assert not (tmp_path / "x.zip").exists()
     wheel(index, "two", "2.1")
-    monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0", "two": "two==2.1"})
+    monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded, extras: {"one": "one==1.0", "two": "two==2.1"})
     chosen = ("--wheels", "--python", f"3.13,{HERE.python},3.13", "--arch", HERE.machine)
     for name in ("x", "y"):
         ended = projects.quick(root, "package", batch, "--no-report", "-o", f"../{name}.zip", *chosen)
