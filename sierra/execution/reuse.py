@@ -167,13 +167,16 @@ def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None
 TWICE = """
 WITH ends AS (
     SELECT run, arg_max((status, coalesce(reason, '')), place) AS how,
+           any_value(coalesce(exit_code, signal)) IS NOT NULL AS ended,
            row_number() OVER (PARTITION BY run ORDER BY any_value(lamport) DESC) AS back
     FROM all_judgements SEMI JOIN failed USING (run)
     WHERE purpose = 'run' AND packages IS NULL AND programs = $programs AND ingest_rules = $ingest_rules GROUP BY run, execution
 )
 SELECT run FROM ends WHERE back <= 2 GROUP BY run
 HAVING count(*) = 2 AND min(how) = max(how) AND min(how)[1] NOT IN ('ok', 'accepted', 'invalid', 'stopped')
+    AND (bool_and(ended) OR min(how)[1] <> 'failed')
 """
+"""The runs whose last two executions failed in the same way. Runs that could not begin are others: their cause is elsewhere."""
 
 
 def failed_twice(plan: Plan, store: Store, found: Mapping[str, State]) -> set[str]:
