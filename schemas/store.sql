@@ -634,7 +634,7 @@ CREATE TABLE runs (
     "executions" BIGINT  -- number of its executions, without captures [1]
 );
 
--- The effective execution of each run in each batch: the last one with a result by the programs and the rules of the batch's last session. Statistics, figures and outputs use no other execution. If a batch was executed here, only executions that were made here count in it; otherwise only those of the package that was imported first.
+-- The effective execution of each run in each batch: the last one with a result by the programs and rules of the batch's last session. Statistics, figures and outputs use no other execution. If a batch was executed here, only executions that were made here count in it; otherwise only those of the package that was imported first.
 CREATE TABLE effective (
     "batch" VARCHAR,  -- the batch
     "ordinal" BIGINT,  -- the experiment's position in the batch, from 0

@@ -128,7 +128,7 @@ DERIVED = {
         ),
         _table(
             "effective",
-            "The effective execution of each run in each batch: the last one with a result by the programs and the rules of the "
+            "The effective execution of each run in each batch: the last one with a result by the programs and rules of the "
             "batch's last session. Statistics, figures and outputs use no other execution. If a batch was executed here, only "
             "executions that were made here count in it; otherwise only those of the package that was imported first.",
             ("batch", ID, "the batch"),
