@@ -269,7 +269,8 @@ def test_identical_bytes_are_the_verdict_only_if_all_are(package: Path, tmp_path
     same = changed(package, tmp_path / "same", without_clock)
     status, printed = executed(same, "--yes", "--budget=30m")
     assert (status, "LEVEL 2: 4 of 4 runs executed again: 4 identical" in printed) == (0, True)
-    assert list((same / "reproduction").iterdir()) == []
+    assert [path.name for path in (same / "reproduction").iterdir()] == ["reproduction.md"]
+    assert "4 identical" in (same / "reproduction/reproduction.md").read_text()
     status, printed = executed(same, "--yes", "--runs=1")
     assert (status, "LEVEL 2: 2 of 4 runs executed again: 2 identical" in printed) == (0, True)
 
