@@ -43,7 +43,11 @@ class Found:
     p: float | None = None
     """The p value of the claim's test, corrected for all `tests`; None if it is not decided by a test."""
     tests: int | None = None
-    """The number of the project's claims that tests decide."""
+    """The number of the project's claims on the same table of pairs, which are corrected together."""
+    pairs: int | None = None
+    """The number of pairs of this table; None if the claim is not decided by a test."""
+    claimed_pairs: int | None = None
+    """The number of these pairs that claims of the project name."""
     runs: Mapping[str, float] = field(default_factory=dict)
     """The values of the runs by seed, for a claim about a value; none if the statistic counts times never reached."""
     numbers: Mapping[str, SqlValue] = field(default_factory=dict)
