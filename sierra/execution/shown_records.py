@@ -22,6 +22,7 @@ from sierra.store.row_types import (
     ExecutionRow,
     ImageRow,
     IsolationRow,
+    RegisteredClaimRow,
     SessionRow,
     SourceRow,
     SpecRow,
@@ -410,6 +411,25 @@ class ShownSession:
     def as_dict(self) -> Record:
         row = self.row._asdict() if self.row else {"session": self.session}
         return {"kind": self.kind, **row, "log_file": self.log_file}
+
+
+@dataclass(frozen=True, slots=True)
+class ShownClaim:
+    """A registered claim, which may have been registered several times: under other names, or in other stores."""
+
+    kind: ClassVar[str] = "claim"
+    claim: str
+    text: Mapping[str, object]
+    """Its normal form."""
+    registrations: Sequence[RegisteredClaimRow]
+    """The registrations, the first one first."""
+
+    def as_dict(self) -> Record:
+        known = [
+            {name: value for name, value in row._asdict().items() if name not in ("claim", "text")}
+            for row in self.registrations
+        ]
+        return {"kind": self.kind, "claim": self.claim, **self.text, "registrations": known}
 
 
 Shown: TypeAlias = ShownBatch | ShownExperiment | ShownRun | ShownExecution | ShownSession
