@@ -15,8 +15,9 @@ from sierra.config.claim_table import DECISIONS, Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import by_sql, by_test, by_value
 from sierra.deliverables.claims.by_test import Family, Tested
-from sierra.deliverables.claims.model import Evaluated, Found, Ground, Verdict
+from sierra.deliverables.claims.model import Evaluated, Found, Ground, Registration, Verdict
 from sierra.deliverables.claims.pair_tables import PairTables, Prepared, families
+from sierra.deliverables.claims.registration import registrations
 from sierra.deliverables.claims.rests_on import BatchesOfClaims
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.store.store import Store
@@ -59,8 +60,9 @@ def evaluate(
     found = {name: _find(project, store, known, tables, name, rests) for name in every if name in needed}
     concluded = _corrected(project, found)
     imported = dict(store.select(_Imported, IMPORTED))
+    registered = registrations(project, store, {name: rests.get(name, ()) for name in chosen})
     return tuple(
-        _evaluated(name, claim, concluded[name], ground, rests.get(name, ()), imported)
+        _evaluated(name, claim, concluded[name], ground, rests.get(name, ()), imported, registered[name])
         for name, claim in chosen.items()
     )
 
@@ -154,6 +156,7 @@ def _evaluated(
     ground: Ground,
     rests: tuple[str, ...],
     imported: Mapping[str, str],
+    registration: Registration,
 ) -> Evaluated:
     shown = [f"figure {claim.figure}" if claim.figure else "", f"table {claim.table}" if claim.table else "", claim.paper]
     elsewhere = (
@@ -169,4 +172,6 @@ def _evaluated(
         kind=next(kind for kind in DECISIONS if getattr(claim, kind)),
         ground=ground,
         batches=rests,
+        registered=registration.word,
+        registration=registration,
     )

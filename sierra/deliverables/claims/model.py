@@ -26,6 +26,39 @@ class Ground(StrEnum):
     STATISTICALLY_REEXECUTED = "statistically re-executed"
 
 
+class Registered(StrEnum):
+    """The relation of a claim's registration to the executions that count for it."""
+
+    PLANNED = "planned"
+    """It was registered before any of them began."""
+    EXPLORATORY = "exploratory"
+    UNDECIDED = "registered, not yet decided"
+    """No execution counts yet."""
+    MISSING = "not registered"
+    """No execution counts yet, and its text is not recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """The registration of one claim."""
+
+    word: Registered = Registered.MISSING
+    reason: str = ""
+    """The reason of the word, in one line."""
+    claim: str = ""
+    """The hash of the claim's normal form; "" if it has none, because its query is not valid."""
+    changes: int = 0
+    """The number of times that the claim's text has changed since this name was first registered."""
+    first: str = ""
+    """The time at which the claim's name was first registered, for people."""
+
+    @property
+    def history(self) -> str:
+        """Return the changes of the claim in one line; "" if there are none."""
+        times = "once" if self.changes == 1 else f"{self.changes} times"
+        return f"changed {times} since it was first registered ({self.first})" if self.changes else ""
+
+
 @dataclass(frozen=True, slots=True)
 class Found:
     """The finding about one claim, without its name."""
@@ -69,3 +102,6 @@ class Evaluated(Found):
     ground: Ground = Ground.RECORDED
     batches: tuple[str, ...] = ()
     """The ids of the batches that decide it; none if they are not recorded."""
+    registered: Registered = Registered.MISSING
+    registration: Registration = Registration()
+    """The registration behind `registered`."""
