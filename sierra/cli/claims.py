@@ -125,13 +125,7 @@ def _outcome(one: Evaluated | Changed) -> Outcome:
 
 
 def _lines(one: Evaluated | Changed) -> tuple[str, ...]:
-    return (one.says, one.text, *one.notes, str(one.ground), *_registered(one))
-
-
-def _registered(one: Evaluated | Changed) -> tuple[str, ...]:
-    """Return lines on the registration of a claim: the word with its reason, and its history."""
-    found = one.registration
-    return tuple(filter(None, (f"{found.word}: {found.reason}", found.history)))
+    return (one.says, one.text, *one.notes, str(one.ground), *one.registration.lines)
 
 
 def print_table(found: Sequence[Evaluated | Changed], grounds: Sequence[str]) -> None:
@@ -146,7 +140,7 @@ def print_table(found: Sequence[Evaluated | Changed], grounds: Sequence[str]) ->
 def _show(found: Sequence[Evaluated | Changed]) -> None:
     print_table(found, [str(one.ground) for one in found])
     for one in found:
-        for line in (*one.notes, *_registered(one)):
+        for line in (*one.notes, *one.registration.lines):
             note(f"{one.name}: {line}")
     counts = Counter(str(one.verdict) for one in found)
     note(", ".join(f"{count} of {len(found)}: {verdict}" for verdict, count in counts.items()))

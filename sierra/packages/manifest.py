@@ -57,7 +57,7 @@ class PackedClaim(_Part):
     registered: str = Field(
         "", description="planned if its text was recorded before all executions that count for it, else exploratory"
     )
-    registration: str = Field("", description="reason of this word, and how often the claim was changed")
+    registration: str = Field("", description="the word with its reason, and how often the claim was changed")
     batches: tuple[str, ...] = Field(description="ids of the batches that decide it; none if they are not packed")
     seconds: float = Field(ge=0, description="sum of the durations of all runs of these batches, in seconds")
 
@@ -118,9 +118,7 @@ def _claims(subject: Subject, needs: Mapping[str, Measured]) -> Iterator[PackedC
     for one in evaluate(subject.project, subject.store, among=subject.batches) if subject.project.config.claims else ():
         seconds = sum(needs[batch].seconds for batch in one.batches if batch in needs)
         same = {name: getattr(one, name) for name in ("name", "says", "shown", "verdict", "text", "batches")}
-        known = one.registration
-        reason = "; ".join(filter(None, (known.reason, known.history)))
-        yield PackedClaim(**same, registered=known.word, registration=reason, seconds=seconds)
+        yield PackedClaim(**same, registered=one.registered, registration="; ".join(one.registration.lines), seconds=seconds)
 
 
 def written(manifest: PackageManifest) -> bytes:

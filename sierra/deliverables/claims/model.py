@@ -50,13 +50,21 @@ class Registration:
     changes: int = 0
     """The number of times that the claim's text has changed since this name was first registered."""
     first: str = ""
-    """The time at which the claim's name was first registered, for people."""
+    """The day on which the claim's name was first registered, for people."""
+    plan_n: str = ""
+    """The `sierra plan-n` command that the number of runs came from; "" if the claim names none."""
 
     @property
     def history(self) -> str:
         """Return the changes of the claim in one line; "" if there are none."""
         times = "once" if self.changes == 1 else f"{self.changes} times"
         return f"changed {times} since it was first registered ({self.first})" if self.changes else ""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Return everything about the registration, for people."""
+        runs = f"number of runs from: {self.plan_n}" if self.plan_n else ""
+        return tuple(filter(None, (f"{self.word}: {self.reason}", self.history, runs)))
 
 
 @dataclass(frozen=True, slots=True)

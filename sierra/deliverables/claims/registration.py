@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache, partial
 from typing import NamedTuple
 
-from sierra.config.claim_table import Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims.model import Registered, Registration
 from sierra.deliverables.claims.normal_form import normal_form
@@ -118,26 +118,31 @@ def recorded(project: LoadedProject, store: Store) -> set[str]:
 
 def registrations(project: LoadedProject, store: Store, batches: Mapping[str, Sequence[str]]) -> dict[str, Registration]:
     """Return the registration of claims, by name; `batches` has the ids of the batches that decide each. Writes nothing."""
-    recorded = sorted(store.select(_Recorded, RECORDED), key=lambda row: row.lamport)
-    return {name: _registration(project, store, name, recorded, ids) for name, ids in batches.items()}
+    known = sorted(store.select(_Recorded, RECORDED), key=lambda row: row.lamport)
+    counted_in = cache(partial(_executions, store))
+    return {name: _registration(project, name, known, ids, counted_in) for name, ids in batches.items()}
 
 
 def _registration(
-    project: LoadedProject, store: Store, name: str, recorded: Iterable[_Recorded], batches: Sequence[str]
+    project: LoadedProject,
+    name: str,
+    known: Iterable[_Recorded],
+    batches: Sequence[str],
+    counted_in: Callable[[str, str], Sequence[_Counted]],
 ) -> Registration:
     claim = project.config.claims[name]
+    measured = claim.value or claim.tested
     try:
         identity = claim_id(normal_form(project, claim))
-        executions = [row for batch in batches for row in _executions(store, claim, batch)]
+        executions = [row for batch in batches for row in counted_in(batch, measured.experiments if measured else "")]
     except DamagedFile:
         raise
     except SierraError as error:
         return Registration(reason=one_line(error))
-    own = [row for row in recorded if row.claim == identity]
-    word, reason = _word(own, executions)
-    history = [row for row in recorded if row.packages is None and (row.name == name or row.claim == identity)]
+    word, reason = _word([row for row in known if row.claim == identity], executions)
+    history = [row for row in known if row.packages is None and (row.name == name or row.claim == identity)]
     first = f"{datetime.fromtimestamp(history[0].registered, UTC):%Y-%m-%d}" if history else ""
-    return Registration(word, reason, identity, _changes([row.claim for row in history], identity), first)
+    return Registration(word, reason, identity, _changes([row.claim for row in history], identity), first, claim.plan_n)
 
 
 def _changes(texts: Sequence[str], now: str) -> int:
@@ -147,14 +152,13 @@ def _changes(texts: Sequence[str], now: str) -> int:
     return len(seen) - 1 + (seen[-1] != now) if now in seen else len(seen)
 
 
-def _executions(store: Store, claim: Claim, batch: str) -> list[_Counted]:
-    """Return the executions that count for a claim in a batch: those of the experiments that it names, by default of all."""
-    measured = claim.value or claim.tested
+def _executions(store: Store, batch: str, experiments: str) -> list[_Counted]:
+    """Return the executions that count in the experiments of a batch that a condition selects; "": in all."""
     ordinals = None
-    if measured and measured.experiments:
+    if experiments:
         with Frame(store, batch) as frame:
             axes = [axis.name for axis in frame.axes()]
-            ordinals = sorted(condition.among(measured.experiments, axes, frame.cells()))
+            ordinals = sorted(condition.among(experiments, axes, frame.cells()))
     return store.select(_Counted, COUNTED, batch=batch, ordinals=ordinals)
 
 

@@ -68,10 +68,9 @@ def _claim(one: Evaluated, claim: Claim, place: Place) -> Markup:
 
 def _facts(one: Evaluated) -> dict[str, str]:
     tests = f"corrected for {counted(one.tests, 'claim')} on this table of pairs (Holm)" if one.tests else ""
-    registered = "; ".join(filter(None, (f"{one.registered}: {one.registration.reason}", one.registration.history)))
     return {
         "name": one.name,
-        "registered": registered,
+        "registered": "; ".join(one.registration.lines),
         "shown in": one.shown,
         "runs": f"{one.n}" if one.n else "",
         "data": one.ground.value,

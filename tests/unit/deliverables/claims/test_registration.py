@@ -87,6 +87,8 @@ def test_a_claim_that_is_registered_is_not_yet_decided_without_runs(root: Path) 
     assert word(root) == "registered, not yet decided"
     run(root)
     assert word(root) == "planned"
+    write(root, claim('plan_n = "sierra plan-n 518b -d 0.05"\n' + HOLDS))
+    assert "note: covers: number of runs from: sierra plan-n 518b -d 0.05\n" in projects.quick(root, "claims").stderr
 
 
 @pytest.mark.integration
