@@ -35,6 +35,7 @@ changes = [{ set = "//swarm/@count", value = 4 }]
 changes = [{ set = "//swarm/@count", value = 9 }]
 """
 )
+SIMULATOR = projects.SIMULATOR.replace("with open", 'if count == 2 and noise == 0.2:\n    sys.exit("no")\nwith open', 1)
 AT = 'experiments = "noise=0.1"'
 BIG = f'order = {{ by = "population_size", groups = ["8", "1"], {AT} }}'
 MIDDLE = f'order = {{ by = "population_size", column = "coverage", groups = ["8", "2"], {AT} }}'
@@ -49,7 +50,7 @@ def claim(name: str, decision: str, query: str = 'query = "main"') -> str:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = projects.make(tmp_path_factory.mktemp("pairs") / "project", CONFIG)
+    root = projects.make(tmp_path_factory.mktemp("pairs") / "project", CONFIG, simulator=SIMULATOR)
     for query in ("main", "small", "medium", "large"):
         sierra.open(root).run(query, figures=False)
     return root
@@ -112,6 +113,12 @@ def test_a_refuted_claim_counts_in_its_family(recorded: Path) -> None:
     answer = found(recorded, claim("big", BIG), claim("other", BIG.replace('["8", "1"]', '["2", "8"]')))
     assert answer["other"]["verdict"] == "does not hold"
     assert [one["p"] for one in answer.values()] == pytest.approx([4 / 1024, 4 / 1024])
+
+
+def test_a_claim_without_runs_counts_in_its_family_with_p_1(recorded: Path) -> None:
+    answer = found(recorded, claim("big", BIG), claim("lost", MIDDLE.replace("noise=0.1", "noise=0.2")))
+    assert "10 of 20 runs failed" in answer["lost"]["text"]
+    assert (answer["big"]["p"], answer["big"]["tests"]) == (pytest.approx(2 * 2 / 1024), 2)
 
 
 def test_batches_of_a_declared_comparison_are_one_table(recorded: Path) -> None:
