@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config import find_project
-from sierra.errors import Missing, NotFound, UsageError
+from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
@@ -621,6 +621,7 @@ class Project:
 
         from sierra.execution.shown_records import ShownClaim
         from sierra.store.row_types import RegisteredClaimRow
+        from sierra.util.json_types import as_object
 
         try:
             found = self.store.identify(prefix)
@@ -630,7 +631,11 @@ class Project:
             return None
         text = "SELECT * FROM registered_claims WHERE claim = $claim ORDER BY lamport, name"
         rows = self.store.select(RegisteredClaimRow, text, claim=found.id)
-        return ShownClaim(found.id, json.loads(rows[0].text), rows)
+        try:
+            form = as_object(json.loads(rows[0].text))
+        except (ValueError, RecursionError) as error:
+            raise Damaged(f"the record of claim {found.id[:10]} is not JSON; sierra fsck names what is damaged") from error
+        return ShownClaim(found.id, form, rows)
 
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""

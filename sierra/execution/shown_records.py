@@ -425,11 +425,9 @@ class ShownClaim:
     """The registrations, the first one first."""
 
     def as_dict(self) -> Record:
-        known = [
-            {name: value for name, value in row._asdict().items() if name not in ("claim", "text")}
-            for row in self.registrations
-        ]
-        return {"kind": self.kind, "claim": self.claim, **self.text, "registrations": known}
+        rows = [row._asdict() for row in self.registrations]
+        known = [{name: row[name] for name in ("name", "session", "registered", "lamport")} for row in rows]
+        return {**self.text, "kind": self.kind, "claim": self.claim, "registrations": known}
 
 
 Shown: TypeAlias = ShownBatch | ShownExperiment | ShownRun | ShownExecution | ShownSession
