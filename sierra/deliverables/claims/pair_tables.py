@@ -46,7 +46,7 @@ class Prepared:
     key: Key
     pairs: int
     """The number of pairs of its table."""
-    own: frozenset[PairId]
+    named: frozenset[PairId]
     """The pairs that it names."""
     command: str
     """The command that compares all pairs of its table."""
@@ -69,14 +69,14 @@ class PairTables:
         whole = comparison_of(asked).model_copy(update={"groups": (), "experiments": ""})
         try:
             _, all_cells, _, _ = cells_of(self._runs_of(whole, every), whole)
-        except UsageError:  # the declared comparison is not possible
+        except (NotFound, UsageError):  # the declared comparison is not possible
             name, every = "", dict(batches)
             _, all_cells, _, _ = cells_of(runs, whole)
         groups = {} if asked.by else batches
         key = (frozenset(every.values()), asked.by, first.output, first.column, first.measure, first.threshold, asked.where)
         pairs = sum(comb(len(cell.samples), 2) for cell in all_cells)
-        own = frozenset(_pairs(cells, groups))
-        return Prepared(asked, runs, cells, key, pairs, own, self._command(name, asked, every, first))
+        named = frozenset(_pairs(cells, groups))
+        return Prepared(asked, runs, cells, key, pairs, named, self._command(name, asked, every, first))
 
     def _runs_of(self, asked: Comparison, batches: Mapping[str, str]) -> dict[str, RunTable]:
         """Return the runs of all experiments of batches, by their labels."""
@@ -156,5 +156,5 @@ def families(prepared: Mapping[str, Prepared]) -> Iterator[tuple[Family, dict[st
         by_table.setdefault(one.key, {})[name] = one
     for members in by_table.values():
         first = next(iter(members.values()))
-        claimed = frozenset[PairId]().union(*(one.own for one in members.values()))
+        claimed = frozenset[PairId]().union(*(one.named for one in members.values()))
         yield Family(len(members), first.pairs, len(claimed), first.command), members
