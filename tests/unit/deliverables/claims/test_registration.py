@@ -20,6 +20,8 @@ from tests import projects
 
 QUERY = '[queries.main]\ncriteria = "population_size=1,2"\n'
 HOLDS = 'sql = "SELECT count(*) > 0 AS holds FROM swarm"'
+CLOCK = 'import time\nopen("clock.csv", "w").write(f"now\\n{time.time_ns()}\\n")\n'
+"""Further lines of a simulator, whose output differs in each execution."""
 PACKAGE = '[package]\ntitle = "Coverage"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
 ALL = "SELECT claim, name, session, lamport FROM registered_claims ORDER BY lamport, name"
 
@@ -281,6 +283,21 @@ def test_an_imported_registration_plans_no_executions_of_this_store_and_none_of_
     run(fourth)
     write(fourth, claim())
     assert (word(fourth), reason(fourth)) == ("exploratory", "4 of 4 executions began before it was registered")
+
+
+@pytest.mark.integration
+def test_executing_the_runs_of_a_package_again_plans_nothing(root: Path, tmp_path: Path) -> None:
+    (root / "sim.py").write_text(projects.SIMULATOR + CLOCK)
+    write(root, PACKAGE)
+    run(root)
+    write(root, PACKAGE, claim())
+    assert word(root) == "exploratory"
+    package = str(tmp_path / "results.zip")
+    assert projects.quick(root, "package", "--claims", "-o", package, "--yes", "--no-report").returncode == 0
+    done = projects.quick(tmp_path, "reproduce", package, "--into", "again", "--yes", "--json")
+    [found] = json.loads(done.stdout)["claims"]
+    assert (found["ground"], found["registered"]) == ("re-executed", "exploratory")
+    assert found["registration"] == "4 of 4 executions began before it was registered"
 
 
 @pytest.mark.integration
