@@ -170,7 +170,7 @@ def test_the_command_prints_a_table_and_writes_junit(recorded: Path, tmp_path: P
     (recorded / "sierra.toml").write_text(CONFIG + "".join(claims))
     done = projects.quick(recorded, "claims", "--junit", str(tmp_path / "claims.xml"))
     assert done.returncode == 1
-    assert done.stdout.splitlines()[0].split() == ["claim", "verdict", "numbers", "n", "ground"]
+    assert done.stdout.splitlines()[0].split() == ["claim", "verdict", "registered", "numbers", "n", "ground"]
     suite = ET.parse(tmp_path / "claims.xml").getroot()[0]  # noqa: S314 - written above
     assert suite.attrib == {"name": "claims", "tests": "3", "failures": "1", "errors": "1"}
     assert [case[0].tag for case in suite] == ["system-out", "error", "failure"]
