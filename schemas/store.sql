@@ -588,6 +588,16 @@ CREATE TABLE look_intervals (
     "needed" BIGINT  -- estimated runs with which it would hold; NULL if it holds, or if there is no estimate [1]
 );
 
+-- Registered claims: the text of each claim of sierra.toml, recorded when it was first seen. A claim is planned if all executions that count for it belong to sessions with higher Lamport numbers.
+CREATE TABLE registered_claims (
+    "claim" VARCHAR,  -- hash of the column text
+    "session" VARCHAR,  -- the session that recorded it, which has no row in sessions
+    "name" VARCHAR,  -- its name in sierra.toml when it was recorded
+    "text" VARCHAR,  -- its sentence, its queries with their runs, and how it is decided, in normal form, as JSON
+    "registered" TIMESTAMP WITH TIME ZONE,  -- when it was recorded
+    "lamport" BIGINT  -- position in the logical order, as in sessions
+);
+
 -- Imported packages, whose records were made in other stores.
 CREATE TABLE imports (
     "package" VARCHAR,  -- the package's id: a hash over the names and hashes of its files
@@ -601,7 +611,7 @@ CREATE TABLE imports (
 -- Sessions that came in packages: their executions were not made here.
 CREATE TABLE imported_sessions (
     "session" VARCHAR,  -- the session
-    "batch" VARCHAR,  -- the batch that was requested
+    "batch" VARCHAR,  -- the batch that was requested; empty if the session registered claims
     "packages" VARCHAR[],  -- the package that was imported, as in imports; then the package from which that one had the session, and so on
     "lamport" BIGINT  -- position of the import in the logical order, as in sessions
 );
@@ -609,7 +619,7 @@ CREATE TABLE imported_sessions (
 -- Redactions: sessions whose records were rewritten for an anonymous package. Hosts, folders, commits, times and parts of environments in these records are not the original ones; ids of runs, seeds, durations and outputs are.
 CREATE TABLE redactions (
     "session" VARCHAR,  -- the session; for a replay, the replay
-    "batch" VARCHAR,  -- the batch that its records belong to
+    "batch" VARCHAR,  -- the batch that its records belong to; empty for registered claims
     "rules" VARCHAR  -- the version of the rules by which the records were rewritten
 );
 

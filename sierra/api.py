@@ -6,6 +6,7 @@ write a table `swarm` with the columns `tick` and `coverage`.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config import find_project
-from sierra.errors import Missing, NotFound, UsageError
+from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.listing import Known
     from sierra.deliverables.check import Checked, ShownDeliverable
     from sierra.deliverables.claims.evaluate import Evaluated
+    from sierra.deliverables.claims.registration import NewRegistrations
     from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
     from sierra.deliverables.errors_of_models import ModelErrors
@@ -48,7 +50,7 @@ if TYPE_CHECKING:
     from sierra.execution.outputs_taken import TakenOutputs
     from sierra.execution.plan import Plan
     from sierra.execution.run_options import RunOptions
-    from sierra.execution.shown_records import Shown, ShownSession
+    from sierra.execution.shown_records import Shown, ShownClaim, ShownSession
     from sierra.execution.summary import Summary
     from sierra.execution.supervised.supervisor import Supervisor
     from sierra.execution.takeover import Cancelled
@@ -348,6 +350,8 @@ class Project:
         if supervisor is None:
             self.check_attended(plan, only)
         store = Store.create(self.paths.store)
+        if self.config.claims:
+            self._register_claims(store, options.observer)
         plan = self.build(plan, observer=options.observer)
         probed = self._probe(plan, store, options) if self._is_probed(plan) else ()
         summary = execute.run(plan, store, options)
@@ -564,8 +568,8 @@ class Project:
 
         return list_batches.batches(self.store)
 
-    def show(self, prefix: str) -> Shown | StudyOutcome:
-        """Return the record of a batch, an experiment, a run, an execution, a session or a study, by a prefix of its id.
+    def show(self, prefix: str) -> Shown | ShownClaim | StudyOutcome:
+        """Return the record of a batch, experiment, run, execution, session, study or registered claim, by a prefix of its id.
 
         Each kind has a class in `sierra.execution.shown_records`, a study in `sierra.deliverables.studies.study`; its `as_dict`
         returns what `sierra show --json` prints. Raises NotFound.
@@ -576,7 +580,7 @@ class Project:
         from sierra.execution.show_record import show
         from sierra.execution.shown_records import ShownBatch, ShownExecution
 
-        if (outcome := self._shown_study(prefix)) is not None:
+        if (outcome := self._shown_study(prefix) or self._shown_claim(prefix)) is not None:
             return outcome
         try:
             shown = show(self.store, prefix)
@@ -617,6 +621,28 @@ class Project:
 
         outcome = study.find(self.store, found.id)
         return outcome and study.checked(self._loaded, self.store, outcome)
+
+    def _shown_claim(self, prefix: str) -> ShownClaim | None:
+        """Return the registered claim with this id; None if the id is that of another object."""
+        import json
+
+        from sierra.execution.shown_records import ShownClaim
+        from sierra.store.row_types import RegisteredClaimRow
+        from sierra.util.json_types import as_object
+
+        try:
+            found = self.store.identify(prefix)
+        except NotFound:
+            return None
+        if found.kind != "claim":
+            return None
+        text = "SELECT * FROM registered_claims WHERE claim = $claim ORDER BY lamport, name"
+        rows = self.store.select(RegisteredClaimRow, text, claim=found.id)
+        try:
+            form = as_object(json.loads(rows[0].text))
+        except (ValueError, RecursionError) as error:
+            raise Damaged(f"the record of claim {found.id[:10]} is not JSON; sierra fsck names what is damaged") from error
+        return ShownClaim(found.id, form, rows)
 
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
@@ -1113,6 +1139,8 @@ class Project:
         """
         from sierra.deliverables.paper import make
 
+        if self.config.claims:
+            self._register_claims(self.store)
         return make.make(self._loaded, self.store)
 
     def check_paper(self) -> list[str]:
@@ -1353,9 +1381,10 @@ class Project:
     def claims(self, *names: str) -> tuple[Evaluated, ...]:
         """Return whether the claims of `sierra.toml` hold on the recorded runs: all, or those with these names.
 
-        Each has a `verdict`, its numbers as `text`, `n`, and the `ground` of the verdict. p values are corrected for all claims
-        of the project that tests decide, also if only some are evaluated. A claim that cannot be evaluated is no error: its
-        verdict is "can't tell". Raises NotFound for an unknown name, and if there are no claims.
+        Each has a `verdict`, its numbers as `text`, `n`, the `ground` of the verdict, and the word `registered`: `planned` or
+        `exploratory`. Claims that are not registered yet are registered first, if the store can be written. p values are
+        corrected for all claims of the project on the same table of pairs, also if only some are evaluated. A claim that cannot
+        be evaluated is no error: its verdict is "can't tell". Raises NotFound for an unknown name, and if there are no claims.
 
         >>> project.claims()
         Traceback (most recent call last):
@@ -1364,7 +1393,35 @@ class Project:
         """
         from sierra.deliverables.claims import evaluate
 
+        if self.config.claims and not self._found.is_package:
+            with contextlib.suppress(Missing):  # the words say what is not registered
+                self._register_claims(Store.create(self.paths.store))
         return evaluate.evaluate(self._loaded, self.store, names)
+
+    def register_claims(self) -> NewRegistrations:
+        """Record the text of each claim of `sierra.toml` that is not recorded yet; evaluate none.
+
+        A claim that is recorded before its runs are executed is planned. The result has the names of the `new` and the `known`
+        claims, and the reasons why others are `refused`. Raises NotFound if there are no claims, Missing if the store cannot be
+        written.
+
+        >>> project.register_claims()
+        Traceback (most recent call last):
+            ...
+        sierra.errors.NotFound: sierra.toml declares no [claims.NAME]
+        """
+        if not self.config.claims:
+            raise NotFound("sierra.toml declares no [claims.NAME]")
+        return self._register_claims(Store.create(self.paths.store))
+
+    def _register_claims(self, store: Store, observer: Observer | None = None) -> NewRegistrations:
+        from sierra.deliverables.claims.registration import register
+
+        found = register(self._loaded, store)
+        if observer is not None:
+            for name, reason in found.refused.items():
+                observer.notice(f"claim {name} is not registered: {reason}")
+        return found
 
     def claims_against(self, baseline: str, *names: str) -> tuple[Changed, ...]:
         """Return how claims have changed since a baseline: all, or those with these names.

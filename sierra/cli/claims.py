@@ -11,10 +11,12 @@ import typer
 from sierra.cli import complete
 from sierra.cli.arguments import AsJsonList
 from sierra.cli.output import note, print_json, readable, table
+from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from sierra.api import Project
     from sierra.cli.junit import Case
     from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.claims.regression import Changed
@@ -42,13 +44,19 @@ def claims(
     junit: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML, for CI.")
     ] = None,
+    register: Annotated[
+        bool, typer.Option("--register", help="Only record the claims, so that runs executed later count as planned.")
+    ] = False,
     as_json: AsJsonList = False,
 ) -> None:
     """Evaluate the claims of a paper on the recorded runs.
 
     A claim [claims.NAME] holds, does not hold, or can't be told: because its query has not been run, because too many runs
-    have no value, or because the runs decide neither. Nothing is executed. p values are corrected for all claims of the
-    project that tests decide (Holm), also if only some are evaluated.
+    have no value, or because the runs decide neither. Nothing is executed. p values of claims on one table of pairs are
+    corrected together (Holm), also if only some are evaluated.
+
+    The text of each claim is recorded when sierra run, paper or claims first sees it. A claim is planned if it was recorded
+    before any execution that counts for it began, and exploratory otherwise. A changed claim is a new one.
 
     With --against, each claim is compared with a baseline. A value is a regression if the 95 % interval of its change is
     beyond the margin that the claim declares (regression), and none if it is within. Other claims are regressions if they held
@@ -63,10 +71,16 @@ def claims(
       sierra claims faster eight_robots
       sierra claims --json
       sierra claims --against v1 --junit claims.xml
+      sierra claims --register
     """
     from sierra.cli.open_project import project
 
     opened = project()
+    if register:
+        if names or against is not None or junit is not None:
+            raise UsageError("--register records all claims and evaluates none; leave out names, --against and --junit")
+        _register(opened, as_json=as_json)
+        return
     found: Sequence[Evaluated | Changed]
     found = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
     report(found, junit, as_json=as_json)
@@ -93,24 +107,40 @@ def cases(found: Iterable[Evaluated | Changed]) -> list[Case]:
     return [Case(one.name, _outcome(one), str(one.verdict), _lines(one)) for one in found]
 
 
+def _register(opened: Project, *, as_json: bool) -> None:
+    """Record the claims, and print which are new; end with exit status 1 if one cannot be recorded."""
+    found = opened.register_claims()
+    rows = [(name, "registered now") for name in found.new] + [(name, "registered before") for name in found.known]
+    rows += [(name, f"not registered: {reason}") for name, reason in found.refused.items()]
+    if as_json:
+        print_json([{"name": name, "registration": text} for name, text in rows])
+    else:
+        table(("claim", "registration"), rows)
+    if found.refused:
+        raise typer.Exit(1)
+
+
 def _outcome(one: Evaluated | Changed) -> Outcome:
     return OUTCOMES[str(one.verdict)]
 
 
 def _lines(one: Evaluated | Changed) -> tuple[str, ...]:
-    return (one.says, one.text, *one.notes, str(one.ground))
+    return (one.says, one.text, *one.notes, str(one.ground), *one.registration.lines)
 
 
 def print_table(found: Sequence[Evaluated | Changed], grounds: Sequence[str]) -> None:
     """Print a line for each claim; `grounds` say what each rests on."""
-    rows = [(one.name, str(one.verdict), readable(one.text), one.n, ground) for one, ground in zip(found, grounds, strict=True)]
-    table(("claim", "verdict", "numbers", "n", "ground"), rows, right=("n",))
+    rows = [
+        (one.name, str(one.verdict), str(one.registration.word), readable(one.text), one.n, ground)
+        for one, ground in zip(found, grounds, strict=True)
+    ]
+    table(("claim", "verdict", "registered", "numbers", "n", "ground"), rows, right=("n",))
 
 
 def _show(found: Sequence[Evaluated | Changed]) -> None:
     print_table(found, [str(one.ground) for one in found])
     for one in found:
-        for line in one.notes:
+        for line in (*one.notes, *one.registration.lines):
             note(f"{one.name}: {line}")
     counts = Counter(str(one.verdict) for one in found)
     note(", ".join(f"{count} of {len(found)}: {verdict}" for verdict, count in counts.items()))

@@ -30,7 +30,7 @@ DIGITS = regex("[0-9a-f]{4,}")
 IDS = """
 SELECT DISTINCT left(id, greatest(10, length($p) + 2)) AS id FROM (
     SELECT run AS id FROM batch_runs UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions
-    UNION ALL SELECT study FROM studies
+    UNION ALL SELECT study FROM studies UNION ALL SELECT claim FROM registered_claims
 ) WHERE starts_with(id, $p) LIMIT $most
 """
 COLUMNS = "SELECT column_name AS id FROM information_schema.columns WHERE table_name = $t LIMIT $most"
@@ -40,7 +40,7 @@ def batches(incomplete: str) -> list[str]:
     """Return prefixes of batches' ids."""
     found: set[str] = set()
     with contextlib.suppress(*IGNORED):
-        found = {segment.partition("-")[0][:10] for segment in _segments()}
+        found = {segment.partition("-")[0][:10] for segment in _segments()} - {"0" * 10}  # the segments that belong to no batch
     return _beginning(found, incomplete.lower())
 
 

@@ -64,12 +64,15 @@ def paper(
     for path in written.edited:
         note(f"{from_here(path)} was edited, and is left as it is; remove it to have it made again")
     if as_json:
-        print_json({name: [str(path) for path in getattr(written, name)] for name in ("changed", "removed", "edited")})
+        paths = {name: [str(path) for path in getattr(written, name)] for name in ("changed", "removed", "edited")}
+        print_json({**paths, "claims": dict(written.claims)})
     else:
         for path in written.changed:
             print(from_here(path))
         for path in written.removed:
             print(f"{from_here(path)} (removed)")
+        for name, registered in written.claims.items():
+            print(f"claim {name}: {registered}")
         print(f"{counted(len(written.changed), 'file')} written, {written.unchanged} unchanged")
     if failed or written.edited:
         raise typer.Exit(1)

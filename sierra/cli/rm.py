@@ -22,7 +22,7 @@ def rm(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.ids,
-            help="Ids of batches, studies, experiments, runs or executions; prefixes are enough.",
+            help="Ids of batches, studies, experiments, runs, executions or registered claims; prefixes are enough.",
         ),
     ],
     yes: Yes = False,

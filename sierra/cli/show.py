@@ -59,9 +59,9 @@ def show(
 ) -> None:
     """Show a record, or what a figure's file shows.
 
-    A record is a batch, experiment, run, execution, session or study. For a batch and a session, this includes the path of the
-    log file, which lists the events while runs executed. For a file that SIERRA made, it includes the SQL and whether the store
-    would still give the same data.
+    A record is a batch, experiment, run, execution, session, study or registered claim. For a batch and a session, this
+    includes the path of the log file, which lists the events while runs executed. For a file that SIERRA made, it includes the
+    SQL and whether the store would still give the same data.
 
     \b
     Examples:

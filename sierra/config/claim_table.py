@@ -29,6 +29,13 @@ def _count(count: int | str) -> int | str:
     return count
 
 
+def _plan_n(command: str) -> str:
+    words = command.split()
+    if words and words[:2] != ["sierra", "plan-n"]:
+        raise ValueError(f"{command!r} should be the command, as in: sierra plan-n 518b --difference 0.05")
+    return " ".join(words)
+
+
 Margin = Annotated[Finite | str, AfterValidator(_margin)]
 """A distance in the column's unit, or a percentage such as `5 %` of a value."""
 
@@ -105,7 +112,7 @@ class Tested(Measured):
         "auto", description="whether runs with the same seed are compared as pairs; `auto`: if their values are correlated"
     )
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.05, description="significance level; the p values are corrected for all tests of the project's claims (Holm)"
+        0.05, description="significance level; the p values of claims on one table of pairs are corrected together (Holm)"
     )
 
     @model_validator(mode="after")
@@ -140,6 +147,9 @@ class Claim(Table):
         BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
     ] = Field((), description="the query whose batch decides, as for `sierra run`; or the name of one in `queries`")
     runs: PositiveInt | None = Field(None, description="with `query`: runs per experiment; default: those of the query")
+    plan_n: Annotated[str, AfterValidator(_plan_n)] = Field(
+        "", description="the `sierra plan-n` command that the number of runs came from; it is registered with the claim"
+    )
     controller: str | None = Field(None, description="with `query`: name of the controller; default: the project's")
     scenario: str | None = Field(None, description="with `query`: name of the scenario; default: the project's")
     target: str | None = Field(None, description="with `query`: name of the target; default: the project's")

@@ -57,8 +57,10 @@ class NumberInText(Table):
         "", description="with `statistic`: condition that leaves one experiment, as in `sierra run --only`: `noise=0`"
     )
     sql: str = Field("", description="a SELECT statement with one row and one column; each table has a column `batch`")
-    value: Literal["estimate", "interval", "p", "verdict"] = Field(
-        "estimate", description="part that is printed: the number, its 95 % interval, the p value, or the verdict of a claim"
+    value: Literal["estimate", "interval", "p", "verdict", "registered"] = Field(
+        "estimate",
+        description="part that is printed: the number, its 95 % interval, the p value, the verdict of a claim, or `registered` "
+        "for the word planned or exploratory",
     )
     format: Annotated[str, AfterValidator(_format)] = Field(
         "", description="format as in Python: `.2f`, `.3g`, `.1%`; default: as many digits as the interval allows"
@@ -76,8 +78,8 @@ class NumberInText(Table):
             raise ValueError(f'the {source} has its own query; leave out "query"')
         if not own and len(self.query) != 1 and (source == "statistic" or not self.query):
             raise ValueError(f'"{source}" needs one "query"')
-        if self.value == "verdict" and source != "claim":
-            raise ValueError('value = "verdict" needs a "claim"')
+        if self.value in ("verdict", "registered") and source != "claim":
+            raise ValueError(f'value = "{self.value}" needs a "claim"')
         if self.value == "p" and not own:
             raise ValueError('value = "p" needs a "claim" or a "comparison"')
         if self.groups and (source != "comparison" or len(self.groups) != 2):

@@ -175,15 +175,27 @@ def gather_cells(
 
     `stores` has the store of each group. Raises NotFound, UsageError, as `compare` does.
     """
+    return cells_of(runs_of_groups(project, stores, batches, asked), asked)
+
+
+def runs_of_groups(
+    project: LoadedProject, stores: Mapping[str, Store], batches: Mapping[str, str], asked: Comparison
+) -> dict[str, RunTable]:
+    """Return the runs of all experiments of each batch. Raises NotFound, UsageError, as `compare` does."""
     if len(batches) > 1 and asked.by:
         raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
     measure = asked.measure or ("mean" if asked.over_time else None)
-    found = {
-        group: values_of_runs(
-            project, stores[group], batch, asked.table, asked.column, measure, asked.threshold, asked.where
-        ).among(asked.experiments)
+    return {
+        group: values_of_runs(project, stores[group], batch, asked.table, asked.column, measure, asked.threshold, asked.where)
         for group, batch in batches.items()
     }
+
+
+def cells_of(
+    runs: Mapping[str, RunTable], asked: Comparison
+) -> tuple[Mapping[str, RunTable], list[Cell], tuple[str, ...], tuple[str, ...]]:
+    """Return what `gather_cells` returns, from the runs of all experiments."""
+    found = {group: one.among(asked.experiments) for group, one in runs.items()}
     first = next(iter(found.values()))
     found = {group: one.minus(first.offset) for group, one in found.items()}
     if len({(one.output, one.measure) for one in found.values()}) > 1:

@@ -15,6 +15,7 @@ from sierra.design.query.query_request import QueryRequest
 from sierra.errors import NotFound
 from sierra.execution import resolve_query
 from sierra.store.store import Store
+from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass, field
 
 RECORDED = "SELECT batch FROM batches WHERE batch = $b"
@@ -70,19 +71,7 @@ class BatchesOfQueries:
         raise NotFound(f"the query {' '.join(request.criteria)!r} has not been run; run: {command(request)}")
 
     def _find(self, request: QueryRequest) -> list[str]:
-        project = self.project.for_target(resolve_query.target(self.project, request))
-        query = resolve_query.resolve(project, request)
-        axes = {criterion.name for criterion in query.criteria}
-        return self.store.values(
-            str,
-            SAME_QUERY,
-            query=" ".join(map(grammar.text, query.criteria)),
-            overrides=[f"{change.path}={change.value}" for change in query.sets],
-            controller=None if "controller" in axes else query.controller or project.config.controller,
-            scenario=None if "scenario" in axes else query.scenario or project.config.scenario,
-            runs=query.runs,
-            target=project.config.target,
-        )
+        return self.store.values(str, SAME_QUERY, **identity(self.project, request))
 
 
 def labelled(config: Project, word: str) -> tuple[str, QueryRequest]:
@@ -95,6 +84,21 @@ def labelled(config: Project, word: str) -> tuple[str, QueryRequest]:
     if equals and name in config.queries and not is_criterion:
         return label, query_request.request([name])
     return word if word in config.queries else "", query_request.request(word.split())
+
+
+def identity(project: LoadedProject, request: QueryRequest) -> dict[str, JsonView]:
+    """Return the parts of a query that are the same in all batches of it. Raises QueryError for an invalid query."""
+    project = project.for_target(resolve_query.target(project, request))
+    query = resolve_query.resolve(project, request)
+    axes = {criterion.name for criterion in query.criteria}
+    return {
+        "query": " ".join(map(grammar.text, query.criteria)),
+        "overrides": [f"{change.path}={change.value}" for change in query.sets],
+        "controller": None if "controller" in axes else query.controller or project.config.controller,
+        "scenario": None if "scenario" in axes else query.scenario or project.config.scenario,
+        "runs": query.runs,
+        "target": project.config.target,
+    }
 
 
 def described(project: LoadedProject, request: QueryRequest) -> tuple[str, int]:

@@ -22,6 +22,7 @@ from sierra.store.row_types import (
     ExecutionRow,
     ImageRow,
     IsolationRow,
+    RegisteredClaimRow,
     SessionRow,
     SourceRow,
     SpecRow,
@@ -412,6 +413,23 @@ class ShownSession:
     def as_dict(self) -> Record:
         row = self.row._asdict() if self.row else {"session": self.session}
         return {"kind": self.kind, **row, "log_file": self.log_file}
+
+
+@dataclass(frozen=True, slots=True)
+class ShownClaim:
+    """A registered claim, which may have been registered several times: under other names, or in other stores."""
+
+    kind: ClassVar[str] = "claim"
+    claim: str
+    text: Mapping[str, object]
+    """Its normal form."""
+    registrations: Sequence[RegisteredClaimRow]
+    """The registrations, the first one first."""
+
+    def as_dict(self) -> Record:
+        rows = [row._asdict() for row in self.registrations]
+        known = [{name: row[name] for name in ("name", "session", "registered", "lamport")} for row in rows]
+        return {**self.text, "kind": self.kind, "claim": self.claim, "registrations": known}
 
 
 Shown: TypeAlias = ShownBatch | ShownExperiment | ShownRun | ShownExecution | ShownSession

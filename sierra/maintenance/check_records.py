@@ -34,6 +34,7 @@ from sierra.model import REDACTED, RunSpec, Value
 from sierra.provenance import environment, source
 from sierra.provenance.dependency_model import Identified, fingerprint, fingerprint_by_name
 from sierra.provenance.source.stored_repositories import proves
+from sierra.store import claim_records
 from sierra.store.deliverable_records import deliverable_id
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
@@ -49,6 +50,7 @@ from sierra.store.row_types import (
     LookIntervalRow,
     LookRow,
     Of,
+    RegisteredClaimRow,
     SharedFileRow,
     SourceRow,
     SpecRow,
@@ -250,6 +252,11 @@ def _deliverables(records: Records) -> Iterator[Finding]:
         yield Finding(Kind.LOST, "deliverables", f"deliverables belong to batch {short(str(batch))}, which is not recorded")
 
 
+def _registered_claims(records: Records) -> Iterator[Finding]:
+    """Check the ids of registered claims."""
+    yield from _own(records, RegisteredClaimRow, claim_records.row_id)
+
+
 def _studies(records: Records) -> Iterator[Finding]:
     """Check the ids of studies and looks, and that the studies and the batches of looks are recorded."""
     yield from _own(records, StudyRow, study_id)
@@ -294,6 +301,7 @@ USING = {
     "deliverable": "SELECT DISTINCT batch FROM deliverables WHERE deliverable = $id",
     "study": "SELECT DISTINCT batch FROM looks WHERE study = $id",
     "look": "SELECT DISTINCT batch FROM looks WHERE look = $id",
+    "claim": "SELECT batch FROM batches WHERE batch = $id",  # a claim belongs to no batch
 }
 
 
@@ -668,6 +676,7 @@ CHECKS: Sequence[Check] = (
     _readings,
     _judgements,
     _deliverables,
+    _registered_claims,
     _studies,
     _isolations,
     _builds,

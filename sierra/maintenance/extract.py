@@ -23,8 +23,10 @@ LEAN = ("SET threads = 1", "SET allocator_flush_threshold = '8MB'")
 """Settings of DuckDB with which statements on 100,000 runs need less memory, and give it back when they have ended."""
 
 
-def extract(store: Store, batches: Collection[str], root: Path) -> Store:
-    """Write a store with these batches (full ids) to the new folder `root`, and return it. Later records are left out.
+def extract(store: Store, batches: Collection[str], root: Path, claims: Collection[str] = ()) -> Store:
+    """Write a store with these batches and registered claims (full ids) to the new folder `root`, and return it.
+
+    Later records are left out.
 
     Raises NotFound for a batch that the store does not have, Missing if the disk is full, Damaged for unreadable segments.
     """
@@ -36,7 +38,7 @@ def extract(store: Store, batches: Collection[str], root: Path) -> Store:
         other.settings = LEAN
         for setting in LEAN:
             snapshot.run(setting)
-        drop = remove.rows_of(snapshot, store, _others(snapshot, store, batches))
+        drop = remove.rows_of(snapshot, store, _others(snapshot, store, batches, claims))
         changed = touched(snapshot, snapshot.segments, drop)
         changed += [segment for segment in snapshot.segments if segment.renamed and segment not in changed]
         names = {segment.name for segment in changed}
@@ -51,10 +53,11 @@ def extract(store: Store, batches: Collection[str], root: Path) -> Store:
     return other
 
 
-def _others(snapshot: Snapshot, store: Store, batches: Collection[str]) -> dict[str, set[str]]:
-    """Return the ids of all other batches, and of the studies that have no look at one of these batches."""
+def _others(snapshot: Snapshot, store: Store, batches: Collection[str], claims: Collection[str]) -> dict[str, set[str]]:
+    """Return the ids of all other batches and claims, and of the studies that have no look at one of these batches."""
     named: dict[str, set[str]] = {kind: set() for kind in remove.KINDS}
     named["batch"] = set(snapshot.values(str, "SELECT batch FROM batches")) - set(batches)
+    named["claim"] = set(snapshot.values(str, "SELECT DISTINCT claim FROM registered_claims")) - set(claims)
     for study in snapshot.values(str, "SELECT study FROM studies"):
         if not any(look.batch in batches for look in looks(store, study)):
             named["study"].add(study)

@@ -14,9 +14,11 @@ from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
 from sierra.store import index_check, index_files, ownership_marks
+from sierra.store.claim_records import NO_BATCH
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
+from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, check_free
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.shortage import shortage
@@ -134,8 +136,13 @@ def _affected(read: Records, name: str, file: str) -> Affected:
                 executions |= {row[0] for row in read.each(f"SELECT DISTINCT execution FROM {read_parquet([path])}")}
         affected = of(read.snapshot, executions, batches=batches)
     except (Damaged, SierraError):
-        return Affected(text=f"of batch {segment.batch}…")
-    return affected if affected.text else Affected(text=f"of batch {segment.batch}…")
+        return Affected(text=_named(segment))
+    return affected if affected.text else Affected(text=_named(segment))
+
+
+def _named(segment: Segment) -> str:
+    """Return the batch in a segment's name, in words."""
+    return "of registered claims" if NO_BATCH.startswith(segment.batch) else f"of batch {segment.batch}…"
 
 
 def _sessions(paths: StorePaths) -> Iterator[Finding]:

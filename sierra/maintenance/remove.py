@@ -6,7 +6,8 @@ executions, and the next run of the batch's query executes it again; an experime
 their executions. A run or an execution that is named directly is removed even if other batches have it; the preview names these
 batches.
 
-A sequential study is removed with the batches of its looks, and a removed batch with the looks at it.
+A sequential study is removed with the batches of its looks, and a removed batch with the looks at it. The registration of a
+claim is removed only if it is named, or with the last batch of the package that it came in.
 
 Records around executions (run specifications, sources, environments, programs, rules, files) are removed if nothing else
 refers to them.
@@ -33,7 +34,7 @@ from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import few
 
-KINDS = ("batch", "experiment", "run", "execution", "study")
+KINDS = ("batch", "experiment", "run", "execution", "study", "claim")
 """The kinds of objects that have ids."""
 SHOWN = 5
 
@@ -70,12 +71,14 @@ class Removal:
     """Sequential studies that are removed as a whole."""
     cut: tuple[str, ...] = ()
     """Sequential studies that stay but lose looks."""
+    claims: tuple[str, ...] = ()
+    """Registered claims that are removed."""
     left: int = 0
     """Old segments that another process was still reading, and that `sierra gc` removes."""
 
     @property
     def nothing(self) -> bool:
-        return not (self.batches or self.executions or self.studies)
+        return not (self.batches or self.executions or self.studies or self.claims)
 
 
 @dataclass(slots=True)
@@ -182,6 +185,12 @@ CREATE TEMP TABLE staying_replays AS SELECT * FROM replays WHERE replay NOT IN (
 CREATE TEMP TABLE gone_imported_sessions AS SELECT session FROM imported_sessions
     WHERE batch IN (SELECT batch FROM gone_batches)
     AND session NOT IN (SELECT session FROM executions WHERE execution NOT IN (SELECT own FROM gone));
+CREATE TEMP TABLE gone_claims AS SELECT session FROM registered_claims
+    WHERE session NOT IN (SELECT session FROM registered_claims WHERE claim NOT IN (SELECT id FROM named WHERE kind = 'claim'))
+    OR session IN (SELECT session FROM imported_sessions WHERE packages NOT IN (
+        SELECT packages FROM imported_sessions WHERE session NOT IN (SELECT session FROM registered_claims)
+        AND session NOT IN (SELECT session FROM gone_imported_sessions)));
+INSERT INTO gone_imported_sessions SELECT DISTINCT session FROM gone_claims SEMI JOIN imported_sessions USING (session);
 CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
     (source IN (SELECT source FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches))
      OR tree IN (SELECT source FROM specs WHERE spec IN (SELECT spec FROM gone_members)))
@@ -236,10 +245,12 @@ AROUND = {
     "looks": ("look", "SELECT look FROM gone_looks"),
     "look_intervals": ("look", "SELECT look FROM gone_looks"),
     "studies": ("study", "SELECT study FROM gone_studies"),
+    "registered_claims": ("session", "SELECT session FROM gone_claims"),
     "redactions": (
         "session",
         "SELECT session FROM redactions EXCEPT (SELECT session FROM executions WHERE execution NOT IN (SELECT own FROM gone) "
-        "UNION SELECT session FROM staying_sessions UNION SELECT replay FROM staying_replays)",
+        "UNION SELECT session FROM staying_sessions UNION SELECT replay FROM staying_replays "
+        "UNION SELECT session FROM registered_claims WHERE session NOT IN (SELECT session FROM gone_claims))",
     ),
 }
 """By table: its key column, and a query for the ids that nothing refers to any more."""
@@ -330,6 +341,7 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
         tuple(sorted(sharing)),
         studies=tuple(sorted(studies)),
         cut=tuple(sorted(cut)),
+        claims=tuple(sorted(named["claim"])),
     )
 
 
@@ -363,6 +375,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
         drop[table] = {key: _column(snapshot, _unshared(table, key))}
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}
+    drop["registered_claims"]["claim"] = named["claim"]
     for name, table, key in (("gone_programs", "programs", "programs"), ("gone_files", "files_read", "files")):
         snapshot.add_table(name, **{key: sorted(drop[table][key])})
     blobs = _blobs(snapshot, store)
@@ -401,6 +414,8 @@ def text(removal: Removal) -> list[str]:
         lines.append(f"{removal.replays} replay{'' if removal.replays == 1 else 's'}")
     if removal.studies:
         lines.append(f"study {_some(removal.studies)}, with its decisions")
+    if removal.claims:
+        lines.append(f"the registration of claim {_some(removal.claims)}; what is registered again counts as new")
     if removal.cut:
         lines.append(f"the looks at these batches of study {_some(removal.cut)}, which stays; its command looks at them again")
     if removal.losing:

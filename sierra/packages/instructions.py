@@ -144,10 +144,10 @@ def _claims(described: PackageManifest) -> Iterator[str]:
     """Yield the claims with their verdicts on the recorded data, and commands that decide them again."""
     if described.claims:
         yield "\n## Claims\n"
-        yield "| claim | in the paper | recorded verdict | command | time |\n|---|---|---|---|---|"
+        yield "| claim | in the paper | registered | recorded verdict | command | time |\n|---|---|---|---|---|---|"
         for one in described.claims:
             known = (f"`sierra reproduce . --claim {one.name}`", _time(SPARE * one.seconds)) if one.batches else ("–", "–")
-            cells = (_text(one.says), _text(one.shown), f"{one.verdict}: {_text(one.text)}", *known)
+            cells = (_text(one.says), _text(one.shown), _text(one.registration), f"{one.verdict}: {_text(one.text)}", *known)
             yield f"| {' | '.join(cells)} |"
         yield f"\nEach command executes the runs behind a claim again. The time is that of one core of {SLOWER} speed."
         yield "In a copy of `project/`, `sierra claims` decides claims about the source there by the recorded data, in seconds."

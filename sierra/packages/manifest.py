@@ -54,6 +54,10 @@ class PackedClaim(_Part):
     shown: str = Field("", description="figure, table or place in the paper")
     verdict: Verdict = Field(description="verdict on the recorded data")
     text: str = Field(description="numbers behind the verdict")
+    registered: str = Field(
+        "", description="planned if its text was recorded before all executions that count for it, else exploratory"
+    )
+    registration: str = Field("", description="the word with its reason, and how often the claim was changed")
     batches: tuple[str, ...] = Field(description="ids of the batches that decide it; none if they are not packed")
     seconds: float = Field(ge=0, description="sum of the durations of all runs of these batches, in seconds")
 
@@ -114,7 +118,7 @@ def _claims(subject: Subject, needs: Mapping[str, Measured]) -> Iterator[PackedC
     for one in evaluate(subject.project, subject.store, among=subject.batches) if subject.project.config.claims else ():
         seconds = sum(needs[batch].seconds for batch in one.batches if batch in needs)
         same = {name: getattr(one, name) for name in ("name", "says", "shown", "verdict", "text", "batches")}
-        yield PackedClaim(**same, seconds=seconds)
+        yield PackedClaim(**same, registered=one.registered, registration="; ".join(one.registration.lines), seconds=seconds)
 
 
 def written(manifest: PackageManifest) -> bytes:

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
+from sierra.deliverables.claims import registration
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
 from sierra.packages import archive, instructions, manifest
@@ -110,7 +111,7 @@ def pack(
     batches = _batches(store, prefixes)
     images.check(project.root, store, batches, chosen.image)
     with scratch(path.parent, SCRATCH) as folder:
-        part = extract(store, batches, folder / "store")
+        part = extract(store, batches, folder / "store", registration.recorded(project, store))
         subject = Subject(project, part, batches, folder, _date(project, part), chosen)
         if anonymity is not None:
             subject = anonymity.subject(subject)

@@ -903,6 +903,19 @@ class LookIntervalRow(NamedTuple):
     needed: Annotated[int | None, "estimated runs with which it would hold; NULL if it holds, or if there is no estimate", "1"]
 
 
+class RegisteredClaimRow(NamedTuple):
+    """Registered claims: the text of each claim of sierra.toml, recorded when it was first seen. A claim is planned if all
+    executions that count for it belong to sessions with higher Lamport numbers.
+    """
+
+    claim: Annotated[Kept, "hash of the column text", KEY]
+    session: Annotated[Kept, "the session that recorded it, which has no row in sessions", KEY, Of.SESSION]
+    name: Annotated[Kept, "its name in sierra.toml when it was recorded", KEY]
+    text: Annotated[Kept, "its sentence, its queries with their runs, and how it is decided, in normal form, as JSON"]
+    registered: Annotated[datetime, "when it was recorded"]
+    lamport: Annotated[int, "position in the logical order, as in sessions"]
+
+
 class ImportRow(NamedTuple):
     """Imported packages, whose records were made in other stores."""
 
@@ -918,7 +931,7 @@ class ImportedSessionRow(NamedTuple):
     """Sessions that came in packages: their executions were not made here."""
 
     session: Annotated[Kept, "the session", KEY]
-    batch: Annotated[Kept, "the batch that was requested"]
+    batch: Annotated[Kept, "the batch that was requested; empty if the session registered claims"]
     packages: Annotated[
         list[PackageId],
         "the package that was imported, as in imports; then the package from which that one had the session, and so on",
@@ -934,7 +947,7 @@ class RedactionRow(NamedTuple):
     """
 
     session: Annotated[Kept, "the session; for a replay, the replay", KEY]
-    batch: Annotated[Kept, "the batch that its records belong to", KEY]
+    batch: Annotated[Kept, "the batch that its records belong to; empty for registered claims", KEY]
     rules: Annotated[Kept, "the version of the rules by which the records were rewritten"]
 
 
@@ -991,6 +1004,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "studies": StudyRow,
     "looks": LookRow,
     "look_intervals": LookIntervalRow,
+    "registered_claims": RegisteredClaimRow,
     "imports": ImportRow,
     "imported_sessions": ImportedSessionRow,
     "redactions": RedactionRow,

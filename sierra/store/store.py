@@ -76,12 +76,12 @@ SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND lower(o
 
 
 class Found(NamedTuple):
-    """The meaning of an id; `kind` is batch, experiment, run, execution or study."""
+    """The meaning of an id; `kind` is batch, experiment, run, execution, study or claim."""
 
     kind: str
     id: str
     batch: str | None
-    """A batch to which it belongs; of a study, the batch of its last look, or None before the first."""
+    """A batch to which it belongs; of a study, that of its last look, None before the first; of a registered claim, None."""
 
 
 MANY = 300
@@ -278,6 +278,8 @@ class Store:
         Raises NotFound for none or several, and for a study without a look.
         """
         found = self.identify(prefix)
+        if found.kind == "claim":
+            raise NotFound(f"claim {found.id[:10]} is only registered; sierra show {found.id[:10]} shows it")
         if found.kind != "study":
             return found
         if found.batch is None:
@@ -305,6 +307,7 @@ class Store:
                 "UNION SELECT 'execution', execution, batch FROM executions WHERE starts_with(execution, $p) "
                 "UNION SELECT 'study', study, arg_max(l.batch, l.number) FROM studies LEFT JOIN looks l USING (study) "
                 "WHERE starts_with(study, $p) GROUP BY ALL "
+                "UNION SELECT 'claim', claim, NULL FROM registered_claims WHERE starts_with(claim, $p) GROUP BY ALL "
                 "ORDER BY 1, 2 LIMIT 20",
                 p=text,
             )

@@ -5,17 +5,17 @@ values is a valid p value of that (an intersection-union test: Berger 1982, Tech
 one test.
 An order does not hold if the contrary of one of its parts is shown, whose p value is corrected for the number of parts
 (Bonferroni). p values are two-sided; those of equivalence are of two one-sided tests. An equivalence does not hold if an
-interval of a difference, with its confidence corrected for all parts and claims (Bonferroni), is outside the margin.
+interval of a difference is outside the margin; its confidence is corrected for all parts and claims on the table (Bonferroni).
 
-The p values of all claims of a project that tests decide are corrected together (Holm), whichever are asked for. A test that
-cannot be computed yet counts with p = 1. So the probability that any claim holds by chance is at most alpha, and so is the
-probability that any is refuted by chance.
+The p values of all claims of a project on one table of pairs (see `sierra.deliverables.claims.pair_tables`) are corrected
+together (Holm), whichever are asked for. A test that cannot be computed counts with p = 1. So the probability that any claim of
+the table holds by chance is at most alpha, and so is the probability that any is refuted by chance. Pairs that no claim names
+do not count, so each finding says how many of the table's pairs were claimed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.config.claim_table import Claim, ClaimedEquivalence, ClaimedOrder
@@ -23,11 +23,11 @@ from sierra.config.deliverable_tables import Comparison
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims.by_sql import lost
 from sierra.deliverables.claims.model import Found, Verdict
-from sierra.deliverables.comparison import gather_cells
+from sierra.deliverables.comparison import cells_of
+from sierra.deliverables.run_statistics import RunTable
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.stats.comparison.model import Cell, Pair, Question, Sample
 from sierra.stats.comparison.wording import covers_zero
-from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted, few, like
 
@@ -54,7 +54,7 @@ class Tested:
     notes: tuple[str, ...]
     """Notes on runs that are not in the tests."""
     outside: tuple[Pair, ...] = ()
-    """The comparisons that show a difference beyond the margin, after correction for all claims and parts."""
+    """The comparisons that show a difference beyond the margin, after correction for all claims on the table and parts."""
 
     @property
     def shown(self) -> bool:
@@ -79,22 +79,56 @@ class Tested:
         return max(pair.smallest for pair in self.pairs) / sides
 
 
-def test(
-    project: LoadedProject, store: Store, claim: Claim, asked: Asked, batches: Mapping[str, str], tests: int
-) -> Tested | Found:
-    """Return the test of a claim, one of `tests`; or the finding that no test is possible. Raises SierraError."""
-    margin = asked.margin if isinstance(asked, ClaimedEquivalence) else None
-    wanted = Comparison(
+@dataclass(frozen=True, slots=True)
+class Family:
+    """The claims on one table of pairs, whose p values are corrected together."""
+
+    tests: int = 1
+    """The number of these claims."""
+    pairs: int = 0
+    """The number of pairs of the table: each two groups in each experiment; 0 if it is not known."""
+    claimed: int = 0
+    """The number of the pairs that claims name."""
+    command: str = ""
+    """The command that compares all pairs."""
+
+    @property
+    def selection(self) -> str:
+        """Return how many pairs were claimed, in words; "" if there is only one."""
+        if self.pairs < 2:
+            return ""
+        verb = "was" if self.claimed == 1 else "were"
+        command = f": {self.command}" if self.command else ""
+        return f"{self.claimed} of {self.pairs} pairs of this comparison {verb} claimed{command}"
+
+
+def comparison_of(asked: Asked) -> Comparison:
+    """Return the comparison of the groups of a claim."""
+    return Comparison(
         groups=asked.groups if asked.by else (),
         by=(asked.by,) if asked.by else (),
         **{name: getattr(asked, name) for name in ("table", "column", "measure", "threshold", "where", "experiments")},
     )
-    if not asked.by and (unknown := [group for group in asked.groups if group not in batches]):
-        raise NotFound(f"there is no batch labelled {unknown[0]!r}; {like(unknown[0], list(batches))}")
-    found, cells, _, left = gather_cells(project, dict.fromkeys(batches, store), batches, wanted)
+
+
+def cells_in_order(asked: Asked, runs: Mapping[str, RunTable]) -> list[Cell]:
+    """Return the cells of a claim with its groups in their order; `runs` are those of each batch. Raises SierraError."""
+    if not asked.by and (unknown := [group for group in asked.groups if group not in runs]):
+        raise NotFound(f"there is no batch labelled {unknown[0]!r}; {like(unknown[0], list(runs))}")
+    _, cells, _, left = cells_of(runs, comparison_of(asked))
     if left:
         raise UsageError(f"{left[0]}; name those that count by experiments")
-    cells = [_in_order(cell, asked) for cell in cells]
+    return [_in_order(cell, asked) for cell in cells]
+
+
+def test(
+    project: LoadedProject, claim: Claim, asked: Asked, runs: Mapping[str, RunTable], cells: list[Cell], tests: int
+) -> Tested | Found:
+    """Return the test of a claim, one of `tests`; or the finding that no test is possible. Raises SierraError.
+
+    `runs` are those of each batch, and `cells` the result of `cells_in_order`.
+    """
+    margin = asked.margin if isinstance(asked, ClaimedEquivalence) else None
     samples = [sample for cell in cells for sample in cell.samples]
     n = sum(len(sample.values) for sample in samples)
     if (too_many := lost(claim, n, sum(sample.planned for sample in samples))) is not None:
@@ -102,9 +136,9 @@ def test(
     question = Question(asked.alpha, margin, asked.paired)
     tables = project.config.comparison_methods
     pairs, paired, notes = _pairs(cells, question, asked.method, tables)
-    one = next(iter(found.values()))
+    one = next(iter(runs.values()))
     unit = f" {one.unit}" if one.unit not in ("", "1") else ""
-    about = dict.fromkeys((*(note for runs in found.values() for note in runs.notes), *notes))
+    about = dict.fromkeys((*(note for table in runs.values() for note in table.notes), *notes))
     made = Tested(asked, pairs, n, unit, paired, tuple(about))
     if margin is not None and any(_beyond(pair, margin) for pair in pairs):
         strict = replace(question, alpha=asked.alpha / (tests * len(pairs)))
@@ -150,15 +184,31 @@ def _beyond(pair: Pair, margin: float) -> bool:
     return pair.low is not None and pair.high is not None and (pair.low > margin or pair.high < -margin)
 
 
-def conclude(tested: Tested, p: float, tests: int) -> Found:
-    """Return the finding of a test with its p value after correction for all tests."""
-    alpha = tested.asked.alpha
+def conclude(tested: Tested, p: float, family: Family) -> Found:
+    """Return the finding of a test with its p value after correction for all tests of its family."""
+    alpha, tests = tested.asked.alpha, family.tests
     only = tested.pairs[0] if len(tested.pairs) == 1 else None
     margin = f", margin {tested.asked.margin:g}{tested.unit}" if isinstance(tested.asked, ClaimedEquivalence) else ""
     what = few([_text(*one, tested) for one in zip(tested.pairs, tested.paired, strict=True)], SHOWN) + margin
     end = f"{_p(p)} after correction for {counted(tests, 'test')} (Holm), alpha = {alpha:g}"
     value, low, high = (only.difference, only.low, only.high) if only else (None, None, None)
-    found = partial(Found, n=tested.n, value=value, low=low, high=high, p=p, tests=tests, notes=tested.notes)
+    chosen = f"; {family.selection}" if family.selection else ""
+
+    def found(verdict: Verdict, text: str) -> Found:
+        return Found(
+            verdict,
+            text + chosen,
+            n=tested.n,
+            value=value,
+            low=low,
+            high=high,
+            p=p,
+            tests=tests,
+            pairs=family.pairs or None,
+            claimed_pairs=family.claimed or None,
+            notes=tested.notes,
+        )
+
     if tested.smallest * tests > alpha * (1 + 1e-12):
         text = f"n is too small for any verdict at alpha = {alpha:g} over {counted(tests, 'test')}; {what}"
         return found(Verdict.cannot_tell, text)

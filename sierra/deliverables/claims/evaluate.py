@@ -6,21 +6,25 @@ are still evaluated.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 from sierra.config.claim_table import DECISIONS, Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import by_sql, by_test, by_value
-from sierra.deliverables.claims.by_test import Tested
-from sierra.deliverables.claims.model import Evaluated, Found, Ground, Verdict
+from sierra.deliverables.claims.by_test import Family, Tested
+from sierra.deliverables.claims.model import Evaluated, Found, Ground, Registration, Verdict
+from sierra.deliverables.claims.pair_tables import PairTables, Prepared, families
+from sierra.deliverables.claims.registration import registrations
 from sierra.deliverables.claims.rests_on import BatchesOfClaims
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.text import like, one_line
 
+R = TypeVar("R")
 IMPORTED = "SELECT batch, packages[1] AS package FROM origins WHERE packages IS NOT NULL"
 __all__ = ["Evaluated", "Ground", "Verdict", "batches", "evaluate"]
 
@@ -43,19 +47,24 @@ def evaluate(
     """Return the evaluation of the claims with these names, by default of all, in the order of `sierra.toml`.
 
     `ground` is the origin of the data in the store, which the caller knows. `among` has the ids of the batches that may decide,
-    also if the project has changed since: see `rests_on`. p values are corrected for all claims of the
-    project that tests decide, also if only some are evaluated. Raises NotFound for an unknown name, and if there are no claims.
+    also if the project has changed since: see `rests_on`. p values are corrected for all claims of the project on the same
+    table of pairs, also if only some are evaluated. Nothing is written. Raises NotFound for an unknown name, and if there are
+    no claims.
     """
     chosen, every = _named(project, names), project.config.claims
     known = BatchesOfClaims(project, store, among)
     tested = [name for name, claim in every.items() if claim.tested]
     needed = {*chosen, *(() if chosen.keys().isdisjoint(tested) else tested)}
+    tables = PairTables(project, store)
     rests: dict[str, tuple[str, ...]] = {}
-    found = _corrected(
-        {name: _find(project, store, known, name, len(tested), rests) for name in every if name in needed}, tested
-    )
+    found = {name: _find(project, store, known, tables, name, rests) for name in every if name in needed}
+    concluded = _corrected(project, found)
     imported = dict(store.select(_Imported, IMPORTED))
-    return tuple(_evaluated(name, claim, found[name], ground, rests.get(name, ()), imported) for name, claim in chosen.items())
+    registered = registrations(project, store, {name: rests.get(name, ()) for name in chosen})
+    return tuple(
+        _evaluated(name, claim, concluded[name], ground, rests.get(name, ()), imported, registered[name])
+        for name, claim in chosen.items()
+    )
 
 
 def batches(
@@ -80,11 +89,17 @@ def _named(project: LoadedProject, names: Sequence[str]) -> dict[str, Claim]:
 
 
 def _find(
-    project: LoadedProject, store: Store, known: BatchesOfClaims, name: str, tests: int, rests: dict[str, tuple[str, ...]]
-) -> Found | Tested:
-    """Return the finding about a claim, or its test, which needs the others; note the batches that it rests on."""
+    project: LoadedProject,
+    store: Store,
+    known: BatchesOfClaims,
+    tables: PairTables,
+    name: str,
+    rests: dict[str, tuple[str, ...]],
+) -> Found | Prepared:
+    """Return the finding about a claim, or its pairs, which are tested with those of others; note the batches it rests on."""
     claim = project.config.claims[name]
-    try:
+
+    def find() -> Found | Prepared:
         own = known.of(name, claim)
         rests[name] = tuple(own.values())
         if claim.sql:
@@ -92,28 +107,56 @@ def _find(
         if claim.value:
             return by_value.find(project, store, claim, claim.value, own)
         if claim.tested:
-            return by_test.test(project, store, claim, claim.tested, own, tests)
+            return tables.prepared(claim.tested, own)
         raise UsageError(f"[claims.{name}] says not how it is decided")  # the model of the table refuses that
+
+    return _told(find)
+
+
+def _told(find: Callable[[], R]) -> R | Found:
+    """Return the result of a step; if it raises, the finding that nothing can be told, with the reason."""
+    try:
+        return find()
     except DamagedFile:
         raise
     except SierraError as error:
         return Found(Verdict.cannot_tell, one_line(error))
 
 
-def _corrected(found: Mapping[str, Found | Tested], tested: Sequence[str]) -> dict[str, Found]:
-    """Return the findings, with all tests corrected together; a claim whose test is not possible counts with p = 1."""
+def _corrected(project: LoadedProject, found: Mapping[str, Found | Prepared]) -> dict[str, Found]:
+    """Return the findings, with the tests of each family corrected together; one that is not possible counts with p = 1."""
+    prepared = {name: one for name, one in found.items() if isinstance(one, Prepared)}
     done = {name: one for name, one in found.items() if isinstance(one, Found)}
-    tests = {name: one for name, one in found.items() if isinstance(one, Tested)}
-    if tests:
-        from sierra.stats.comparison.rank_tests import holm
-
-        adjusted = holm([*(one.p for one in tests.values()), *[1.0] * (len(tested) - len(tests))])
-        done |= {name: by_test.conclude(one, p, len(tested)) for (name, one), p in zip(tests.items(), adjusted, strict=False)}
+    for family, members in families(prepared):
+        tests: dict[str, Tested] = {}
+        for name, one in members.items():
+            claim = project.config.claims[name]
+            tested = _told(partial(by_test.test, project, claim, one.asked, one.runs, one.cells, family.tests))
+            if isinstance(tested, Tested):
+                tests[name] = tested
+            else:
+                done[name] = tested
+        done |= _concluded(tests, family)
     return done
 
 
+def _concluded(tests: Mapping[str, Tested], family: Family) -> dict[str, Found]:
+    if not tests:
+        return {}
+    from sierra.stats.comparison.rank_tests import holm
+
+    adjusted = holm([*(one.p for one in tests.values()), *[1.0] * (family.tests - len(tests))])
+    return {name: by_test.conclude(one, p, family) for (name, one), p in zip(tests.items(), adjusted, strict=False)}
+
+
 def _evaluated(
-    name: str, claim: Claim, found: Found, ground: Ground, rests: tuple[str, ...], imported: Mapping[str, str]
+    name: str,
+    claim: Claim,
+    found: Found,
+    ground: Ground,
+    rests: tuple[str, ...],
+    imported: Mapping[str, str],
+    registration: Registration,
 ) -> Evaluated:
     shown = [f"figure {claim.figure}" if claim.figure else "", f"table {claim.table}" if claim.table else "", claim.paper]
     elsewhere = (
@@ -129,4 +172,6 @@ def _evaluated(
         kind=next(kind for kind in DECISIONS if getattr(claim, kind)),
         ground=ground,
         batches=rests,
+        registered=registration.word,
+        registration=registration,
     )

@@ -26,6 +26,47 @@ class Ground(StrEnum):
     STATISTICALLY_REEXECUTED = "statistically re-executed"
 
 
+class Registered(StrEnum):
+    """The relation of a claim's registration to the executions that count for it."""
+
+    PLANNED = "planned"
+    """It was registered before any of them began."""
+    EXPLORATORY = "exploratory"
+    UNDECIDED = "registered, not yet decided"
+    """No execution counts yet."""
+    MISSING = "not registered"
+    """No execution counts yet, and its text is not recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """The registration of one claim."""
+
+    word: Registered = Registered.MISSING
+    reason: str = ""
+    """The reason of the word, in one line."""
+    claim: str = ""
+    """The hash of the claim's normal form; "" if it has none, because its query is not valid."""
+    changes: int = 0
+    """The number of times that the claim's text has changed since this name was first registered."""
+    first: str = ""
+    """The day on which the claim's name was first registered, for people."""
+    plan_n: str = ""
+    """The `sierra plan-n` command that the number of runs came from; "" if the claim names none."""
+
+    @property
+    def history(self) -> str:
+        """Return the changes of the claim in one line; "" if there are none."""
+        times = "once" if self.changes == 1 else f"{self.changes} times"
+        return f"changed {times} since it was first registered ({self.first})" if self.changes else ""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Return everything about the registration, for people."""
+        runs = f"number of runs from: {self.plan_n}" if self.plan_n else ""
+        return tuple(filter(None, (f"{self.word}: {self.reason}", self.history, runs)))
+
+
 @dataclass(frozen=True, slots=True)
 class Found:
     """The finding about one claim, without its name."""
@@ -43,7 +84,11 @@ class Found:
     p: float | None = None
     """The p value of the claim's test, corrected for all `tests`; None if it is not decided by a test."""
     tests: int | None = None
-    """The number of the project's claims that tests decide."""
+    """The number of the project's claims on the same table of pairs, which are corrected together."""
+    pairs: int | None = None
+    """The number of pairs of this table; None if the claim is not decided by a test."""
+    claimed_pairs: int | None = None
+    """The number of these pairs that claims of the project name."""
     runs: Mapping[str, float] = field(default_factory=dict)
     """The values of the runs by seed, for a claim about a value; none if the statistic counts times never reached."""
     numbers: Mapping[str, SqlValue] = field(default_factory=dict)
@@ -65,3 +110,6 @@ class Evaluated(Found):
     ground: Ground = Ground.RECORDED
     batches: tuple[str, ...] = ()
     """The ids of the batches that decide it; none if they are not recorded."""
+    registered: Registered = Registered.MISSING
+    registration: Registration = Registration()
+    """The registration behind `registered`."""

@@ -31,7 +31,7 @@ from sierra.config.claim_table import ClaimedValue, distance
 from sierra.config.project_file import Project
 from sierra.deliverables.claims.baseline import ClaimInBaseline, decision_of
 from sierra.deliverables.claims.by_value import decide
-from sierra.deliverables.claims.model import Evaluated, Ground, Verdict
+from sierra.deliverables.claims.model import Evaluated, Ground, Registration, Verdict
 from sierra.stats import rates, student_t
 from sierra.stats.rates import Interval, square_and_add
 from sierra.util.lazy_definitions import dataclass
@@ -93,6 +93,11 @@ class Changed:
     def ground(self) -> Ground:
         """Return the origin of the data now."""
         return self.now.ground
+
+    @property
+    def registration(self) -> Registration:
+        """Return the registration of the claim as it is now."""
+        return self.now.registration
 
     @property
     def notes(self) -> tuple[str, ...]:

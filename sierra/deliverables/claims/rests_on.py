@@ -35,7 +35,7 @@ class BatchesOfClaims:
     def of(self, name: str, claim: Claim) -> Mapping[str, str]:
         """Return the ids of a claim's batches by label, in order. Raises NotFound, which names a query that has to be run."""
         if claim.query:
-            named = [("", self._of_query(name, _request(claim)))]
+            named = [("", self._of_query(name, request_of(claim)))]
         else:
             named = [self._labelled(name, word) for word in claim.batches]
         ids = [batch for _, batch in named]
@@ -77,7 +77,7 @@ class BatchesOfClaims:
         return found[0]
 
 
-def _request(claim: Claim) -> QueryRequest:
+def request_of(claim: Claim) -> QueryRequest:
     """Return the query of a claim, with its own options."""
     return query_request.request(
         claim.query, runs=claim.runs, controller=claim.controller, scenario=claim.scenario, target=claim.target
@@ -87,6 +87,6 @@ def _request(claim: Claim) -> QueryRequest:
 def requests(claim: Claim, config: Project) -> list[QueryRequest]:
     """Return the queries that a claim rests on: its own, and those that its batches name."""
     if claim.query:
-        return [_request(claim)]
+        return [request_of(claim)]
     names = (word.rpartition("=")[2] for word in claim.batches)
     return [query_request.request([name]) for name in names if name in config.queries]

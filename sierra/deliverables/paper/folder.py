@@ -45,11 +45,19 @@ class PaperQuery(Table):
     source: str | None = Field(None, description="the tree of the code, as an SWHID; null if the runs have no source")
 
 
+class PaperClaim(Table):
+    """One claim of a paper: one that a figure, a table or a number of the paper shows."""
+
+    claim: str = Field(description="hash of the claim's normal form")
+    registered: str = Field(description="`planned` or `exploratory`")
+
+
 class Provenance(Table):
     """`provenance.json`."""
 
     version: int = Field(VERSION, description="version of this file's format")
     queries: Mapping[str, PaperQuery] = Field(default_factory=dict, description="queries as they are declared")
+    claims: Mapping[str, PaperClaim] = Field(default_factory=dict, description="claims by name; left out if there are none")
     files: Mapping[str, PaperFile] = Field(default_factory=dict, description="files by path")
     unfinished: Mapping[str, str] = Field(default_factory=dict, description="SHA-256 of files that are being written")
 
@@ -63,6 +71,8 @@ class Written:
     removed: tuple[Path, ...]
     edited: tuple[Path, ...]
     """Files that somebody edited; they are as they were."""
+    claims: Mapping[str, str]
+    """For each claim of the paper: `planned` or `exploratory`."""
 
 
 def read(folder: Path) -> Provenance | None:
@@ -130,13 +140,19 @@ def write(folder: Path, before: Provenance, provenance: Provenance, contents: Ma
             changed.append(folder / PROVENANCE)
     unchanged = len(provenance.files.keys() - {*changing} - edited)
     return Written(
-        tuple(changed), unchanged, tuple(folder / name for name in gone), tuple(folder / name for name in sorted(edited))
+        tuple(changed),
+        unchanged,
+        tuple(folder / name for name in gone),
+        tuple(folder / name for name in sorted(edited)),
+        {name: claim.registered for name, claim in provenance.claims.items()},
     )
 
 
 def _write_provenance(folder: Path, provenance: Provenance) -> bool:
     """Write `provenance.json`, unless it is so already; return whether it was written."""
-    content = provenance.model_dump(mode="json", exclude=set() if provenance.unfinished else {"unfinished"})
+    content = provenance.model_dump(
+        mode="json", exclude={name for name in ("claims", "unfinished") if not getattr(provenance, name)}
+    )
     text = json.dumps(content, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     if _sha256(folder / PROVENANCE) == sha256(text.encode()):
         return False

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject, Project
+from sierra.deliverables.claims.registration import registrations
+from sierra.deliverables.claims.rests_on import BatchesOfClaims
 from sierra.deliverables.paper import bound_files, folder, numbers
 from sierra.deliverables.paper.bound_files import PaperItem
-from sierra.deliverables.paper.folder import PaperFile, PaperQuery, Provenance, Written
+from sierra.deliverables.paper.folder import PaperClaim, PaperFile, PaperQuery, Provenance, Written
 from sierra.deliverables.record import Recorder
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
@@ -69,7 +72,9 @@ def make(project: LoadedProject, store: Store) -> Written:
         contents |= made
         files |= kept or {name: _described(item, data) for name, data in made.items()}
         items.append(item)
-    written = folder.write(path(project), before, Provenance(queries=_batches(found), files=files), contents)
+    written = folder.write(
+        path(project), before, Provenance(queries=_batches(found), claims=_claims(found), files=files), contents
+    )
     _record(project, store, items, {*written.edited})
     return written
 
@@ -109,6 +114,29 @@ def _batches(found: BatchesOfQueries) -> dict[str, PaperQuery]:
     batches = {word: found.last(word) for word in bound_files.queries(found.project.config)}
     sources = {batch: next(iter(found.store.values(str, SOURCE, b=batch)), None) for batch in batches.values()}
     return {word: PaperQuery(batch=batch, source=sources[batch]) for word, batch in batches.items()}
+
+
+def _claims(found: BatchesOfQueries) -> dict[str, PaperClaim]:
+    """Return the claims that a figure, a table or a number of the paper shows, by name."""
+    config = found.project.config
+    if not config.claims:
+        return {}
+    shown = {number.claim for number in config.numbers.values()}
+    shown |= {
+        name
+        for name, claim in config.claims.items()
+        if (claim.figure in config.figures and config.figures[claim.figure].query)
+        or (claim.table in config.paper_tables and config.paper_tables[claim.table].query)
+    }
+    known = BatchesOfClaims(found.project, found.store)
+    batches: dict[str, tuple[str, ...]] = {}
+    for name in config.claims:
+        if name in shown:
+            batches[name] = ()
+            with contextlib.suppress(SierraError):  # it has not been run: no execution counts
+                batches[name] = tuple(known.of(name, config.claims[name]).values())
+    registered = registrations(found.project, found.store, batches)
+    return {name: PaperClaim(claim=one.claim, registered=one.word) for name, one in registered.items()}
 
 
 def _record(project: LoadedProject, store: Store, items: Iterable[PaperItem], edited: Container[Path]) -> None:
@@ -171,7 +199,7 @@ def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance) -
         for item in bound_files.items(found):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
             paths += item.paths
-        batches = _batches(found)
+        batches, claims = _batches(found), _claims(found)
     except DamagedFile:
         raise
     except SierraError as error:
@@ -186,6 +214,10 @@ def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance) -
         elif definition != file.definition:
             yield f"{shown / name} is made otherwise now: sierra.toml or SIERRA has changed"
     yield from (f"{shown / name} was not made yet" for name in paths if name not in provenance.files)
+    for name in sorted({*claims, *provenance.claims}):
+        if claims.get(name) != provenance.claims.get(name):
+            now = claims[name].registered if name in claims else "not in the paper"
+            yield f"{shown / PROVENANCE} has another record of claim {name!r}, which is {now}; make the paper again"
     for word in sorted({*batches, *provenance.queries}):
         if batches.get(word) != provenance.queries.get(word):
             yield f"{shown / PROVENANCE} has another batch of query {word!r} than the store; make the paper again"

@@ -51,6 +51,7 @@ class Computed:
     high: float | None = None
     p: float | None = None
     verdict: str = ""
+    registered: str = ""
     origin: str = ""
     """The source of the number, in one line."""
     batches: tuple[str, ...] = ()
@@ -105,7 +106,16 @@ def computed(
 def _of_claim(found: Evaluated) -> Computed:
     if not found.batches:
         raise SierraError(found.text)
-    return Computed(found.value, found.low, found.high, found.p, found.verdict.value, f"claim {found.name}", found.batches)
+    return Computed(
+        found.value,
+        found.low,
+        found.high,
+        found.p,
+        found.verdict.value,
+        found.registered.value,
+        f"claim {found.name}",
+        found.batches,
+    )
 
 
 def _of_comparison(compared: Compared, groups: Sequence[str]) -> Computed:
@@ -121,7 +131,7 @@ def _of_comparison(compared: Compared, groups: Sequence[str]) -> Computed:
     [pair] = chosen
     difference, low, high = _directed(pair, groups)
     origin = f"comparison {compared.name}: {' and '.join(groups) or f'{pair.first} and {pair.second}'}"
-    return Computed(difference, low, high, pair.p_adjusted, "", origin)
+    return Computed(difference, low, high, pair.p_adjusted, origin=origin)
 
 
 def _directed(pair: Pair, groups: Sequence[str]) -> tuple[float | None, float | None, float | None]:
@@ -157,7 +167,8 @@ def _of_statistic(project: LoadedProject, store: Store, number: NumberInText, ba
         raise UsageError(f"experiments = {number.experiments!r} are {len(chosen)}, but a number is that of one; {hint}")
     estimates, _ = paper_tables.estimates_of(found, number.statistic, chosen)
     estimate, low, high, n = estimates[min(chosen)]
-    return Computed(estimate, low, high, None, "", f"{number.statistic} of {column}, n = {n}, query {number.query[0]}")
+    origin = f"{number.statistic} of {column}, n = {n}, query {number.query[0]}"
+    return Computed(estimate, low, high, origin=origin)
 
 
 def text(number: NumberInText, found: Computed, *, siunitx: bool) -> str:
@@ -165,6 +176,8 @@ def text(number: NumberInText, found: Computed, *, siunitx: bool) -> str:
     match number.value:
         case "verdict":
             return paper_tables.escaped(found.verdict)
+        case "registered":
+            return paper_tables.escaped(found.registered)
         case "p":
             if found.p is None:
                 raise SierraError("it has no p value")

@@ -67,9 +67,10 @@ def _claim(one: Evaluated, claim: Claim, place: Place) -> Markup:
 
 
 def _facts(one: Evaluated) -> dict[str, str]:
-    tests = f"corrected for {counted(one.tests, 'claim')} that tests decide (Holm)" if one.tests else ""
+    tests = f"corrected for {counted(one.tests, 'claim')} on this table of pairs (Holm)" if one.tests else ""
     return {
         "name": one.name,
+        "registered": "; ".join(one.registration.lines),
         "shown in": one.shown,
         "runs": f"{one.n}" if one.n else "",
         "data": one.ground.value,

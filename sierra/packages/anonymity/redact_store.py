@@ -28,6 +28,7 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.row_types import Redaction, RedactionRow
 from sierra.store.schema import RECORDED, arrow_schema
 from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors
+from sierra.store.sql_names import quote
 from sierra.store.store import Snapshot, Store
 from sierra.store.verified_files import verify
 
@@ -42,8 +43,11 @@ MARKS = "redactions"
 MARKED = {
     **dict.fromkeys(("executions", "sessions", "builds", "attempts", "captures", MARKS), "session"),
     "replays": "replay",
+    "registered_claims": "session",
 }
 """The column with the session, by table."""
+BATCHLESS = ("registered_claims",)
+"""Those of the tables whose records belong to no batch."""
 
 
 def rewrite(store: Store, folder: Path, date: str) -> None:
@@ -130,7 +134,8 @@ class _Redactor:
     def _marks(self, segment: Segment) -> list[RedactionRow]:
         """Return a mark for each session in a segment."""
         named = [
-            f"SELECT {key}, batch FROM {read_parquet([segment.files[table]])}"  # noqa: S608 - our own names
+            f"SELECT {key}, {quote('') if table in BATCHLESS else 'batch'} "  # noqa: S608 - our own names
+            f"FROM {read_parquet([segment.files[table]])}"
             for table, key in MARKED.items()
             if table in segment.files
         ]

@@ -9,6 +9,8 @@ from its record. What has no id of that kind, such as the result of a run, is on
 - Imported executions are never reused.
 - A record that the store has already is not replaced. Later judgements and findings on such records are not imported.
 
+- A registered claim only counts for executions that came in the same package.
+
 Replays, deliverables and sequential studies are not imported: they state what was done in the other store.
 
 Everything appears at one moment (see `sierra.maintenance.transaction`). A second import of the same package adds nothing.
@@ -46,8 +48,10 @@ from sierra.util.lazy_definitions import dataclass, replace
 Drop = dict[str, dict[str, AbstractSet[str]]]
 BY_EXECUTION, BY_JUDGEMENT, BY_SESSION = map(columns_with, (Of.EXECUTION, Of.JUDGEMENT, Of.SESSION))
 """Tables whose rows are added with an execution, a judgement or a session; the first two in the column `execution`."""
+NO_IDS = ("findings", "imports", "imported_sessions", "registered_claims")
+"""Tables with keys that do not say which records are the same in two stores."""
 BY_ID = {
-    **{name: keys[0] for name, keys in ONCE.items() if name not in ("findings", "imports", "imported_sessions")},
+    **{name: keys[0] for name, keys in ONCE.items() if name not in NO_IDS},
     "batch_runs": "batch",
 }
 """Tables whose records are not added if the store has one with the same id, in this column."""
@@ -173,7 +177,7 @@ def _change(store: Store, received: _Received, lamport: int) -> _Change:
     """Return the records to add. Raises UsageError if the package contradicts this store."""
     with store.snapshot() as own, received.store.snapshot() as theirs:
         for snapshot in (own, theirs):
-            snapshot.views.make(("all_judgements", "all_sessions", "imported_sessions"))
+            snapshot.views.make(("all_judgements", "all_sessions", "imported_sessions", "registered_claims"))
         _check_against(own, theirs, received)
         executions = _column(theirs, "SELECT execution FROM all_judgements")
         replayed = _column(theirs, "SELECT execution FROM all_judgements WHERE purpose <> 'run'")
@@ -226,11 +230,13 @@ def _column(snapshot: Snapshot, statement: str) -> set[str]:
 
 RECORDED_SESSIONS = """
 SELECT session FROM all_sessions UNION SELECT session FROM all_judgements ANTI JOIN imported_sessions USING (session)
+UNION SELECT session FROM registered_claims
 """
 """Sessions of this store, and imported sessions that had ended when they were packed."""
 ORIGINS = """
-SELECT a.session, min(a.batch), any_value(i.packages) FROM (
+SELECT a.session, max(a.batch), any_value(i.packages) FROM (
     SELECT session, batch FROM all_sessions UNION SELECT session, batch FROM all_judgements SEMI JOIN added USING (execution)
+    UNION SELECT session, '' FROM registered_claims
 ) a LEFT JOIN imported_sessions i ON i.session = a.session GROUP BY a.session ORDER BY a.session
 """
 

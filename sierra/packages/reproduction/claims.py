@@ -14,6 +14,7 @@ from dataclasses import replace
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import evaluate
 from sierra.deliverables.claims.model import Evaluated, Ground
+from sierra.deliverables.claims.registration import registrations
 from sierra.errors import SierraError, UsageError
 from sierra.packages.reading import received
 from sierra.replay.compare_values import Verdict
@@ -61,7 +62,8 @@ def decide(
     ):
         for one in evaluate.evaluate(project, source, names, among=packed) if names else ():
             found[one.name] = replace(one, ground=grounds[one.name])
-    return tuple(found[name] for name in rests)
+    registered = registrations(project, store, rests)  # by the recorded executions: repeating them plans nothing
+    return tuple(replace(found[name], registered=registered[name].word, registration=registered[name]) for name in rests)
 
 
 def recorded(project: LoadedProject, store: Store, names: Sequence[str]) -> tuple[Evaluated, ...]:

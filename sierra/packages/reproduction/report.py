@@ -81,6 +81,8 @@ def _claim(done: Reproduction, one: Evaluated) -> dict[str, Any]:
         "says": one.says,
         "shown": one.shown,
         "verdict": str(one.verdict),
+        "registered": str(one.registered),
+        "registration": one.registration.reason,
         "ground": str(one.ground),
         "text": one.text,
         "n": one.n,
@@ -95,6 +97,9 @@ def executed(done: Reproduction, batches: Sequence[str]) -> str:
     return f"{sum(one.executed for one in known):,} of {sum(one.planned.of for one in known):,} runs executed again"
 
 
+CLAIMS = ("| claim | verdict | registered | numbers | n | ground |", "| --- | --- | --- | --- | --- | --- |")
+
+
 def _lines(done: Reproduction) -> Iterator[str]:
     yield f"# Reproduction of {_text(done.title) or 'a package'}"
     yield ""
@@ -102,10 +107,18 @@ def _lines(done: Reproduction) -> Iterator[str]:
     yield ""
     yield f"Package: `{done.package}`"
     if done.claims:
-        yield from ("", "## Claims", "", "| claim | verdict | numbers | n | ground |", "| --- | --- | --- | --- | --- |")
+        yield from ("", "## Claims", "", *CLAIMS)
         for one in done.claims:
             ground = f"{one.ground} ({executed(done, one.batches)})"
-            yield f"| {one.name}: {_text(one.says)} | **{one.verdict}** | {_text(one.text)} | {one.n} | {ground} |"
+            cells = (
+                f"{one.name}: {_text(one.says)}",
+                f"**{one.verdict}**",
+                str(one.registered),
+                _text(one.text),
+                str(one.n),
+                ground,
+            )
+            yield f"| {' | '.join(cells)} |"
     yield from ("", "## Batches", "")
     for batch in done.batches:
         yield from _of_batch(batch)

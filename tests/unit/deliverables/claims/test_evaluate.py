@@ -97,7 +97,7 @@ def test_orders_and_equivalences_are_tested_and_corrected_together(recorded: Pat
     shown = {"order": "holds", "reverse": "does not hold", "alike": "holds", "unlike": "does not hold"}
     assert verdicts == shown | {"later": "can't tell"}
     assert "run: sierra run noise=1,2" in answer["later"]["text"]
-    assert answer["alike"]["p"] == pytest.approx(5 / 2**12), "also the test that is not possible yet counts"
+    assert answer["alike"]["p"] == pytest.approx(4 / 2**12), "the four claims on this table of pairs count"
     assert found(recorded, *tests, names=("order",))["order"] == answer["order"], "no claim can be picked"
 
 
@@ -170,7 +170,7 @@ def test_the_command_prints_a_table_and_writes_junit(recorded: Path, tmp_path: P
     (recorded / "sierra.toml").write_text(CONFIG + "".join(claims))
     done = projects.quick(recorded, "claims", "--junit", str(tmp_path / "claims.xml"))
     assert done.returncode == 1
-    assert done.stdout.splitlines()[0].split() == ["claim", "verdict", "numbers", "n", "ground"]
+    assert done.stdout.splitlines()[0].split() == ["claim", "verdict", "registered", "numbers", "n", "ground"]
     suite = ET.parse(tmp_path / "claims.xml").getroot()[0]  # noqa: S314 - written above
     assert suite.attrib == {"name": "claims", "tests": "3", "failures": "1", "errors": "1"}
     assert [case[0].tag for case in suite] == ["system-out", "error", "failure"]
@@ -244,7 +244,7 @@ def conclusion(groups: list[Any], tests: int) -> Found:
     asked = ClaimedOrder(groups=names, by="x", paired=False)
     pairs, paired, notes = by_test._pairs([Cell({}, tuple(samples))], Question(asked.alpha, None, False), "auto", {})
     tested = by_test.Tested(asked, pairs, 0, "", paired, notes)
-    return by_test.conclude(tested, min(1.0, tests * tested.p), tests)
+    return by_test.conclude(tested, min(1.0, tests * tested.p), by_test.Family(tests))
 
 
 def test_equal_groups_are_seldom_ordered() -> None:

@@ -1,0 +1,193 @@
+"""Registered claims: a claim that was recorded before any execution that counts for it began is planned, else exploratory.
+
+Order is that of Lamport numbers (see `sierra.store.lamport_clock`). A session takes a higher number than all those that are
+recorded or living. So an execution began after a registration if the number of its session is higher. Sessions with the same
+number lived at the same time, and sessions that began first may execute runs later: in both cases the claim is exploratory. A
+claim's text is read before the registration takes its number, so that nobody can see results in between.
+
+The numbers of two stores cannot be compared. So a registration only counts for executions that were made in the same store:
+those of this store, or those that came in the same package.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import cache, partial
+from typing import NamedTuple
+
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.claims.model import Registered, Registration
+from sierra.deliverables.claims.normal_form import normal_form
+from sierra.design.query import condition
+from sierra.errors import DamagedFile, SierraError
+from sierra.execution.sessions import Session
+from sierra.store.claim_records import NO_BATCH, claim_id
+from sierra.store.lamport_clock import number_of, stamp
+from sierra.store.row_types import RegisteredClaimRow
+from sierra.store.samples import Frame
+from sierra.store.store import Store
+from sierra.util.json_types import JsonView
+from sierra.util.lazy_definitions import dataclass
+from sierra.util.text import counted, one_line
+
+OWN = "SELECT DISTINCT claim FROM registered_claims ANTI JOIN imported_sessions USING (session)"
+OF_PROJECT = "SELECT DISTINCT claim FROM registered_claims WHERE list_contains($claims, claim) OR list_contains($names, name)"
+RECORDED = """
+SELECT claim, name, epoch(registered) AS registered, lamport, packages
+FROM registered_claims LEFT JOIN (SELECT session, packages FROM imported_sessions) USING (session)
+"""
+COUNTED = """
+SELECT e.lamport, e.packages, count(DISTINCT e.execution) AS executions
+FROM effective f JOIN all_judgements e USING (judgement)
+WHERE f.batch = $batch AND ($ordinals IS NULL OR list_contains($ordinals, f.ordinal))
+GROUP BY e.lamport, e.packages
+"""
+"""The executions that count in a batch, by their place in the logical order and by where they were made."""
+
+
+class _Recorded(NamedTuple):
+    claim: str
+    name: str
+    registered: float
+    lamport: int
+    packages: list[str] | None
+
+
+class _Counted(NamedTuple):
+    lamport: int
+    packages: list[str] | None
+    executions: int
+
+
+@dataclass(frozen=True, slots=True)
+class NewRegistrations:
+    """The claims of a project, as they were registered now or before."""
+
+    new: tuple[str, ...]
+    """The names of those whose text was not recorded before."""
+    known: tuple[str, ...]
+    refused: Mapping[str, str]
+    """The reasons why others cannot be registered, by name."""
+
+
+def register(project: LoadedProject, store: Store) -> NewRegistrations:
+    """Record the claims of a project that are not recorded yet. Raises Missing if the store cannot be written."""
+    forms: dict[str, Mapping[str, JsonView]] = {}
+    refused: dict[str, str] = {}
+    for name, claim in project.config.claims.items():
+        try:
+            forms[name] = normal_form(project, claim)
+        except SierraError as error:
+            refused[name] = one_line(error)
+    ids = {name: claim_id(form) for name, form in forms.items()}
+    known = set(store.values(str, OWN)) if ids else set()
+    new = {name: identity for name, identity in ids.items() if identity not in known}
+    if new:
+        _record(store, {name: (identity, forms[name]) for name, identity in new.items()})
+    return NewRegistrations(tuple(new), tuple(name for name in ids if name not in new), refused)
+
+
+def _record(store: Store, claims: Mapping[str, tuple[str, Mapping[str, JsonView]]]) -> None:
+    session = Session(store.paths, logged=False)
+    try:
+        session.take_number()
+        writer = store.writer(session.paths.segment, NO_BATCH)
+        position, now = stamp(session.number, session.id), datetime.now(UTC)
+        writer.records(
+            RegisteredClaimRow(identity, session.id, name, json.dumps(form, ensure_ascii=False, sort_keys=True), now, position)
+            for name, (identity, form) in claims.items()
+        )
+        store.publish(writer)
+    finally:
+        session.close()
+
+
+def recorded(project: LoadedProject, store: Store) -> set[str]:
+    """Return the hashes of the recorded claims of a project: as they are now, and as they were before under these names."""
+    if not project.config.claims:
+        return set()
+    ids = []
+    for claim in project.config.claims.values():
+        with contextlib.suppress(SierraError):  # its query is not valid
+            ids.append(claim_id(normal_form(project, claim)))
+    return set(store.values(str, OF_PROJECT, claims=ids, names=list(project.config.claims)))
+
+
+def registrations(project: LoadedProject, store: Store, batches: Mapping[str, Sequence[str]]) -> dict[str, Registration]:
+    """Return the registration of claims, by name; `batches` has the ids of the batches that decide each. Writes nothing."""
+    known = sorted(store.select(_Recorded, RECORDED), key=lambda row: row.lamport)
+    counted_in = cache(partial(_executions, store))
+    return {name: _registration(project, name, known, ids, counted_in) for name, ids in batches.items()}
+
+
+def _registration(
+    project: LoadedProject,
+    name: str,
+    known: Iterable[_Recorded],
+    batches: Sequence[str],
+    counted_in: Callable[[str, str], Sequence[_Counted]],
+) -> Registration:
+    claim = project.config.claims[name]
+    measured = claim.value or claim.tested
+    try:
+        identity = claim_id(normal_form(project, claim))
+        executions = [row for batch in batches for row in counted_in(batch, measured.experiments if measured else "")]
+    except DamagedFile:
+        raise
+    except SierraError as error:
+        return Registration(reason=one_line(error))
+    word, reason = _word([row for row in known if row.claim == identity], executions)
+    history = [row for row in known if row.packages is None and (row.name == name or row.claim == identity)]
+    first = f"{datetime.fromtimestamp(history[0].registered, UTC):%Y-%m-%d}" if history else ""
+    return Registration(word, reason, identity, _changes([row.claim for row in history], identity), first, claim.plan_n)
+
+
+def _changes(texts: Sequence[str], now: str) -> int:
+    """Return how often a claim has changed; `texts` are the registered ones in their order, each when it was first seen."""
+    seen = list(dict.fromkeys(texts))
+    # A text that was registered before others was changed to these, and back again.
+    return len(seen) - 1 + (seen[-1] != now) if now in seen else len(seen)
+
+
+def _executions(store: Store, batch: str, experiments: str) -> list[_Counted]:
+    """Return the executions that count in the experiments of a batch that a condition selects; "": in all."""
+    ordinals = None
+    if experiments:
+        with Frame(store, batch) as frame:
+            axes = [axis.name for axis in frame.axes()]
+            ordinals = sorted(condition.among(experiments, axes, frame.cells()))
+    return store.select(_Counted, COUNTED, batch=batch, ordinals=ordinals)
+
+
+def _word(own: Sequence[_Recorded], executions: Sequence[_Counted]) -> tuple[Registered, str]:
+    """Return the word for registrations of one text, and the reason in one line."""
+    if not executions:
+        if own:
+            return Registered.UNDECIDED, "no execution counts for it yet"
+        return Registered.MISSING, "register it by: sierra claims --register"
+    total = sum(row.executions for row in executions)
+    if not own:
+        return Registered.EXPLORATORY, f"it is not registered, and {counted(total, 'execution')} counted before"
+    first: dict[tuple[str, ...] | None, int] = {}
+    for row in own:
+        place = _place(row.packages)
+        first[place] = min(first.get(place, row.lamport), row.lamport)
+    elsewhere = sum(row.executions for row in executions if _place(row.packages) not in first)
+    before = sum(
+        row.executions
+        for row in executions
+        if (place := _place(row.packages)) in first and number_of(row.lamport) <= number_of(first[place])
+    )
+    reasons = [f"{before} of {counted(total, 'execution')} began before it was registered"] if before else []
+    if elsewhere:
+        reasons.append(f"{elsewhere} of {counted(total, 'execution')} came from another store than its registration")
+    if reasons:
+        return Registered.EXPLORATORY, "; ".join(reasons)
+    return Registered.PLANNED, f"it was registered before {counted(total, 'execution')} began"
+
+
+def _place(packages: Sequence[str] | None) -> tuple[str, ...] | None:
+    return None if packages is None else tuple(packages)
