@@ -336,7 +336,7 @@ class Project:
         from sierra.execution import execute
         from sierra.execution.run_options import RunOptions
 
-        selected = None if only is None else condition.select(only, plan.batch).runs
+        selected = None if only is None else condition.select(only, plan.batch, plan.project.config).runs
         options = RunOptions(
             slots(jobs),
             self.runner_of(plan, runner, detach=detach, jobs=jobs),
@@ -433,7 +433,8 @@ class Project:
         from sierra.execution.reuse import states
         from sierra.execution.supervised.conduct import UNATTENDED
 
-        runs = {run.id for run in plan.batch.runs} if only is None else condition.select(only, plan.batch).runs
+        selected = None if only is None else condition.select(only, plan.batch, plan.project.config)
+        runs = selected.runs if selected else {run.id for run in plan.batch.runs}
         if any(run in runs and not one.succeeded for run, one in states(plan, self.stored()).items()):
             raise Missing(UNATTENDED)
 
@@ -509,7 +510,7 @@ class Project:
         from sierra.design.query import condition
         from sierra.execution import write_inputs
 
-        selection = None if only is None else condition.select(only, plan.batch)
+        selection = None if only is None else condition.select(only, plan.batch, plan.project.config)
         return write_inputs.write(plan, Path(folder), selection)
 
     def build(self, plan: Plan, *, observer: Observer | None = None) -> Plan:

@@ -241,7 +241,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     from sierra.cli.render_reasons import build
     from sierra.design.query import condition
 
-    selection = condition.select(options.only, plan.batch) if options.only is not None else None
+    selection = condition.select(options.only, plan.batch, plan.project.config) if options.only is not None else None
     more: dict[str, object] = {}
     state = plan.build
     if not options.dry_run:

@@ -110,6 +110,8 @@ def stats(
     as censored at their last time. With --times own, the Kaplan-Meier curve is printed: the part of the runs that has not
     reached the threshold.
 
+    Controllers and scenarios are shown by their labels; csv, json and parquet have their names.
+
     \b
     Examples:
       sierra stats swarm coverage
@@ -121,7 +123,7 @@ def stats(
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """
     from sierra.cli.open_project import project
-    from sierra.deliverables.run_statistics import WITH_TIMES
+    from sierra.deliverables.run_statistics import WITH_TIMES, StatisticsResult
 
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X must be used together")
@@ -144,4 +146,5 @@ def stats(
     if format in PAPER:
         write_text(opened.paper_table(table, format.value, caption=caption, label=label), file)
     else:
-        write(Printable.of_arrow(table.arrow), Format(format.value), file)
+        shown = table.with_labels() if format is Shown.table and isinstance(table, StatisticsResult) else table
+        write(Printable.of_arrow(shown.arrow), Format(format.value), file)

@@ -62,6 +62,7 @@ from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
+from sierra.model import Axis, Value
 from sierra.store.layout import CONFIG, PYPROJECT, RUN_STDERR, RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.processors import ARCH
@@ -389,6 +390,16 @@ class Project(Table):
     def added(self, key: str, default: Any) -> Any:
         """Return the value of a key that an extension adds."""
         return getattr(self, key, default)
+
+    def labels(self, axis: Axis) -> dict[Value, Value]:
+        """Return the labels of controllers or scenarios, by their names; none for labels that do not tell the values apart."""
+        groups = {"controller": self.controllers, "scenario": self.scenarios}.get(axis.name, {})
+        labels: dict[Value, Value] = {}
+        for value in axis.values:
+            found = group_names.resolve(str(value), groups)
+            labels[value] = (groups[found[0].declared[-1]].label if len(found) == 1 else "") or value
+        shown = list(labels.values())
+        return {value: label for value, label in labels.items() if shown.count(label) == 1}
 
     def declared(self, table: str) -> Output | DerivedTable | None:
         """Return the declaration of an output or of a derived table; None if there is none."""

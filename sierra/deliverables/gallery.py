@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
-from sierra.config.group_names import resolve
 from sierra.config.output_tables import ACCEPTED, Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import bound, chosen_groups, kinds, seconds, suggest_tables
@@ -582,22 +581,12 @@ class Gallery:
         variable = self._config.variables.get(axis.name)
         if variable:
             return replace(axis, label=variable.label, unit=variable.unit)
-        labels = self._labels(axis)
+        labels = self._config.labels(axis)
         self._shown[axis.name] = labels
         return replace(axis, values=tuple(labels.get(value, value) for value in axis.values))
 
     def _label(self, axis: str, value: Value) -> Value:
         return self._shown.get(axis, {}).get(value, value)
-
-    def _labels(self, axis: Axis) -> Mapping[Value, Value]:
-        """Return the labels of controllers or scenarios, by their names; none for labels that do not tell the values apart."""
-        groups = {"controller": self._config.controllers, "scenario": self._config.scenarios}.get(axis.name, {})
-        labels: dict[Value, Value] = {}
-        for value in axis.values:
-            found = resolve(str(value), groups)
-            labels[value] = (groups[found[0].declared[-1]].label if len(found) == 1 else "") or value
-        shared = {label for label in labels.values() if list(labels.values()).count(label) > 1}
-        return {value: label for value, label in labels.items() if label not in shared}
 
     def _with_labels(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
         return {name: self._label(name, value) for name, value in values.items()}

@@ -90,7 +90,7 @@ def text(
     axes = [f"axis {place}" for place in range(len(found.axes))]
     headers = dict(zip(axes, axis_headers(config, found), strict=True))
     headers |= {"t": _header(found.time, _unit(config, found, found.time))} | statistic_headers(config, found)
-    table = found.with_axes(axes)
+    table = found.with_axes(axes, labels=True)
     shown = {name: header for name, header in headers.items() if name in table.column_names}
     return FORMATS[format](paper_table(table, found.chosen, shown, "; ".join(found.notes), caption=caption, label=label))
 

@@ -59,13 +59,16 @@ class Statistics:
     """The notes for the reader."""
     sql: str
 
-    def with_axes(self, names: Sequence[str]) -> pa.Table:
-        """Return the table with the values of the axes after `experiment`, as columns with these names."""
+    def with_axes(self, names: Sequence[str], *, labels: bool = False) -> pa.Table:
+        """Return the table with the values of the axes after `experiment`, as columns with these names.
+
+        `labels`: of controllers and scenarios, instead of their names.
+        """
         import pyarrow as pa
 
-        table, ordinals = self.table, self.table.column(0).to_pylist()
+        table, ordinals, cells = self.table, self.table.column(0).to_pylist(), self.labelled if labels else self.cells
         for place, (name, axis) in enumerate(zip(names, self.axes, strict=True), 1):
-            table = table.add_column(place, name, pa.array([self.cells[ordinal][axis] for ordinal in ordinals]))
+            table = table.add_column(place, name, pa.array([cells[ordinal][axis] for ordinal in ordinals]))
         return table
 
 
@@ -76,13 +79,18 @@ class StatisticsResult(Result):
     schema's metadata hold the statement (`sierra:sql`) and notes for the reader (`sierra:note`).
     """
 
-    def __init__(self, statistics: Statistics) -> None:
+    def __init__(self, statistics: Statistics, *, labels: bool = False) -> None:
+        """`labels`: of controllers and scenarios, instead of their names."""
         names = column_names(statistics.table.column_names, taken=statistics.axes)
-        table = replace(statistics, table=statistics.table.rename_columns(names)).with_axes(statistics.axes)
+        table = replace(statistics, table=statistics.table.rename_columns(names)).with_axes(statistics.axes, labels=labels)
         super().__init__(
             table.replace_schema_metadata({"sierra:sql": statistics.sql, "sierra:note": "; ".join(statistics.notes)})
         )
         self.statistics = statistics
+
+    def with_labels(self) -> Result:
+        """Return the same for a reader: with the labels of controllers and scenarios."""
+        return StatisticsResult(self.statistics, labels=True)
 
 
 def statistics(
@@ -95,7 +103,7 @@ def statistics(
     threshold: float | None = None,
     times: str | None = None,
     chosen: Sequence[str] = (),
-    among: Callable[[Frame], Container[int]] | None = None,
+    among: Callable[[Gallery], Container[int]] | None = None,
     where: str = "",
 ) -> Statistics:
     """Return statistics of one column, as `sierra.api.Project.statistics` does.
@@ -134,7 +142,7 @@ def statistics(
             notes += _about_times(curves, of_times, others=bool(others) or not chosen)
         shown, coverage, planned = table, samples.coverage, gallery.planned
         if among:
-            kept = among(frame)
+            kept = among(gallery)
             shown = table.filter([place in kept for place in table.column("experiment").to_pylist()])
             coverage = replace(coverage, runs={place: runs for place, runs in coverage.runs.items() if place in kept})
             planned = {place: runs for place, runs in planned.items() if place in kept}
@@ -215,7 +223,7 @@ class RunTable:
         """Return the runs of the experiments that a condition on variables selects; "": all. Raises QueryError."""
         if not experiments:
             return self
-        kept = condition.among(experiments, self.axes, self.cells)
+        kept = condition.among(experiments, self.axes, self.cells, self.labelled)
         return replace(
             self,
             cells={place: self.cells[place] for place in self.cells if place in kept},

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from sierra.config.deliverable_tables import TableForPaper
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import overlay, paper_tables
+from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.paper_tables import Cell, Estimates
 from sierra.deliverables.run_statistics import of_tables, statistics
 from sierra.deliverables.table_columns import Columns
@@ -16,7 +17,6 @@ from sierra.errors import UsageError
 from sierra.execution import targets
 from sierra.model import Value
 from sierra.stats.rounding import rounded
-from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass
 
@@ -93,8 +93,9 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     output, columns = of_tables(project, store, batch, declared.table, declared.columns)
     measure = declared.measure or "auto"
 
-    def rows(frame: Frame) -> frozenset[int]:
-        return condition.among(declared.experiments, [axis.name for axis in frame.axes()], frame.cells())
+    def rows(gallery: Gallery) -> frozenset[int]:
+        names = [axis.name for axis in gallery.axes]
+        return condition.among(declared.experiments, names, gallery.frame.cells(), gallery.cells)
 
     found = {
         column: statistics(project, store, batch, output, column, measure, declared.threshold, None, declared.statistics, rows)
@@ -103,7 +104,7 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     config = targets.of_batch(project, store, batch).config
     first = next(iter(found.values()))
     cells = {ordinal: first.cells[ordinal] for ordinal in first.table.column("experiment").to_pylist()}
-    chosen = condition.among(declared.experiments, first.axes, cells)
+    chosen = condition.among(declared.experiments, first.axes, cells, first.labelled)
     headers, values, methods = dict(zip(first.axes, paper_tables.axis_headers(config, first), strict=True)), {}, {}
     for column, one in found.items():
         for statistic, header in paper_tables.statistic_headers(config, one).items():

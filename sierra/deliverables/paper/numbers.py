@@ -159,7 +159,7 @@ def _of_statistic(project: LoadedProject, store: Store, number: NumberInText, ba
     output, [column] = of_tables(project, store, batch, number.table, (number.column,) if number.column else ())
     measure = number.measure or "auto"
     found = statistics(project, store, batch, output, column, measure, number.threshold, chosen=(number.statistic,))
-    chosen = condition.among(number.experiments, found.axes, found.cells)
+    chosen = condition.among(number.experiments, found.axes, found.cells, found.labelled)
     if len(chosen) != 1:
         hint = (
             f'select one by {", ".join(found.axes)}, as in experiments = "{found.axes[0]}=…"' if found.axes else "there is one"

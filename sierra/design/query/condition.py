@@ -4,22 +4,29 @@
     comparison = name operator value {"," value}
     operator   = "=" | "!=" | "<" | "<=" | ">" | ">="
 
-Values have the form of the values in a criterion: `0.5`, `1e-3`, `low`. With `=`, a list means one of its values; with `!=`,
-none of them; the other operators take one number. A value after `=` or `!=` must be a value of the variable, so that a
-mistyped value is an error and not an empty selection.
+Values have the form of the values in a criterion: `0.5`, `1e-3`, `low`; a label of a controller or scenario, which may have
+blanks, stands for its name: `random walk`. With `=`, a list means one of its values; with `!=`, none of them; the other
+operators take one number. A value after `=` or `!=` must be a value of the variable, so that a mistyped value is an error and
+not an empty selection.
 """
 
 from __future__ import annotations
 
 import difflib
 import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.design.query import grammar
 from sierra.errors import QueryError
 from sierra.model import Axis, Batch, Value
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import few
+
+if TYPE_CHECKING:
+    from sierra.config.project_file import Project
 
 EXAMPLE = "population_size<=4 and noise=0,0.5"
 SHOWN = 10
@@ -66,44 +73,68 @@ class Selection:
     """The ids of their runs."""
 
 
-def select(text: str, batch: Batch) -> Selection:
-    """Return the experiments that a condition selects.
+Cells: TypeAlias = Mapping[int, Mapping[str, Value]]
+"""The values of the variables, by the ordinal of the experiment."""
+Labels: TypeAlias = Mapping[str, Mapping[Value, Value]]
+"""The labels of values by the name of the variable and the value; a value without a label may be its own, or be left out."""
+
+
+def select(text: str, batch: Batch, project: Project) -> Selection:
+    """Return the experiments that a condition selects. The project has the labels of controllers and scenarios.
 
     Raises QueryError for an invalid condition, for an unknown variable or value, and if it selects nothing.
     """
-    ordinals = matching(text, batch.axes, {one.ordinal: one.values for one in batch.experiments}, "--only")
+    labels = {axis.name: project.labels(axis) for axis in batch.axes}
+    ordinals = matching(text, batch.axes, {one.ordinal: one.values for one in batch.experiments}, "--only", labels)
     runs = frozenset(run.id for one in batch.experiments if one.ordinal in ordinals for run in one.runs)
     return Selection(text, ordinals, runs)
 
 
-def matching(text: str, axes: Sequence[Axis], cells: Mapping[int, Mapping[str, Value]], origin: str) -> frozenset[int]:
+def matching(text: str, axes: Sequence[Axis], cells: Cells, origin: str, labels: Labels) -> frozenset[int]:
     """Return the ordinals of the experiments whose values fulfil a condition. Messages call it `origin`.
 
     Raises QueryError for an invalid condition, for an unknown variable or value, and if it selects nothing.
     """
     try:
-        comparisons = [_comparison(part) for part in _AND.split(_BLANKS.sub(",", text))]
+        comparisons = [_comparison(part) for part in _AND.split(_BLANKS.sub(",", _with_names(text, labels)))]
         for one in comparisons:
-            _check(one, axes)
+            _check(one, axes, labels)
     except QueryError as error:
         raise QueryError(f"{origin} {text!r}: {error}") from None
     chosen = frozenset(
         ordinal for ordinal, values in cells.items() if all(part.holds(values[part.name]) for part in comparisons)
     )
     if not chosen:
-        raise QueryError(f"{origin} {text!r} selects no experiment; {'; '.join(map(_values, axes))}")
+        raise QueryError(f"{origin} {text!r} selects no experiment; {'; '.join(_values(axis, labels) for axis in axes)}")
     return chosen
 
 
-def among(text: str, names: Sequence[str], cells: Mapping[int, Mapping[str, Value]]) -> frozenset[int]:
+def among(text: str, names: Sequence[str], cells: Cells, labelled: Cells, origin: str = "experiments") -> frozenset[int]:
     """Return the ordinals of the experiments that the key `experiments` selects; all if it is empty. `names`: of the variables.
 
-    Raises the errors of `matching`.
+    `labelled` is as `cells`, with labels instead of names. Raises the errors of `matching`.
     """
     if not text:
         return frozenset(cells)
     axes = [Axis(name, tuple(dict.fromkeys(values[name] for values in cells.values()))) for name in names]
-    return matching(text, axes, cells, "experiments")
+    labels = {name: {cells[ordinal][name]: labelled[ordinal][name] for ordinal in cells} for name in names}
+    return matching(text, axes, cells, origin, labels)
+
+
+def _with_names(text: str, labels: Labels) -> str:
+    """Return a condition in which labels are replaced by names. A text that is both is a name."""
+    for variable, of_values in labels.items():
+        names = {str(label): str(value) for value, label in of_values.items() if label not in of_values}
+        if names:
+            words = "|".join(re.escape(label) for label in sorted(names, key=len, reverse=True))
+            item = rf"(?:(?:{words})(?=\s*(?:,|$)|\sand\s)|[^<>=!\s,]+)"
+            compared = re.compile(rf"((?:^|\sand\s)\s*{variable}\s*!?=\s*)({item}(?:\s*,\s*{item})*)")
+            text = compared.sub(partial(_named, item, names), text)
+    return text
+
+
+def _named(item: str, names: Mapping[str, str], comparison: re.Match[str]) -> str:
+    return comparison[1] + ",".join(names.get(word, word) for word in re.findall(item, comparison[2]))
 
 
 def _comparison(text: str) -> Comparison:
@@ -114,7 +145,7 @@ def _comparison(text: str) -> Comparison:
     return Comparison(found["name"], found["operator"], values)
 
 
-def _check(one: Comparison, axes: Sequence[Axis]) -> None:
+def _check(one: Comparison, axes: Sequence[Axis], labels: Labels) -> None:
     """Raise QueryError if the query has no such variable, or if the variable cannot have such values."""
     axis = next((axis for axis in axes if axis.name == one.name), None)
     if axis is None:
@@ -126,11 +157,13 @@ def _check(one: Comparison, axes: Sequence[Axis]) -> None:
         if len(one.values) > 1:
             raise QueryError(f"{one.operator} takes one number; use = for a list of values")
         if not axis.numeric or isinstance(one.values[0], str):
-            raise QueryError(f"{one.operator} compares numbers; {_values(axis)}: use = or !=")
+            raise QueryError(f"{one.operator} compares numbers; {_values(axis, labels)}: use = or !=")
     elif unknown := [value for value in one.values if value not in axis.values]:
-        raise QueryError(f"{one.name} is never {unknown[0]}; {_values(axis)}")
+        raise QueryError(f"{one.name} is never {unknown[0]}; {_values(axis, labels)}")
 
 
-def _values(axis: Axis) -> str:
-    """Return the values of a variable in words."""
-    return f"{axis.name} is {few([str(value) for value in axis.values], SHOWN)}"
+def _values(axis: Axis, labels: Labels) -> str:
+    """Return the values of a variable in words, with their labels."""
+    known = labels.get(axis.name, {})
+    texts = [f"{value} ({known[value]})" if known.get(value, value) != value else str(value) for value in axis.values]
+    return f"{axis.name} is {few(texts, SHOWN)}"

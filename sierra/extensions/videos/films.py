@@ -66,6 +66,9 @@ class Members:
 
     axes: tuple[Axis, ...]
     cells: Mapping[int, Mapping[str, Value]]
+    """With the labels of controllers and scenarios."""
+    names: Mapping[int, Mapping[str, Value]]
+    """With their names."""
     runs: tuple[ChosenRun, ...]
 
     def of(self, experiment: int) -> list[ChosenRun]:
@@ -74,7 +77,7 @@ class Members:
 
     def matching(self, text: str, origin: str) -> list[int]:
         """Return the positions of the experiments that a condition selects; all if it is empty."""
-        return sorted(condition.matching(text, self.axes, self.cells, origin) if text else self.cells)
+        return sorted(condition.among(text, [axis.name for axis in self.axes], self.names, self.cells, origin))
 
     def label(self, experiment: int) -> str:
         """Return the values of an experiment's variables."""

@@ -128,7 +128,7 @@ def _subjects(
     (gallery,) = galleries.values()
     if why := gallery.frame.failure():
         raise AllFailed(why)
-    chosen, lost = films(name, video, Members(gallery.axes, gallery.cells, tuple(gallery.frame.runs())))
+    chosen, lost = films(name, video, Members(gallery.axes, gallery.cells, gallery.frame.cells(), tuple(gallery.frame.runs())))
     failed += lost
     subject = subjects(video, gallery)
     for film in chosen:

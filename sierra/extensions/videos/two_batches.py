@@ -65,7 +65,7 @@ def films_of_two(
     if video.show in ONE_BATCH:
         raise UsageError(f'show = "{video.show}" shows one batch; "run" and "mean" can show two side by side')
     labels = list(galleries)
-    a, b = (Members(one.axes, one.cells, tuple(one.frame.runs())) for one in galleries.values())
+    a, b = (Members(one.axes, one.cells, one.frame.cells(), tuple(one.frame.runs())) for one in galleries.values())
     _check_same(labels, "variables", *(", ".join(sorted(axis.name for axis in one.axes)) or "none" for one in (a, b)))
     of_a, of_b = (subjects(video, gallery) for gallery in galleries.values())
     pairs, alone = _pairs(a, b, video.experiments)

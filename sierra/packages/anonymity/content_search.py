@@ -1,12 +1,15 @@
-"""Searching the content of files for words: also what is compressed, in archives, in Parquet, and in metadata of pictures.
+"""Searching the content of files for words: also what is compressed, in archives, in tables, and in metadata of pictures.
 
-The bytes of every file are searched as they are. Then, by its first bytes, a file is opened:
+By its first bytes, a file is opened:
 
     zip, tar                   each member, and its name; also a zip at the end of a program
     gzip, bzip2, xz, zstd      the content
     Parquet, Arrow             texts and bytes of all columns, names of columns, metadata; objects of a store one by one
-    PNG                        compressed texts
-    PDF                        compressed streams, and strings as hexadecimal digits
+    PNG, JPEG, MP4, QuickTime  texts and metadata: `sierra.packages.anonymity.media_parts`
+    PDF                        strings and compressed streams: `sierra.packages.anonymity.pdf_parts`
+
+All other bytes are searched as they are: of other files, of files that are damaged, and between what was opened. Only data that
+were unpacked to their end, and compressed pixels, are not: they have short words by chance. In texts, base64 is decoded.
 
 A file that cannot be opened, or has a form that is known to hide text (HDF5, SquashFS, zlib), is reported as such.
 """
@@ -15,26 +18,39 @@ from __future__ import annotations
 
 import bisect
 import bz2
-import contextlib
-import gzip
 import io
 import itertools
 import lzma
-import re
+import sys
 import tarfile
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, TYPE_CHECKING
 
+from sierra.packages.anonymity import encoded_texts, media_parts, pdf_parts
+from sierra.packages.anonymity.file_parts import (
+    UNREADABLE,
+    Allowance,
+    Decompressor,
+    Part,
+    Unpacking,
+    Window,
+    at,
+    blocks,
+    gaps,
+    length,
+)
 from sierra.packages.anonymity.identifying_words import Word
 from sierra.packages.anonymity.word_search import Found, Search
 from sierra.store.segments import own_table
-from sierra.util.lazy_definitions import dataclass, regex
+from sierra.util.lazy_definitions import dataclass, field
+from sierra.util.text import one_line
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
 DEEPEST = 6
 """The largest depth of files in files."""
@@ -58,14 +74,30 @@ HIDING = {
     b"\x89MCAP": "MCAP may have compressed text",
 }
 """The first bytes of files that are not opened, and the reason why a text may be missed in them."""
-UNREADABLE = (
-    *(OSError, EOFError, ValueError, RuntimeError, NotImplementedError),
-    *(zlib.error, lzma.LZMAError, zipfile.BadZipFile, tarfile.TarError),
-)
-PDF_STREAM = regex(rb"stream\r?\n(.*?)endstream", re.DOTALL)
-PDF_HEX = regex(rb"<((?:[0-9A-Fa-f]{2}\s*){4,})>")
 PROGRAMS = (b"#!", b"\x7fE", b"MZ")
 """The first bytes of programs, which may have a zip at their end."""
+MOST_MEMORY = 256 << 20
+"""The memory that xz may use."""
+COMPRESSED: Mapping[bytes, Callable[[], Decompressor]] = {
+    b"\x1f\x8b\x08": lambda: zlib.decompressobj(31),
+    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ\0": lambda: lzma.LZMADecompressor(memlimit=MOST_MEMORY),
+}
+"""The first bytes of compressed files, and what unpacks them."""
+IN_ZIP: Mapping[int, Callable[[], Decompressor]] = {
+    zipfile.ZIP_DEFLATED: lambda: zlib.decompressobj(-15),
+    zipfile.ZIP_BZIP2: bz2.BZ2Decompressor,  # a small read of `zipfile` could unpack to gigabytes
+}
+GZIP = b"\x1f\x8b\x08"
+ZSTD = b"\x28\xb5\x2f\xfd"
+SMALL_BLOCK = 1 << 16
+BESIDE = 256
+"""The number of bytes beside a range that are looked at, because a word may be across its ends."""
+MOST_TEXT = 16 << 20
+"""The size of the text in which base64 is decoded at once."""
+NEWLINE = b"\n"
+BREAKS = (b" ", b",", b";", b'"', b"'", b"<", b">", b"(", b")", b":", b".")
+Reader = Callable[[IO[bytes], Allowance], Iterator[Part | str]]
 OBJECTS = ["sha256", "part", "size", "content"]
 
 
@@ -81,6 +113,27 @@ class Hit:
         return f"{self.place}: {self.text!r} ({self.word.kind})"
 
 
+@dataclass(slots=True)
+class _Reading:
+    """The ranges of one file that were read."""
+
+    done: list[tuple[int, int]] = field(default_factory=list)
+    """Those that need no other search."""
+    shown: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+    """By word, those in which it was found, and whose bytes are searched again."""
+
+    def show(self, begin: int, end: int, hits: Iterable[Hit]) -> None:
+        """Add the words that were found in a range."""
+        for word in {hit.word.text for hit in hits}:
+            bisect.insort(self.shown.setdefault(word, []), (begin, end))
+
+    def is_shown(self, found: Found) -> bool:
+        """Return whether a word in the bytes is one that was found before."""
+        ranges = self.shown.get(found.word.text, [])
+        place = bisect.bisect_right(ranges, (found.offset, sys.maxsize)) - 1
+        return place >= 0 and found.offset < ranges[place][1]
+
+
 class ContentSearch:
     """A search of files; `hits` and `unread` collect what is found, in the order of the search."""
 
@@ -89,6 +142,7 @@ class ContentSearch:
         self._search = search
         self._name_of = name_of
         self._known: set[bytes] = set()
+        self._allowance = Allowance(0)
         self.hits: list[Hit] = []
         self.unread: list[str] = []
         """One line for each file of which not all could be searched."""
@@ -99,48 +153,101 @@ class ContentSearch:
 
     def file(self, stream: IO[bytes], place: str, depth: int = 0) -> None:
         """Search a file from its beginning. The stream must be seekable."""
-        beginning = stream.read(BEGINNING)
-        stream.seek(0)
-        raw = self._hits(place, self._search.stream(stream), by_line=b"\0" not in beginning)
-        stream.seek(0)
-        if depth > DEEPEST:
-            self.unread.append(f"{place} is in too many other files")
-        else:
-            try:
-                self._open(stream, beginning, place, depth)
-            except UNREADABLE as error:
-                self.unread.append(f"{place}: {_line(error)}")
-        seen = {hit.word.text for hit in self.hits} if raw and beginning.startswith(b"PAR1") else set()
-        self.hits += [hit for hit in raw if hit.word.text not in seen]  # bytes of tables say less than their values
+        outer, self._allowance = self._allowance, Allowance(length(stream))
+        self._file(stream, place, depth)
+        self._allowance = outer
 
     def known(self, digest: str) -> None:
         """Leave out objects of this SHA-256, because a file with this content is searched."""
         self._known.add(bytes.fromhex(digest))
 
-    def _open(self, stream: IO[bytes], beginning: bytes, place: str, depth: int) -> None:
+    def _file(self, stream: IO[bytes], place: str, depth: int) -> None:
+        """Search a file that may be in another one: first what can be opened, then all bytes that were not."""
+        size, reading = length(stream), _Reading()
+        stream.seek(0)
+        beginning = stream.read(BEGINNING)
+        if depth > DEEPEST:
+            self.unread.append(f"{place} is in too many other files")
+        else:
+            try:
+                self._open(stream, beginning, place, depth, reading)
+            except UNREADABLE as error:
+                self.unread.append(f"{place}: {_line(error)}")
+        is_text = not (reading.done or reading.shown) and b"\0" not in beginning
+        self.hits += self._hits(place, self._raw(stream, reading, size), by_line=is_text)
+        if is_text and depth <= DEEPEST:
+            try:
+                self._base64(Window(stream, 0, size), place, depth)
+            except UNREADABLE as error:
+                self.unread.append(f"{place}: {_line(error)}")
+
+    def _raw(self, stream: IO[bytes], reading: _Reading, size: int) -> Iterator[Found]:
+        """Yield the words in the bytes of a file that were not read in another way, or of which a part was not."""
+        for begin, end in gaps(reading.done, size):
+            low = max(0, begin - BESIDE)
+            for found in self._search.stream(Window(stream, low, min(size, end + BESIDE))):
+                here = found._replace(offset=low + found.offset)
+                if begin < here.offset + here.size and here.offset < end and not reading.is_shown(here):
+                    yield here
+
+    def _named(self, name: str, place: str, reading: _Reading) -> None:
+        """Search the name of a file in an archive."""
+        before = len(self.hits)
+        self.name(name, place)
+        reading.show(0, sys.maxsize, self.hits[before:])
+
+    def _open(self, stream: IO[bytes], beginning: bytes, place: str, depth: int, reading: _Reading) -> None:
+        """Search what is in a file; add the ranges that were read to `reading`."""
         for magic, reason in HIDING.items():
             if beginning.startswith(magic):
                 self.unread.append(f"{place}: {reason}")
-        if (opener := _decompressed(beginning)) is not None:
-            with opener(stream) as content, _seekable(content) as file:
-                self.file(file, f"{place} (decompressed)", depth + 1)
+        if found := [magic for magic in COMPRESSED if beginning.startswith(magic)]:
+            self._compressed(stream, found[0], place, depth, reading)
+        elif beginning.startswith(ZSTD):
+            self._zstd(stream, place, depth, reading)
         elif beginning.startswith((b"PK\x03\x04", b"PK\x05\x06")) or (beginning[:2] in PROGRAMS and zipfile.is_zipfile(stream)):
-            self._zip(stream, place, depth)
+            self._zip(stream, place, depth, reading)
         elif beginning[8:12] == b"DUCK":
             self.unread.append(f"{place}: a database of DuckDB may have compressed text")
         elif beginning[257:262] == b"ustar":
-            self._tar(stream, place, depth)
-        elif beginning.startswith(b"PAR1"):
-            self._parquet(stream, place, depth)
+            self._tar(stream, place, depth, reading)
+        else:
+            self._open_single(stream, beginning, place, depth, reading)
+
+    def _open_single(self, stream: IO[bytes], beginning: bytes, place: str, depth: int, reading: _Reading) -> None:
+        """Search a file of a form that is not an archive."""
+        if beginning.startswith(b"PAR1"):
+            self._parquet(stream, place, depth, reading)
         elif beginning.startswith(b"ARROW1"):
             self._arrow(stream, place, depth)
-        elif beginning.startswith(b"\x89PNG"):
-            self._png(stream.read(), place)
-        elif beginning.startswith(b"%PDF"):
-            self._pdf(stream.read(), place)
+        elif (reader := _reader(beginning)) is not None:
+            stream.seek(0)
+            known: dict[str, set[str]] = {}
+            for part in reader(stream, self._allowance):
+                self._part(part, place, depth, reading, known)
 
-    def _hits(self, place: str, found: Iterable[Found], *, by_line: bool) -> list[Hit]:
-        """Return the first place of each word, with the number of the others."""
+    def _part(self, part: Part | str, place: str, depth: int, reading: _Reading, known: dict[str, set[str]]) -> None:
+        """Search a part of a file. `known`: the words of hits by place, of which none and no part is shown again."""
+        if isinstance(part, str):
+            self.unread.append(f"{place}: {part}")
+            return
+        before = len(self.hits)
+        if part.content is not None and part.is_file:
+            self._allowance.open()
+            self._file(io.BytesIO(part.content), f"{place}: {part.place}", depth + 1)
+        elif part.content is not None:
+            self._text(part.content, f"{place}: {part.place}", depth)
+        if part.is_all:
+            reading.done.append((part.begin, part.end))
+        else:
+            reading.show(part.begin, part.end, self.hits[before:])
+        seen = known.setdefault(part.place, set())
+        new = [hit for hit in self.hits[before:] if not any(hit.word.text.casefold() in word for word in seen)]
+        self.hits[before:] = new
+        seen |= {hit.word.text.casefold() for hit in new}
+
+    def _hits(self, place: str, found: Iterable[Found], *, by_line: bool | None, after: str = "") -> list[Hit]:
+        """Return the first place of each word, with the number of the others. `by_line`: None if the place is enough."""
         first: dict[str, Found] = {}
         counts: dict[str, int] = {}
         for one in found:
@@ -148,49 +255,133 @@ class ContentSearch:
             counts[one.word.text] = counts.get(one.word.text, 0) + 1
         hits = []
         for text, one in first.items():
-            where = f", line {one.line}" if by_line else f", byte {one.offset}"
+            where = "" if by_line is None else f", line {one.line}" if by_line else f", byte {one.offset}"
             more = f" and {counts[text] - 1} more" if counts[text] > 1 else ""
-            hits.append(Hit(f"{place}{where}{more}", one.text, one.word))
+            hits.append(Hit(f"{place}{where}{after}{more}", one.text, one.word))
         return hits
 
-    def _zip(self, stream: IO[bytes], place: str, depth: int) -> None:
+    def _compressed(self, stream: IO[bytes], magic: bytes, place: str, depth: int, reading: _Reading) -> None:
+        """Search the content of a file of one or more compressed streams."""
+        begin, size = 0, length(stream)
+        with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
+            try:
+                while begin < size and _starts(stream, begin, magic):
+                    self._allowance.open()
+                    header = _gzip_header(stream, begin) if magic == GZIP else 0
+                    unpacking = Unpacking(blocks(stream, begin, size, SMALL_BLOCK), COMPRESSED[magic](), self._allowance)
+                    content.writelines(unpacking)
+                    reading.done.append((begin + header, begin + unpacking.used))
+                    begin += unpacking.used
+            finally:
+                self._file(content, f"{place} (decompressed)", depth + 1)
+
+    def _zstd(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
+        import pyarrow as pa
+
+        with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
+            try:
+                packed = Window(stream, 0, length(stream))
+                self._copy(pa.CompressedInputStream(pa.PythonFile(packed, "r"), "zstd"), content)
+                reading.done.append((0, _end_of_zstd(stream)))
+            finally:
+                self._file(content, f"{place} (decompressed)", depth + 1)
+
+    def _copy(self, source: IO[bytes], target: IO[bytes]) -> None:
+        while block := source.read(1 << 20):
+            self._allowance.unpack(len(block))
+            target.write(block)
+
+    def _zip(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
         with zipfile.ZipFile(stream) as file:
             for info in file.infolist():
-                inner = f"{place}/{info.filename}"
-                self.name(info.filename, inner)
-                with file.open(info) as member, _seekable(member) as content:
-                    self.file(content, inner, depth + 1)
+                self._allowance.open()
+                inner = f"{place}: {one_line(info.filename)}"
+                self._named(info.filename, inner, reading)
+                try:
+                    reading.done.append(self._zip_member(file, stream, info, inner, depth))
+                except UNREADABLE as error:
+                    self.unread.append(f"{inner}: {_line(error)}")
 
-    def _tar(self, stream: IO[bytes], place: str, depth: int) -> None:
-        with tarfile.open(fileobj=stream) as file:
+    def _zip_member(
+        self, file: zipfile.ZipFile, stream: IO[bytes], info: zipfile.ZipInfo, place: str, depth: int
+    ) -> tuple[int, int]:
+        """Search a member, and return the range of its data. Raises one of UNREADABLE if it is damaged, after the search."""
+        header = at(stream, info.header_offset, 30)
+        begin = info.header_offset + 30 + int.from_bytes(header[26:28], "little") + int.from_bytes(header[28:30], "little")
+        end = begin + info.compress_size
+        if header[:4] != b"PK\x03\x04" or info.flag_bits & 1:
+            raise ValueError("it is encrypted" if info.flag_bits & 1 else "it is damaged")
+        with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
+            try:
+                if (decompressor := IN_ZIP.get(info.compress_type)) is not None:
+                    unpacking, crc = Unpacking(blocks(stream, begin, end), decompressor(), self._allowance), 0
+                    for piece in unpacking:
+                        content.write(piece)
+                        crc = zlib.crc32(piece, crc)
+                    if crc != info.CRC:
+                        raise ValueError("its content is not that of its checksum")
+                    end = begin + unpacking.used
+                else:
+                    with file.open(info) as member:
+                        self._copy(member, content)
+            finally:
+                self._file(content, place, depth + 1)
+        return begin, end
+
+    def _tar(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
+        stream.seek(0)
+        with tarfile.open(fileobj=stream, mode="r:") as file:
             for info in file:
-                member = file.extractfile(info) if info.isreg() else None
-                if member is not None:
-                    with _seekable(member) as content:
-                        self.file(content, f"{place}/{info.name}", depth + 1)
+                self._allowance.open()
+                inner = f"{place}: {one_line(info.name)}"
+                self._named(info.name, inner, reading)
+                if info.isreg() and (member := file.extractfile(info)) is not None:
+                    with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
+                        self._copy(member, content)
+                        self._file(content, inner, depth + 1)
+                    if not info.issparse():
+                        reading.done.append((info.offset_data, info.offset_data + info.size))
 
-    def _png(self, content: bytes, place: str) -> None:
-        at = 8
-        while at + 8 <= len(content):
-            size, kind = int.from_bytes(content[at : at + 4], "big"), content[at + 4 : at + 8]
-            if packed := _packed(kind, content[at + 8 : at + 8 + size]):
-                self._bytes(zlib.decompress(packed), f"{place} ({kind.decode()})")
-            at += 12 + size
+    def _text(self, content: bytes, place: str, depth: int, *, by_line: bool | None = None) -> None:
+        """Search a text in a file; without `by_line`, the line is shown if it has several."""
+        if by_line is None:
+            by_line = True if b"\n" in content.strip() else None
+        self.hits += self._hits(place, self._search.stream(io.BytesIO(content)), by_line=by_line)
+        self._base64(Window(io.BytesIO(content), 0, len(content)), place, depth)
 
-    def _pdf(self, content: bytes, place: str) -> None:
-        if b"/Encrypt" in content:
-            self.unread.append(f"{place}: it is encrypted")
-        streams = [content]
-        for found in PDF_STREAM.finditer(content):
-            with contextlib.suppress(zlib.error):
-                streams.append(zlib.decompressobj().decompress(found[1]))
-                self._bytes(streams[-1], f"{place} (compressed)")
-        for one in streams:
-            digits = b"\n".join(bytes.fromhex(found[1].decode()) for found in PDF_HEX.finditer(one))
-            self._bytes(digits, f"{place} (hexadecimal)")
+    # base64
 
-    def _bytes(self, content: bytes, place: str) -> None:
-        self.hits += self._hits(place, self._search.stream(io.BytesIO(content)), by_line=False)
+    def _base64(self, text: Window, place: str, depth: int) -> None:
+        """Search what is encoded in a text. The rest after the first NUL is none."""
+        rest, line, is_whole = b"", 1, True
+        while block := text.read(MOST_TEXT):
+            content, is_last = rest + block, len(block) < MOST_TEXT
+            cut = len(content) if is_last else max(map(content.rfind, BREAKS)) + 1
+            if b"\0" in content:
+                return
+            is_whole, cut = is_whole and cut > 0, cut or len(content)
+            rest, content = content[cut:], content[:cut]
+            self.hits += self._hits(place, self._encoded(content, line, place, depth), by_line=True, after=", base64")
+            line += content.count(b"\n")
+        if not is_whole:
+            self.unread.append(f"{place}: a text in base64 is too long, and is searched in pieces")
+
+    def _encoded(self, content: bytes, line: int, place: str, depth: int) -> Iterator[Found]:
+        """Yield the words that are encoded in a text, with the place of the code; search encoded files."""
+        pieces: dict[bool, list[encoded_texts.Decoded]] = {True: [], False: []}
+        for piece in encoded_texts.decoded(content):
+            if piece.is_file:
+                self._allowance.open()
+                where = f"{place}, line {line + content.count(NEWLINE, 0, piece.begin)}, base64"
+                self._file(io.BytesIO(piece.content), where, depth + 1)
+            else:
+                pieces[piece.is_text].append(piece)
+        for is_text, some in pieces.items():
+            between = b"\n\n" if is_text else b"\0" * 8
+            ends = list(itertools.accumulate(len(piece.content) + len(between) for piece in some))
+            for found in self._search.stream(io.BytesIO(between.join(piece.content for piece in some))):
+                begin = some[bisect.bisect_right(ends, found.offset)].begin
+                yield found._replace(offset=begin, line=line + content.count(NEWLINE, 0, begin))
 
     # tables
 
@@ -201,20 +392,29 @@ class ContentSearch:
             self._schema(file.schema, place)
             self._batches((file.get_batch(number) for number in range(file.num_record_batches)), place, depth)
 
-    def _parquet(self, stream: IO[bytes], place: str, depth: int) -> None:
+    def _parquet(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
         import pyarrow.parquet as pq
 
+        before = len(self.hits)
         with pq.ParquetFile(stream) as file:
             if table := own_table(file.metadata):
                 place = f"{place} (table {table})"
             self._schema(file.schema_arrow, place)
+            described = {**(file.metadata.metadata or {}), b"created by": (file.metadata.created_by or "").encode()}
+            self._text(
+                b"\n".join(itertools.chain.from_iterable(described.items())), f"{place} (footer)", DEEPEST, by_line=False
+            )
             groups = (file.iter_batches(ROWS, row_groups=[group]) for group in range(file.num_row_groups))
             search = self._objects if file.schema_arrow.names == OBJECTS else self._batches
             search(itertools.chain.from_iterable(groups), place, depth)
+            reading.done += _searched_pages(file.metadata)
+            footer = length(stream) - 8 - int.from_bytes(at(stream, length(stream) - 8, 4), "little")
+            reading.done.append((footer, length(stream)))  # its statistics repeat values, as the first bytes of pictures
+            reading.show(0, sys.maxsize, self.hits[before:])
 
     def _schema(self, schema: pa.Schema, place: str) -> None:
         metadata = b"\n".join(itertools.chain.from_iterable((schema.metadata or {}).items()))
-        self._bytes(metadata, f"{place} (metadata)")
+        self._text(metadata, f"{place} (metadata)", DEEPEST, by_line=False)
         for name in schema.names:
             self.name(name, f"a column of {place}")
 
@@ -224,15 +424,15 @@ class ContentSearch:
         for batch in batches:
             for name, column in zip(batch.schema.names, batch.columns, strict=True):
                 where = f"{place}, column {name}, row"
-                for at, value in enumerate(column.to_pylist() if _is_binary(column.type) else ()):
+                for number, value in enumerate(column.to_pylist() if _is_binary(column.type) else ()):
                     if value:
-                        self.file(io.BytesIO(value), f"{where} {row + at}", depth + 1)
-                for at, one in self._column(column):
-                    first.setdefault((name, one.word.text), Hit(f"{where} {row + at}", one.text, one.word))
+                        self._file(io.BytesIO(value), f"{where} {row + number}", depth + 1)
+                for number, one in self._column(column, f"{place}, column {name}", depth):
+                    first.setdefault((name, one.word.text), Hit(f"{where} {row + number}", one.text, one.word))
             row += batch.num_rows
         self.hits += first.values()
 
-    def _column(self, column: pa.Array) -> Iterator[tuple[int, Found]]:
+    def _column(self, column: pa.Array, place: str, depth: int) -> Iterator[tuple[int, Found]]:
         """Yield the words in a column, each with the position of its row. Numbers and times have none."""
         import pyarrow as pa
         from pyarrow import types
@@ -240,16 +440,17 @@ class ContentSearch:
         kind = column.type
         if types.is_string(kind) or types.is_large_string(kind):
             encoded = column.cast(pa.large_string()).dictionary_encode()
-            for number, one in self._texts(encoded.dictionary.to_pylist()):
+            for number, one in self._texts(encoded.dictionary.to_pylist(), place, depth):
                 yield encoded.indices.index(number).as_py(), one
         elif not (types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind) or _is_binary(kind)):
-            yield from self._texts([str(value) for value in column.to_pylist()])
+            yield from self._texts([str(value) for value in column.to_pylist()], place, depth)
 
-    def _texts(self, texts: list[str]) -> Iterator[tuple[int, Found]]:
+    def _texts(self, texts: list[str], place: str, depth: int) -> Iterator[tuple[int, Found]]:
         """Yield the words in texts, each with the position of its text."""
         pieces = [text.encode("utf-8", "surrogatepass") for text in texts]
         begins = list(itertools.accumulate((len(piece) + 1 for piece in pieces), initial=0))
-        for one in self._search.stream(io.BytesIO(b"\n".join(pieces))):
+        content = b"\n".join(pieces)
+        for one in itertools.chain(self._search.stream(io.BytesIO(content)), self._encoded(content, 1, place, depth)):
             yield bisect.bisect_right(begins, one.offset) - 1, one
 
     def _objects(self, batches: Iterable[pa.RecordBatch], place: str, depth: int) -> None:
@@ -273,39 +474,54 @@ def _is_binary(kind: pa.DataType) -> bool:
     return bool(types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind))
 
 
-def _packed(kind: bytes, data: bytes) -> bytes:
-    """Return the compressed text of a chunk of a PNG; nothing if it has none."""
-    rest = data.partition(b"\0")[2]
-    if kind == b"zTXt":
-        return rest[1:]
-    return rest[2:].split(b"\0", 2)[-1] if kind == b"iTXt" and rest[:1] == b"\1" else b""
-
-
-def _decompressed(beginning: bytes) -> Callable[[IO[bytes]], IO[bytes]] | None:
-    openers: Mapping[bytes, Callable[[IO[bytes]], IO[bytes]]] = {
-        b"\x1f\x8b\x08": lambda stream: cast("IO[bytes]", gzip.GzipFile(fileobj=stream, mode="rb")),
-        b"BZh": bz2.BZ2File,
-        b"\xfd7zXZ\0": lzma.LZMAFile,
-        b"\x28\xb5\x2f\xfd": _zstd,
+def _reader(beginning: bytes) -> Reader | None:
+    """Return the reader of a file's parts, from its first bytes."""
+    readers: Mapping[bytes, Reader] = {
+        b"\x89PNG\r\n": media_parts.png,
+        b"\xff\xd8\xff": media_parts.jpeg,
+        b"%PDF": pdf_parts.pdf,
     }
-    return next((opener for magic, opener in openers.items() if beginning.startswith(magic)), None)
+    found = next((reader for magic, reader in readers.items() if beginning.startswith(magic)), None)
+    return found or (media_parts.mp4 if beginning[:1] == b"\0" and beginning[4:8] in media_parts.FIRST else None)
 
 
-def _zstd(stream: IO[bytes]) -> IO[bytes]:
-    import pyarrow as pa
+def _searched_pages(metadata: pq.FileMetaData) -> Iterator[tuple[int, int]]:
+    """Yield the ranges of a Parquet file that are compressed, or that hold texts and bytes, which were all searched."""
+    for group in range(metadata.num_row_groups):
+        for number in range(metadata.num_columns):
+            column = metadata.row_group(group).column(number)
+            if column.compression != "UNCOMPRESSED" or column.physical_type == "BYTE_ARRAY":
+                begin = min(column.dictionary_page_offset or column.data_page_offset, column.data_page_offset)
+                yield begin, begin + column.total_compressed_size
 
-    found: IO[bytes] = pa.CompressedInputStream(pa.PythonFile(stream, "r"), "zstd")
-    return found
+
+def _starts(stream: IO[bytes], begin: int, magic: bytes) -> bool:
+    stream.seek(begin)
+    return stream.read(len(magic)) == magic
 
 
-@contextlib.contextmanager
-def _seekable(stream: IO[bytes]) -> Iterator[IO[bytes]]:
-    """Copy a stream to a temporary file."""
-    with tempfile.SpooledTemporaryFile(IN_MEMORY) as copy:
-        while block := stream.read(1 << 20):
-            copy.write(block)
-        copy.seek(0)
-        yield copy
+def _gzip_header(stream: IO[bytes], begin: int) -> int:
+    """Return the size of a gzip header, which may have a file name and a comment (RFC 1952)."""
+    stream.seek(begin)
+    head = stream.read(SMALL_BLOCK)
+    flags, end = head[3], 10
+    if flags & 4:
+        end += 2 + int.from_bytes(head[end : end + 2], "little")
+    for flag in (8, 16):
+        end = head.index(0, end) + 1 if flags & flag else end
+    return end
+
+
+def _end_of_zstd(stream: IO[bytes]) -> int:
+    """Return the end of the first frame of a zstd file, by its blocks (RFC 8878, 3.1.1)."""
+    flags = at(stream, 4, 1)[0]
+    is_single = flags >> 5 & 1
+    end = 5 + (1 - is_single) + (0, 1, 2, 4)[flags & 3] + (is_single, 2, 4, 8)[flags >> 6]
+    is_last = False
+    while not is_last:
+        block = int.from_bytes(at(stream, end, 3), "little")
+        is_last, end = bool(block & 1), end + 3 + (1 if block >> 1 & 3 == 1 else block >> 3)
+    return end
 
 
 def _line(error: BaseException) -> str:

@@ -5,8 +5,8 @@ accents and with `ue` for `ü`, as JSON, XML and addresses escape it, and with o
 `jane_doe`, `JaneDoe` and `Doe, Jane`.
 
 Words of up to four characters, and those that are marked so, count only where no letters are beside them, and no digits beside
-a digit: `doe` is not found in `does`, and `n1` not in `n12`. In binary data, words of up to three characters count only within
-longer readable text.
+a digit: `jane` is not found in `janes`, and `n701` not in `n7012`. Words of up to three characters count only where neither
+letters nor digits are beside them, and in binary data only within longer readable text.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import unicodedata
 from collections.abc import Iterable, Iterator
 from html import escape
 from itertools import permutations, product
-from typing import IO, NamedTuple
+from typing import NamedTuple, Protocol
 from urllib.parse import quote
 
 from sierra.packages.anonymity.identifying_words import Word
@@ -27,7 +27,11 @@ WHOLE = 4
 """Words up to this number of characters count only where no letters are beside them."""
 TINY = 3
 """Words up to this number of characters count in binary data only within readable text."""
-READABLE = regex(rb"[\x20-\x7e\t\r\n]{8,}")
+READABLE = regex(r"[\x20-\x7e\t\r\n]{8,}")
+RUN = 8
+"""The number of characters of the shortest readable text in binary data."""
+MARKS = (b"\xff\xfe", b"\xfe\xff", b"\0\0\xfe\xff")
+"""The first bytes of texts in UTF-16 and UTF-32."""
 CHUNK = 8 << 20
 WIDTHS = {"utf-8": 1, "latin-1": 1, "utf-16-le": 2, "utf-16-be": 2, "utf-32-le": 4, "utf-32-be": 4}
 """The encodings in which a word is searched, and the bytes of one character of Latin letters."""
@@ -41,6 +45,12 @@ PARTS = 3
 """The largest number of parts of a word whose order and separators may differ."""
 
 
+class Readable(Protocol):
+    """A stream of bytes."""
+
+    def read(self, count: int, /) -> bytes: ...
+
+
 class Found(NamedTuple):
     """A word in a content."""
 
@@ -51,6 +61,8 @@ class Found(NamedTuple):
     """In bytes, from 0."""
     line: int
     """From 1."""
+    size: int
+    """The number of its bytes."""
 
 
 class _Needle(NamedTuple):
@@ -81,19 +93,22 @@ class Search:
         self._accepted = sorted(filter(None, texts))
         self._margin = 2 * max(map(len, (*needles, *self._accepted, b"")), default=0) + 64
 
-    def stream(self, stream: IO[bytes]) -> Iterator[Found]:
+    def stream(self, stream: Readable) -> Iterator[Found]:
         """Yield all words in a stream from its position, in their order."""
         content, begin, base, line = b"", 0, 0, 1
+        is_marked = None
         while True:
             block = stream.read(CHUNK)
             content += block
             end = max(begin, len(content) - self._margin) if block else len(content)
             counted = begin
-            for offset, stop, word in self._places(content):
+            is_marked = content.startswith(MARKS) if is_marked is None else is_marked
+            for offset, stop, word in self._places(content, is_marked=is_marked):
                 if begin <= offset < end:
                     line += content.count(b"\n", counted, offset)
                     counted = offset
-                    yield Found(word, content[offset:stop].replace(b"\0", b"").decode("utf-8", "replace"), base + offset, line)
+                    text = content[offset:stop].replace(b"\0", b"").decode("utf-8", "replace")
+                    yield Found(word, text, base + offset, line, stop - offset)
             if not block:
                 return
             line += content.count(b"\n", counted, end)
@@ -104,12 +119,15 @@ class Search:
         """Return the words in a text."""
         content = text.encode("utf-8", "surrogatepass")
         return [
-            Found(word, content[offset:stop].decode("utf-8", "replace"), offset, 1)
+            Found(word, content[offset:stop].decode("utf-8", "replace"), offset, 1, stop - offset)
             for offset, stop, word in self._places(content)
         ]
 
-    def _places(self, content: bytes) -> Iterator[tuple[int, int, Word]]:
-        """Yield begin, end and word of each occurrence, in order; of overlapping ones, only the longest of the first."""
+    def _places(self, content: bytes, *, is_marked: bool = False) -> Iterator[tuple[int, int, Word]]:
+        """Yield begin, end and word of each occurrence, in order; of overlapping ones, only the longest of the first.
+
+        `is_marked`: the content is text in UTF-16 or UTF-32, and has NUL bytes as such.
+        """
         lower = _lower(content)
         binary = b"\0" in content
         found = [
@@ -118,7 +136,7 @@ class Search:
             if core in lower
             for needle in needles
             for offset in _offsets(lower, needle.text)
-            if _counts(lower, offset, needle, binary=binary)
+            if _counts(lower, offset, needle, binary=binary and not is_marked)
         ]
         last = 0
         for offset, size, word in sorted(found, key=lambda one: one[:2]):
@@ -171,20 +189,41 @@ def _offsets(content: bytes, needle: bytes) -> Iterator[int]:
 
 def _counts(content: bytes, offset: int, needle: _Needle, *, binary: bool) -> bool:
     end = offset + len(needle.text)
-    width = WIDTHS[needle.encoding]
-    before, after = (_character(content, at, needle) for at in (offset - width, end))
-    if needle.whole and (_continues(before, needle.word.text[0]) or _continues(after, needle.word.text[-1])):
-        return False
-    if not binary or len(needle.word.text) > TINY or width > 1:
+    width, is_tiny = WIDTHS[needle.encoding], len(needle.word.text) <= TINY
+    if needle.whole:
+        before, after = _before(content, offset, needle, is_tiny=is_tiny), _after(content, end, needle, is_tiny=is_tiny)
+        first, last = ("0", "0") if is_tiny else (needle.word.text[0], needle.word.text[-1])
+        if _continues(before, first) or _continues(after, last):
+            return False
+    if not binary or not is_tiny:
         return True
-    low = max(0, offset - 8)
-    return any(low + run.start() <= offset and end <= low + run.end() for run in READABLE.finditer(content[low : end + 8]))
+    low = offset - min(RUN, offset // width) * width
+    text = content[low : end + RUN * width].decode("latin-1" if width == 1 else needle.encoding, "replace")
+    begin, stop = (offset - low) // width, (end - low) // width
+    return any(run.start() <= begin and stop <= run.end() for run in READABLE.finditer(text))
 
 
-def _character(content: bytes, at: int, needle: _Needle) -> str:
-    """Return the character at an offset, in the encoding of a needle; "" outside the content."""
+def _before(content: bytes, offset: int, needle: _Needle, *, is_tiny: bool) -> str:
+    """Return the character before an offset, in the encoding of a needle; "" at the beginning.
+
+    In UTF-8, only short words look at letters that are not ASCII.
+    """
     width = WIDTHS[needle.encoding]
-    return content[at : at + width].decode(needle.encoding if width > 1 else "ascii", "replace") if at >= 0 else ""
+    if width > 1:
+        return content[max(0, offset - width) : offset].decode(needle.encoding, "replace")
+    if not is_tiny:
+        return content[max(0, offset - 1) : offset].decode("ascii", "replace")
+    return content[max(0, offset - 4) : offset].decode("utf-8", "replace")[-1:]
+
+
+def _after(content: bytes, end: int, needle: _Needle, *, is_tiny: bool) -> str:
+    """Return the character at an offset, as `_before` does."""
+    width = WIDTHS[needle.encoding]
+    if width > 1:
+        return content[end : end + width].decode(needle.encoding, "replace")
+    if not is_tiny:
+        return content[end : end + 1].decode("ascii", "replace")
+    return content[end : end + 4].decode("utf-8", "replace")[:1]
 
 
 def _continues(beside: str, edge: str) -> bool:

@@ -13,8 +13,10 @@ import sierra
 from sierra.config.project_file import load
 from sierra.deliverables.gallery import Gallery
 from sierra.extensions.videos import draw
+from sierra.extensions.videos.films import Members
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.table import Video
+from sierra.model import Axis, Value
 from sierra.store.samples import Frame
 from tests import projects, stores
 from tests.extensions.videos import video_files
@@ -149,3 +151,13 @@ def test_more_than_two_batches_and_the_same_batch_twice_are_refused(root: Path) 
     first, second, third = ids(root)
     assert "a video shows two batches at most, not 3" in projects.quick(root, "video", first, second, third).stderr
     assert "cannot be compared with itself" in projects.quick(root, "video", first, first).stderr
+
+
+def test_experiments_are_chosen_by_names_and_by_labels() -> None:
+    axes = (Axis("controller", ("random walk", "b")),)
+    shown: dict[int, dict[str, Value]] = {0: {"controller": "random walk"}, 1: {"controller": "b"}}
+    members = Members(axes, shown, {0: {"controller": "crw"}, 1: {"controller": "b"}}, ())
+    for word in ("random walk", "crw"):
+        assert members.matching(f"controller={word}", "experiments") == [0]
+        assert members.matching(f"controller!={word}", "experiments") == [1]
+    assert members.matching("", "experiments") == [0, 1]

@@ -102,3 +102,27 @@ def test_a_batch_with_one_controller_is_drawn_if_it_is_chosen(batch: Path) -> No
 )
 def test_wrong_choices_are_one_line(batch: Path, line: str, complaint: str) -> None:
     assert complaint in draw(batch, line)[1]
+
+
+@pytest.mark.integration
+def test_statistics_for_people_have_labels_and_those_for_programs_have_names(batch: Path) -> None:
+    draw(batch)
+    ids = projects.quick(batch, "sql", "SELECT batch FROM batches WHERE query LIKE 'controller=%'").stdout.split()[-1]
+    for format in ("latex", "markdown", "html", "table"):
+        text = projects.quick(batch, "stats", "swarm", "coverage", "-b", ids, "-f", format).stdout
+        assert ("random walk" in text, "depth0.CRW" in text, "depth0.DPO" in text) == (True, False, True), format
+    for format in ("csv", "json"):
+        text = projects.quick(batch, "stats", "swarm", "coverage", "-b", ids, "-f", format).stdout
+        assert ("random walk" in text, "depth0.CRW" in text) == (False, True), format
+
+
+@pytest.mark.integration
+def test_conditions_of_tables_take_labels_and_names(batch: Path) -> None:
+    table = '[paper_tables.t]\ntable = "swarm"\ncolumn = "coverage"\nexperiments = "controller={}"\n'
+    for word in ("random walk", "depth0.CRW"):
+        (batch / "sierra.toml").write_text(CONFIG + table.format(word))
+        found = projects.quick(batch, "sql", "SELECT batch FROM batches WHERE query LIKE 'controller=%'").stdout.split()[-1]
+        done = projects.quick(batch, "figures", found, "t")
+        assert done.returncode == 0, done.stderr
+        text = next((batch / line).read_text() for line in done.stdout.splitlines() if line.endswith(".tex"))
+        assert ("random walk" in text, "depth0" in text, "plain" in text) == (True, False, False)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import socket
 import subprocess
 import sys
 import tomllib
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +22,7 @@ from sierra.config.package_table import Package
 from sierra.errors import ConfigError, Identifying, UsageError
 from sierra.packages.anonymity.anonymous import anonymous, without_authors
 from tests import projects
+from tests.unit.packages.test_content_search import item, jpeg, pdf, png, segment, video, zipped
 
 PACKAGE = """
 [package]
@@ -216,3 +220,47 @@ open("more.csv", "w").write("n,who\\n1,nobody\\n2,JANELAB\\n")
     assert projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--anonymous", *accepted).returncode == 0
     with pytest.raises(UsageError, match="add --anonymous"):
         sierra.open(root).package(batch, report=False, path=tmp_path / "y.zip", allow=["x"])
+
+
+@pytest.mark.integration
+def test_names_in_pictures_videos_and_archives_are_shown_with_their_places(tmp_path: Path) -> None:
+    config = projects.CONFIG + PACKAGE.replace("authors = [", 'authors = [\n  { name = "Ann Vu" },')
+    root = projects.make(tmp_path / "project", config)
+    files = {
+        "a.png": png(b"tEXt", b"Author\0Jane Doe"),
+        "b.png": png(b"IDAT", zlib.compress(b" by Jane Vu \n" * 9, 0)),
+        "c.mp4": video(item(b"Ann Vu")),
+        "d.mp4": video(frames=b" by Ann Vu \1\2\3" * 9),
+        "e.pdf": pdf(b"/Filter /FlateDecode", zlib.compress(b"BT [(Jane D)9(oe)]TJ ET")),
+        "f.zip": zipped(b"1\n2\nby Ann Vu\n", "docs/readme.txt"),
+        "g.svg": b"<svg>\n<image href='data:image/png;base64,"
+        + base64.b64encode(png(b"iTXt", b"A\0\0\0\0\0Jane Doe"))
+        + b"'/>",
+        "h.txt": b"vue, Vu2, d\xc3\xa9ja vus",
+        "i.jpg": jpeg(segment(0xFE, b"Vu"))[:-9],
+        "j.gz": gzip.compress(b"Jane Doe" * 99)[:-9],
+    }
+    for name, content in files.items():
+        (root / name).write_bytes(content)
+    batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
+    ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--anonymous", "--yes")
+    assert ended.returncode == 2
+    assert [line for line in ended.stderr.splitlines() if line.startswith("project/") and "/.sierra/" not in line] == [
+        "project/a.png: tEXt chunk \"Author\": 'Jane Doe' (author)",
+        "project/c.mp4: box moov/udta/meta/ilst/\xa9ART/data: 'Ann Vu' (author)",
+        "project/e.pdf: object 7: 'Jane Doe' (author)",
+        "project/f.zip: docs/readme.txt, line 3: 'Ann Vu' (author)",
+        "project/g.svg, line 2, base64: iTXt chunk \"A\": 'Jane Doe' (author)",
+        "project/i.jpg: comment: 'Vu' (author)",
+        "project/j.gz (decompressed), line 1 and 98 more: 'Jane Doe' (author)",
+    ]
+    for name in ("a.png", "c.mp4", "e.pdf", "f.zip", "g.svg"):
+        (root / name).unlink()
+    (root / "i.jpg").write_bytes(jpeg()[:-9])
+    (root / "j.gz").write_bytes(gzip.compress(b"nobody" * 99)[:-9])
+    batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
+    ended = projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--anonymous")
+    assert (ended.returncode, (tmp_path / "x.zip").exists()) == (2, False)
+    for said in ("project/i.jpg: a segment is cut off", "project/j.gz: its compressed data are cut off"):
+        assert f"not all of it can be searched for names: {said}" in ended.stderr
+    assert projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--anonymous", "--yes").returncode == 0

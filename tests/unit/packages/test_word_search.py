@@ -56,6 +56,21 @@ def test_short_words_count_only_where_no_letters_are_beside_them() -> None:
     assert len(found("janelab", b"MYJANELABS")) == 1
 
 
+def test_tiny_words_count_only_as_whole_words_and_numbers() -> None:
+    assert found("ed", b"3ed4 a5ed ed7 bed edit") == []
+    assert found("vm", "évm vmé".encode()) == []
+    assert [one[1] for one in found("vm", b"vm on vm_1, host-vm.")] == [0, 6, 17]
+    assert [one[1] for one in found("vm", "\xe9 vm ".encode("latin-1"))] == [2]
+    assert len(found("jane", "éjane jane2".encode())) == 2
+
+
+def test_tiny_words_in_arrays_of_numbers_are_not_found() -> None:
+    numbers = b"".join(number.to_bytes(4, "little") for number in (7, 118, 109, 9))
+    assert found("vm", numbers) == found("vm", numbers[::2]) == []
+    assert len(found("vm", "the host vm is up".encode("utf-16-le"))) == 1
+    assert len(found("vm", "vm".encode("utf-16"))) == 1
+
+
 def test_tiny_words_in_binary_data_need_readable_text_around_them() -> None:
     assert found("vm", b"\0\1vm\2\0" * 9) == []
     assert [one[0] for one in found("vm", b"\0\0host vm is up\0")] == ["vm"]

@@ -128,3 +128,43 @@ def test_the_preview_shows_only_the_part(project: Path) -> None:
     assert "2 of 8 experiments selected by --only\n" in done.stdout
     assert [line.split()[:2] for line in done.stdout.splitlines() if line.startswith("8 ")] == [["8", "0"], ["8", "0.5"]]
     assert "4 runs: new\n" in done.stdout
+
+
+LABELS = (
+    CONFIG
+    + """
+[controllers.crw]
+label = "random walk"
+changes = [{ set = "//swarm/@controller", value = "a" }]
+[controllers.sar]
+label = "search and rescue, fast"
+changes = [{ set = "//swarm/@controller", value = "b" }]
+[controllers.walk]
+label = "sar"
+changes = [{ set = "//swarm/@controller", value = "c" }]
+"""
+)
+
+
+@pytest.mark.parametrize(
+    ("condition", "selected"),
+    [
+        ("controller=random walk", 2),
+        ("controller = random walk and population_size=1", 1),
+        ("controller!=random walk,walk and population_size=1", 1),
+        ("controller=crw , search and rescue, fast, walk", 6),
+        ("controller=sar", 2),
+        ("population_size=1 and controller=search and rescue, fast and population_size<2", 1),
+    ],
+)
+def test_labels_stand_for_names(tmp_path: Path, condition: str, selected: int) -> None:
+    folder = make(tmp_path / "project", LABELS)
+    found = preview(folder, "controller=crw,sar,walk", "population_size=1,2", "--only", condition)
+    assert (found["selected"], found["experiments"]) == (selected, 6)
+
+
+def test_an_unknown_label_names_those_that_are_there(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", LABELS)
+    done = quick(folder, "run", "controller=crw,walk", "--only", "controller=ballistic")
+    assert done.returncode == 2
+    assert "controller is never ballistic; controller is crw (random walk), walk (sar)" in done.stderr
