@@ -119,7 +119,7 @@ def recorded(project: LoadedProject, store: Store) -> set[str]:
 def registrations(project: LoadedProject, store: Store, batches: Mapping[str, Sequence[str]]) -> dict[str, Registration]:
     """Return the registration of claims, by name; `batches` has the ids of the batches that decide each. Writes nothing."""
     known = sorted(store.select(_Recorded, RECORDED), key=lambda row: row.lamport)
-    counted_in = cache(partial(_executions, store))
+    counted_in = cache(partial(_executions, project, store))
     return {name: _registration(project, name, known, ids, counted_in) for name, ids in batches.items()}
 
 
@@ -152,13 +152,13 @@ def _changes(texts: Sequence[str], now: str) -> int:
     return len(seen) - 1 + (seen[-1] != now) if now in seen else len(seen)
 
 
-def _executions(store: Store, batch: str, experiments: str) -> list[_Counted]:
+def _executions(project: LoadedProject, store: Store, batch: str, experiments: str) -> list[_Counted]:
     """Return the executions that count in the experiments of a batch that a condition selects; "": in all."""
     ordinals = None
     if experiments:
         with Frame(store, batch) as frame:
-            axes = [axis.name for axis in frame.axes()]
-            ordinals = sorted(condition.among(experiments, axes, frame.cells()))
+            labels = {axis.name: project.config.labels(axis) for axis in frame.axes()}
+            ordinals = sorted(condition.matching(experiments, frame.axes(), frame.cells(), "experiments", labels))
     return store.select(_Counted, COUNTED, batch=batch, ordinals=ordinals)
 
 

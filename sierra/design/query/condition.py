@@ -128,7 +128,7 @@ def _with_names(text: str, labels: Labels) -> str:
         if names:
             words = "|".join(re.escape(label) for label in sorted(names, key=len, reverse=True))
             item = rf"(?:(?:{words})(?=\s*(?:,|$)|\sand\s)|[^<>=!\s,]+)"
-            compared = re.compile(rf"((?:^|\sand\s)\s*{variable}\s*!?=\s*)({item}(?:\s*,\s*{item})*)")
+            compared = re.compile(rf"((?:^|\sand\s)\s*{re.escape(variable)}\s*!?=\s*)({item}(?:\s*,\s*{item})*)")
             text = compared.sub(partial(_named, item, names), text)
     return text
 
