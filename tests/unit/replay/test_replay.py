@@ -547,7 +547,8 @@ def test_the_same_bytes_are_different_if_the_record_lacks_some_of_their_rows(mak
 
 @pytest.mark.integration
 def test_skipped_runs_are_counted_next_to_the_verdict(make: Make) -> None:
-    root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
+    lacking = "import os\nif count == 2 and seed % 2 == 0: os.remove('swarm.csv')\n"  # no error of the program itself
+    root = make(projects.SIMULATOR + lacking, more='[outputs.swarm]\nfile = "swarm.csv"\n')
     batch = ask(root, "population_size=1,2", "montecarlo.C4")
     [(good,)] = [row.values() for row in sierra.open(root).sql("SELECT count(*) FROM effective").to_pylist()]
     assert 0 < good < 16
