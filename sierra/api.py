@@ -171,12 +171,13 @@ class Project:
 
     def _rules(self) -> Rules:
         """Return the derived tables, and the limits on SQL. A project without any is not validated: that takes too long."""
+        from sierra.config.targets import inner_table
         from sierra.store.derived_tables import Rules
 
         declared = (find_project.settings(self._found.file) or {}) if self._found.written else {}
-        success = declared.get("success")
-        needed = {"tables", "sql"} & declared.keys() or (isinstance(success, Mapping) and "accept" in success)
-        return self._loaded.rules() if needed else Rules()
+        tables = (declared, *inner_table(declared, "targets").values())
+        accepts = any("accept" in inner_table(table, "success") for table in tables)
+        return self._loaded.rules() if {"tables", "sql"} & declared.keys() or accepts else Rules()
 
     def stored(self) -> Store | None:
         """Return the project's store; None if there is none yet."""

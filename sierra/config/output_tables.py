@@ -418,7 +418,7 @@ END = regex(r"exit (\d{1,3})|signal (?:SIG)?([A-Z][A-Z0-9+]*|\d{1,2})")
 """An end of a program that is no success, as `accept` names it."""
 
 
-def _end(text: str) -> str:
+def end_of(text: str) -> str:
     """Return an end in its usual form: `exit 3`, `signal ABRT`. Raises ValueError for what is no end."""
     match = END.fullmatch(text)
     if match and match[1] and int(match[1]) in range(256):
@@ -439,7 +439,7 @@ class Success(Table):
     exit_status: tuple[int, ...] = Field(
         (0,), min_length=1, description="exit statuses that mean success; 139 and -11 both mean an end by signal 11"
     )
-    accept: tuple[Annotated[str, AfterValidator(_end)], ...] = Field(
+    accept: tuple[Annotated[str, AfterValidator(end_of)], ...] = Field(
         (),
         description="ends that are results although they are no successes: `exit 3`, `signal ABRT` (also the exit status 134); "
         "such a run has this outcome and is not executed again; required outputs and the marker are not asked of it, and its "
@@ -459,14 +459,19 @@ class Success(Table):
     @property
     def statuses(self) -> frozenset[int]:
         """Return the exit statuses that mean success, with both spellings of each signal: 139 and -11."""
-        return _both_spellings(self.exit_status)
+        return both_spellings(self.exit_status)
+
+    @property
+    def accepted_statuses(self) -> frozenset[int]:
+        """Return the exit statuses of the ends in `accept`, with both spellings of each signal."""
+        return both_spellings(map(_status, self.accept))
 
     def accepted(self, status: int | None) -> str | None:
         """Return the end in `accept` with which a program has ended; None if it is none of these.
 
         `status` is its exit status, negative for a signal.
         """
-        return next((end for end in self.accept if status in _both_spellings([_status(end)])), None)
+        return next((end for end in self.accept if status in both_spellings([_status(end)])), None)
 
     @model_validator(mode="after")
     def _distinct_ends(self) -> Success:
@@ -481,7 +486,7 @@ class Success(Table):
         return _unused(self, ("stderr", "leftovers", "accept"))
 
 
-def _both_spellings(statuses: Iterable[int]) -> frozenset[int]:
+def both_spellings(statuses: Iterable[int]) -> frozenset[int]:
     """Return exit statuses with both numbers of each signal: 139 and -11."""
     known = tuple(statuses)
     return frozenset({*known, *(SHELL - one for one in known if one < 0 or one > SHELL)})

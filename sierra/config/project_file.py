@@ -517,19 +517,24 @@ class LoadedProject:
         """Return the derived tables with their statements, and the limits on these; at most the default ones for a package."""
         from sierra.store.derived_tables import Rules
 
-        declared = {**self._outcomes(), **self.config.tables}
-        tables = {name.lower(): self.definition(name, table, f"[tables.{name}]") for name, table in declared.items()}
-        return Rules(tables, self._sql_limits())
+        tables = {name.lower(): self.definition(name, table, f"[tables.{name}]") for name, table in self.config.tables.items()}
+        return Rules({**self._outcomes(), **tables}, self._sql_limits())
 
-    def _outcomes(self) -> dict[str, DerivedTable]:
-        """Return the table with a flag for each outcome of a run, if some ends are accepted and no output has this name."""
-        if not self.config.success.accept or "outcomes" in map(str.lower, (*self.config.outputs, *self.config.tables)):
+    def _outcomes(self) -> dict[str, Definition]:
+        """Return the table with a flag for each outcome of a run, if some ends are accepted, also by a target only."""
+        declared = (self.declared or self.config).targets.values()
+        inner = [targets.inner_table(table, "success").get("accept") for table in declared]
+        ends = [*self.config.success.accept, *(end for some in inner if isinstance(some, list | tuple) for end in some)]
+        if not ends:
             return {}
+        from sierra.config.output_tables import end_of
+        from sierra.store.derived_tables import Definition
         from sierra.store.sql_names import identifier, quote
 
-        outcomes = ("success", *self.config.success.accept)
+        outcomes = dict.fromkeys(("success", *(end_of(str(end)) for end in ends)))
         flags = ", ".join(f"outcome = {quote(outcome)} AS {identifier(outcome)}" for outcome in outcomes)
-        return {"outcomes": DerivedTable(sql=f"FROM runs SELECT run, {flags} WHERE outcome IS NOT NULL")}
+        text = f"FROM runs SELECT run, {flags} WHERE outcome IS NOT NULL"
+        return {"outcomes": Definition("outcomes", text, "the table outcomes", implicit=True)}
 
     def _sql_limits(self) -> Limits:
         from sierra.store.derived_tables import Limits

@@ -219,6 +219,8 @@ class Gallery:
             else ["no run wrote a table, so there is no figure; see: sierra sql 'FROM artifacts'"]
         )
         for output in self._outputs.values():
+            if self.frame.is_of_accepted(output.name):
+                continue
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
             if output.name not in shown:
@@ -565,16 +567,17 @@ class Gallery:
             if name not in self._outputs:
                 raise NotFound(f"this batch has no output {name!r}; its outputs: {', '.join(self.frame.names) or 'none'}")
             return self._outputs[name]
-        having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        every = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        having = [o for o in every if not self.frame.is_of_accepted(o.name)]
         having = [o for o in having if o.name in self.frame.written] or having
         if self._outputs and not having:
+            others = "".join(f"; {o.name} has the rows of accepted ends, and must be named" for o in every)
             raise NotFound(
-                f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"
+                f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES'){others}"
             )
         if len(having) != 1:
-            raise NotFound(
-                f"name the output of the figure: set table to one of {', '.join(self._outputs) or '(none was written)'}"
-            )
+            names = [name for name in self._outputs if not self.frame.is_of_accepted(name)]
+            raise NotFound(f"name the output of the figure: set table to one of {', '.join(names) or '(none was written)'}")
         return having[0]
 
     def _labelled(self, axis: Axis) -> Axis:

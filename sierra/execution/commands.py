@@ -330,6 +330,7 @@ class CommandBuilder:
         script: Path | None = None,
         beside: Path | None = None,
         success: Sequence[int] = (0,),
+        accept: Sequence[int] = (),
         timeouts: Mapping[str, float] | None = None,
         observed: bool = False,
         python: str = sys.executable,
@@ -340,11 +341,12 @@ class CommandBuilder:
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
         execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
         scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
-        `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command, and
-        `timeouts` the seconds in which services must be ready, by name. `observed`: services that runs share are observed.
-        `python` is the value of `{python}` without an image, `arch` that of `{arch}`, by default this machine's processor.
+        `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command,
+        `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by name.
+        `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch` that of
+        `{arch}`, by default this machine's processor.
         """
-        self._success = success
+        self._success, self._accept = success, accept
         self._observed = observed
         self._timeouts = timeouts or {}
         self._spec = spec
@@ -479,6 +481,8 @@ class CommandBuilder:
             "success": self._success,
             "grace": self._bounds.grace_s,
         }
+        if self._accept:
+            plan["accept"] = self._accept
         if self._bounds.after_marker_s is not None:
             bounds = self._bounds
             plan["marker"] = {"after_marker_s": bounds.after_marker_s, "marker": bounds.marker, "contains": bounds.contains}

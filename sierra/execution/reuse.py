@@ -167,20 +167,19 @@ def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None
 TWICE = """
 WITH ends AS (
     SELECT run, arg_max((status, coalesce(reason, '')), place) AS how,
-           any_value(coalesce(exit_code, signal)) IS NOT NULL AS ended,
+           any_value(signal IS NOT NULL OR exit_code <> 0) AS by_itself,
            row_number() OVER (PARTITION BY run ORDER BY any_value(lamport) DESC) AS back
     FROM all_judgements SEMI JOIN failed USING (run)
     WHERE purpose = 'run' AND packages IS NULL AND programs = $programs AND ingest_rules = $ingest_rules GROUP BY run, execution
 )
 SELECT run FROM ends WHERE back <= 2 GROUP BY run
-HAVING count(*) = 2 AND min(how) = max(how) AND min(how)[1] NOT IN ('ok', 'accepted', 'invalid', 'stopped')
-    AND (bool_and(ended) OR min(how)[1] <> 'failed')
+HAVING count(*) = 2 AND min(how) = max(how) AND min(how)[1] = 'failed' AND bool_and(by_itself)
 """
-"""The runs whose last two executions failed in the same way. Runs that could not begin are others: their cause is elsewhere."""
+"""The runs whose program ended with the same error twice. Limits may be raised, and other failures have other causes."""
 
 
 def failed_twice(plan: Plan, store: Store, found: Mapping[str, State]) -> set[str]:
-    """Return the runs whose last two executions failed in the same way, by the programs and rules of a plan."""
+    """Return the runs whose program ended with the same error twice, with the programs and rules of a plan."""
     failed = [run for run, state in found.items() if state.worth == FAILED and state.executions > 1]
     if not failed:
         return set()

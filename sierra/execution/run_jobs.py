@@ -144,7 +144,7 @@ class Service:
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record
-        builder = self._builder(sorted(context.success.statuses))
+        builder = self._builder(sorted(context.success.statuses), sorted(context.success.accepted_statuses))
         work = Work(
             self._observed(
                 ((run, builder.job(run, files, attempt)) for run, files in inputs),
@@ -171,7 +171,7 @@ class Service:
             if not self._stays:
                 self.isolation.close()
 
-    def _builder(self, success: Sequence[int]) -> commands.CommandBuilder:
+    def _builder(self, success: Sequence[int], accept: Sequence[int]) -> commands.CommandBuilder:
         setup = self._setup
         return commands.CommandBuilder(
             setup.spec,
@@ -185,6 +185,7 @@ class Service:
             script=self._session.paths.worker if self._stays else None,
             beside=self._session.paths.shared if self._beside else None,
             success=success,
+            accept=accept,
             timeouts={name: table.timeout for name, table in setup.project.config.services.items()},
             observed=self._is_observed(),
         )

@@ -54,6 +54,8 @@ def recorded_names(store: Store) -> list[_Named]:
         return snapshot.select(_Named, NAMED, accepted=ACCEPTED) if snapshot.holds("artifacts") else []
 
 
+TEXTS = ("csv", "jsonl")
+"""The formats of which each line ends with a line feed."""
 NAME_TAKEN = "{path}: makes the table {name!r}, as rows of accepted ends do ([success] accept); give it another name"
 NO_TABLE = TableFile(None, None, None, None)
 
@@ -143,6 +145,8 @@ def tabled(
     for judged in executions:
         for output, shape, file in assigning.of(judged.result) if judged.status.is_result else ():
             name = output if judged.status is Status.OK else output + ACCEPTED
+            if judged.status is Status.ACCEPTED and not file.ended and shape.format in TEXTS:
+                continue  # it was cut off in its last line, which may look whole
             if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
                 made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(file.path), name=name))
             shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)

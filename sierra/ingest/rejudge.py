@@ -31,7 +31,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.output_tables import Output, Success
+from sierra.config.output_tables import ACCEPTED, Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher
@@ -257,6 +257,8 @@ def _is_tabled(one: Past, context: Context) -> bool:
     result = one.result(one.last.execution, Path(), {})
     if Status.ACCEPTED in (one.last.status, judge(result, context.outputs, context.success)[0]):
         return False
+    if context.success.accept and any((row.output or "").lower().endswith(ACCEPTED) for row in one.artifacts):
+        return False  # the name of its table is refused
     recorded = {(row.output, row.path) for row in one.artifacts if row.rows is not None}
     before, now = ({(n, file.path): shape for n, shape, file in _tables(one, rules)} for rules in (one, context))
     return before == now and now.keys() == recorded

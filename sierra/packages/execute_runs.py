@@ -45,6 +45,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -200,7 +201,7 @@ class Batch:
             for number, line in enumerate(file, 1):
                 try:
                     found, before = read_run(line, before)
-                except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
+                except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as error:
                     raise Stop(f"{self.jobs}, line {number} is not a run: {clean(repr(error))}", 1) from None
                 if self.only is None or found.run in self.only:
                     yield found
@@ -556,7 +557,7 @@ class Outcome(NamedTuple):
 def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcome:
     """Compare the outputs of a run that has ended with the recorded ones. Raises Stop if it could not be executed."""
     batch: Batch = place.batch
-    if end.get("error"):
+    if end.get("error") and run.ended is None:
         raise missing(f"{run.called()}: {end['error']}")
     trouble, last = trouble_of(batch, run, end), log_tail(folder)
     refused = place.error.match(f"{end.get('exit_code')} {last}")
@@ -845,8 +846,13 @@ def execute(package: Path, work: Path, runs: int | None, seconds: float | None, 
                     print(faults[-1])
     verdict = verdict_of(counts, of)
     lines = (*(f"batch {clean(one.id)[:10]}: {where.place()}" for one, where in zip(batches, places)), *obstacles)
-    write_report(work / REPORT, package, verdict, lines, faults, unlike, began)
-    return concluded(counts, verdict, folder, work / REPORT, obstacles)
+    print(verdict)
+    try:
+        write_report(work / REPORT, package, verdict, lines, faults, unlike, began)
+        print(f"The report is {work / REPORT}")
+    except OSError as error:
+        print(f"The report {work / REPORT} cannot be written: {error.strerror}")
+    return concluded(counts, folder, obstacles)
 
 
 def verdict_of(counts: Mapping[str, int], of: int) -> str:
@@ -875,7 +881,9 @@ def write_report(
         shown += ["", "## Differences", "", *(f"- {marked(fault)}" for fault in faults)]
     if unlike > len(faults):
         shown.append(f"- and {unlike - len(faults)} more")
-    path.write_text("\n".join(shown) + "\n", encoding="utf-8")
+    with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=str(path.parent), delete=False) as file:
+        file.write("\n".join(shown) + "\n")
+    Path(file.name).replace(path)  # never written through a link that came with the package
 
 
 def identity(package: Path) -> str:
@@ -894,15 +902,13 @@ def marked(text: str) -> str:
     return "".join("\\" + sign if sign in "\\`*_[]<>|#~" else sign for sign in text)
 
 
-def concluded(counts: Mapping[str, int], verdict: str, folder: Path, report: Path, obstacles: Sequence[str]) -> int:
-    """Print the verdict; return the exit status."""
+def concluded(counts: Mapping[str, int], folder: Path, obstacles: Sequence[str]) -> int:
+    """Print what the verdict means; return the exit status."""
     total = sum(counts.values())
-    print(verdict)
     if counts[IDENTICAL] < total:
         print(f"The folders of the other runs are in {folder}")
     else:
         shutil.rmtree(str(folder), ignore_errors=True)
-    print(f"The report is {report}")
     print("Level 2 of 3 reached: bytes were compared. Values and claims: can't tell; level 3 evaluates them.")
     if counts[DIFFERENT] or counts[FAILED]:
         return 1

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from sierra.config.deliverable_tables import DerivedTable
-from sierra.config.output_tables import Output
+from sierra.config.output_tables import Output, both_spellings
 from sierra.config.project_file import LoadedProject
 from sierra.errors import NotFound
 from sierra.model import Status
@@ -51,7 +51,13 @@ class _End(NamedTuple):
         return "success" if self.status == Status.OK else str(self.reason or self.status)
 
     def is_like(self, other: _End) -> bool:
-        return (self.status, self.exit_code, self.signal) == (other.status, other.exit_code, other.signal)
+        """Return whether both ended in the same way; a shell or an engine tells a signal by 128 more."""
+        return self.status == other.status and not self._numbers.isdisjoint(other._numbers)
+
+    @property
+    def _numbers(self) -> frozenset[int | None]:
+        status = self.exit_code if self.signal is None else -self.signal
+        return frozenset([status]) if status is None else both_spellings([status])
 
 
 ENDS = "SELECT judgement, status, reason, exit_code, signal FROM all_judgements SEMI JOIN ends USING (judgement)"

@@ -65,6 +65,8 @@ class Definition:
     origin: str
     problem: str = ""
     """Why there is no statement: for example, its file does not exist."""
+    implicit: bool = False
+    """True if SIERRA adds it. An output of this name then counts instead."""
 
     @property
     def text(self) -> str:
@@ -117,7 +119,8 @@ class DerivedTables:
     def definitions(self) -> dict[str, Definition]:
         """The definitions by name in lower case."""
         if self._known is None:
-            self._known = dict(self._rules().tables)
+            tables = self._rules().tables
+            self._known = {name: one for name, one in tables.items() if not (one.implicit and name in self._outputs)}
         return self._known
 
     def add(self, definition: Definition) -> None:

@@ -348,7 +348,11 @@ class Frame:
     def outputs_with(self, column: str) -> list[str]:
         """Return the outputs that runs wrote with this column; derived tables do not count."""
         found = {name: self._relation(name, files) for name, files in sorted(self._files.items()) if files}
-        return [name for name, source in found.items() if column in source.types]
+        return [name for name, source in found.items() if column in source.types and not self.is_of_accepted(name)]
+
+    def is_of_accepted(self, table: str) -> bool:
+        """Return whether a table has the rows of accepted ends, so that it is only used where it is named."""
+        return table.endswith("_accepted") and bool(self.accepted())
 
     def first_inputs(self) -> dict[int, list[tuple[str, str]]]:
         """Return the name and the SHA-256 of each input file of the first run of each experiment."""

@@ -83,6 +83,8 @@ if TYPE_CHECKING:
         after: Sequence[Sequence[str]]
         success: Sequence[int]
         """The exit statuses of the command that mean success."""
+        accept: NotRequired[Sequence[int]]
+        """Those that are no success, but a result; the commands in `after` are not executed then."""
         grace: float
         """The seconds between SIGTERM and SIGKILL."""
         marker: NotRequired[Mapping[str, object]]
@@ -260,7 +262,7 @@ class Conductor:
             for words in self._plan["before"]:
                 self._execute("before", words)
             status = self._command() if self._plan["argv"] else self._hold()
-            for words in self._plan["after"]:
+            for words in () if status in self._plan.get("accept", ()) else self._plan["after"]:
                 self._execute("after", words)
             self._check_services()
             return status
@@ -367,7 +369,7 @@ class Conductor:
         self._check_services()
         if self.after_marker is not None:
             return 0
-        if self._plan["after"] and status not in self._plan["success"]:
+        if self._plan["after"] and status not in (*self._plan["success"], *self._plan.get("accept", ())):
             raise Failed("%s; the commands in `after` were not executed" % described(status), status)
         return status
 

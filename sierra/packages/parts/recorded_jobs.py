@@ -91,6 +91,7 @@ class Jobs:
             place,
             image=image,
             success=sorted(recalled.success.statuses),
+            accept=sorted(recalled.success.accepted_statuses),
             timeouts={name: table.timeout for name, table in project.config.services.items()},
             python=execute_runs.PYTHON_MARK,
             arch=execute_runs.ARCH_MARK,

@@ -201,7 +201,7 @@ def _known(
 
 def _of_drawing(drawing: Drawing, packed: _Packed | None) -> Made:
     figures.check(drawing)
-    picture = packed.picture("figure", drawing.name) if packed else None
+    picture = packed.picture("figure", drawing.name, drawing.data) if packed else None
     if picture is None:
         [(_, svg)] = figures.rendered(replace(drawing, formats=("svg",)))
         picture = Picture(svg)
@@ -216,13 +216,13 @@ class _Packed:
         self._folder = sides.package
         self._rows = deliverable_records.latest(sides.recorded, batch)
 
-    def picture(self, kind: str, name: str) -> Picture | None:
-        """Return the picture of a deliverable; None if the package has none that a browser shows."""
+    def picture(self, kind: str, name: str, data: str) -> Picture | None:
+        """Return the picture of a deliverable that shows these data; None if the package has none that a browser shows."""
         for ending, media_type in PICTURES.items():
             for row in self._rows:
                 for file, digest in zip(row.files, row.sha256s, strict=True):
                     path = self._folder / member_of(file)
-                    if (row.kind, row.name) != (kind, name) or not file.endswith(ending) or not path.is_file():
+                    if (row.kind, row.name, row.data) != (kind, name, data) or not file.endswith(ending) or not path.is_file():
                         continue
                     if path.stat().st_size <= LARGEST and sha256(content := read_regular(path)) == digest:
                         return Picture(content, media_type, member_of(file))
@@ -279,12 +279,15 @@ def _of_comparison(compared: Compared) -> Made:
     return Made(f"{content.data} {compared.text}", values, picture, text=compared.text)
 
 
-def numbers_of(sides: Sides) -> tuple[dict[str, tuple[str, str]], str]:
-    """Return the numbers of the paper's text, `[numbers.NAME]`, by both kinds of runs; and why they could not be computed."""
+def numbers_of(sides: Sides, batches: Sequence[str]) -> tuple[dict[str, tuple[str, str]], str]:
+    """Return the numbers of the paper's text, `[numbers.NAME]`, by both kinds of runs; and why they could not be computed.
+
+    `batches` are those of which all runs were executed again; numbers that rest on others are left out, with a note.
+    """
     if not sides.project.config.numbers:
         return {}, ""
     try:
-        before, now = (_texts(sides.project, store) for store in (sides.recorded, sides.reproduced))
+        before, now = (_texts(sides, store, batches) for store in (sides.recorded, sides.reproduced))
     except (DamagedFile, Missing):
         raise
     except SierraError as error:
@@ -292,8 +295,8 @@ def numbers_of(sides: Sides) -> tuple[dict[str, tuple[str, str]], str]:
     return {name: (before.get(name, ""), now.get(name, "")) for name in dict.fromkeys((*before, *now))}, ""
 
 
-def _texts(project: LoadedProject, store: Store) -> dict[str, str]:
-    found = BatchesOfQueries(project, store)
+def _texts(sides: Sides, store: Store, batches: Sequence[str]) -> dict[str, str]:
+    project, found = sides.project, BatchesOfQueries(sides.project, store)
     names = dict.fromkeys(number.claim for number in project.config.numbers.values() if number.claim)
     packed = received.batches(store)
     claims = {one.name: one for one in evaluate.evaluate(project, store, list(names), among=packed)} if names else {}
@@ -301,7 +304,11 @@ def _texts(project: LoadedProject, store: Store) -> dict[str, str]:
     texts = {}
     for name, number in project.config.numbers.items():
         with bound_files.named("number", name):
+            own = compared[number.comparison].batches if number.comparison else comparison.of_queries(found, number.query)
             value = numbers.computed(found, number, compared, claims)
+            if not {*own.values(), *value.batches} <= set(batches):
+                sides.notes.append(f"number {name}: not all runs of its batches were executed again")
+                continue
             texts[name] = numbers.text(number, value, siunitx=False).replace("$", "")
     return texts
 

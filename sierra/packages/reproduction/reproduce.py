@@ -6,6 +6,7 @@ network; for anything else, the user is asked first.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -63,7 +64,7 @@ def reproduce(
     or the folder not written, Damaged if it is no package or not a safe one, UsageError for options that do not fit it.
     """
     observer = observer or Observer()
-    folder = (into or workspace.default(package)).absolute()
+    folder = Path(os.path.abspath(into or workspace.default(package)))  # noqa: PTH100 - no link is followed
     with workspace.opened(package) as found, workspace.alone(folder):
         workspace.copy_verified(found, folder)
         observer.notice(f"verified: package {short(found.id)}, copied to {folder / workspace.COPY}")
@@ -93,7 +94,7 @@ def _drawn(done: Reproduction, project: LoadedProject, store: Store, observer: O
     sides = drawn_again.Sides(project, store, store.replayed(sessions), done.folder / workspace.COPY)
     observer.notice("drawing the figures from the reproduced runs")
     drawn = tuple(drawn_again.make(sides, list(complete)))
-    texts, problem = drawn_again.numbers_of(sides)
+    texts, problem = drawn_again.numbers_of(sides, list(complete))
     done = replace(done, drawn=drawn, numbers=texts, notes=(*done.notes, *dict.fromkeys(sides.notes)))
     recorded = claims.recorded(project, store, [one.name for one in done.claims])
     shown = page.page(done, drawn, page.Numbers(texts, problem), recorded, project.config)

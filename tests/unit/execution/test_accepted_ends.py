@@ -76,6 +76,53 @@ def test_rows_of_accepted_ends_are_in_a_table_of_their_own(crashing: Simulated) 
     assert "6 of 8 runs missing (2 with exit 3, 4 with signal ABRT)" in said.stderr
 
 
+def test_a_table_of_accepted_ends_is_used_only_where_it_is_named(crashing: Simulated) -> None:
+    file = crashing.folder / "sierra.toml"
+    file.write_text(file.read_text() + '[figures.f]\nkind = "summary"\ncolumn = "v"\n')
+    for query in ("size=2", "size=1,2"):
+        ask(crashing, query, "--runs", "2")
+    batches = {row["query"]: row["batch"] for row in crashing.sql("SELECT query, batch FROM batches")}
+    only = crashing.quick("figures", batches["size=2"], "f")
+    assert only.returncode == 2
+    assert "swarm_accepted has the rows of accepted ends, and must be named" in only.stderr
+    assert crashing.quick("figures", batches["size=1,2"], "f").returncode == 0
+    [caption] = crashing.folder.glob("figures/*/f.txt")
+    assert "n = 2; 2 of 4 runs missing (2 with exit 3)" in caption.read_text()
+
+
+def test_a_last_line_without_an_end_makes_no_row(simulate: Simulate) -> None:
+    project = simulate("printf 't,v\\n1,123\\n2,12' > swarm.csv; exit 3")
+    declare(project, ACCEPT)
+    ask(project, "size=1")
+    assert project.sql("SELECT kind, rows FROM artifacts WHERE path = 'swarm.csv'") == [{"kind": "file", "rows": None}]
+
+
+def test_accepted_ends_do_not_execute_what_comes_after(simulate: Simulate, tmp_path: Path) -> None:
+    project = simulate(SIMULATOR)
+    declare(project, ACCEPT)
+    file = project.folder / "sierra.toml"
+    file.write_text(f"after = [['sh', '-c', 'echo >> {tmp_path}/later']]\n" + file.read_text())
+    assert ask(project, "size=1,2")["outcomes"] == {"exit 3": 1}
+    assert (tmp_path / "later").read_text() == "\n"
+    batch = project.sql("SELECT batch FROM batches")[0]["batch"]
+    assert json.loads(project.quick("replay", batch, "--json").stdout)["counts"] == {"identical": 2}
+
+
+def test_outcomes_of_a_target_that_alone_accepts_an_end(simulate: Simulate) -> None:
+    project = simulate(SIMULATOR)
+    file = project.folder / "sierra.toml"
+    file.write_text(file.read_text() + '[targets.sim.success]\naccept = ["exit 3"]\n')
+    assert ask(project, "size=1,2", "--target", "sim")["outcomes"] == {"exit 3": 1}
+    assert project.quick("stats", "outcomes", "exit 3").returncode == 0
+
+
+def test_an_output_hides_the_table_of_outcomes(simulate: Simulate) -> None:
+    project = simulate("printf 'a\\n7\\n' > outcomes.csv")
+    declare(project, ACCEPT)
+    ask(project, "size=1")
+    assert project.quick("sql", "--json", "SELECT a FROM outcomes").stdout.split() == ["[", "{", '"a":', "7", "}", "]"]
+
+
 def test_outcomes_have_rates(crashing: Simulated) -> None:
     ask(crashing, "size=1,2", "--runs", "4")
     done = crashing.quick("stats", "outcomes", "exit 3", "--format", "csv")
@@ -142,6 +189,17 @@ def test_a_run_that_failed_twice_in_the_same_way_needs_retry(simulate: Simulate)
     assert ask(project, "size=1")["executed"] == 1
 
 
+def test_a_raised_limit_executes_again(simulate: Simulate) -> None:
+    project = simulate("sleep 1.5")
+    file = project.folder / "sierra.toml"
+    text = file.read_text()
+    file.write_text(text.replace("[limits]\n", "[limits]\nwall = 0.2\n"))
+    for _ in range(2):
+        ask(project, "size=1", code=1)
+    file.write_text(text.replace("[limits]\n", "[limits]\nwall = 60\n"))
+    assert ask(project, "size=1")["executed"] == 1
+
+
 def test_other_failures_are_tried_again(simulate: Simulate, tmp_path: Path) -> None:
     project = simulate(f'exit "$(wc -l < "{tmp_path}/executed")"')  # another exit status each time
     for executions in (1, 2, 3):
@@ -166,6 +224,22 @@ def test_a_failure_that_ends_otherwise_is_different(simulate: Simulate, tmp_path
     done = project.quick("replay", batch, "--json")
     assert (done.returncode, json.loads(done.stdout)["counts"]) == (1, {"different": 1})
     assert "it ended with exit status 5 before, and with exit status 6 now" in done.stdout
+
+
+def test_both_numbers_of_a_signal_are_one_end(simulate: Simulate, tmp_path: Path) -> None:
+    project = simulate(f"printf 't,v\\n1,1\\n' > swarm.csv; [ -e '{tmp_path}/later' ] && exit 134; kill -ABRT $$")
+    declare(project, ACCEPT)
+    batch = ask(project, "size=1")["batch"]
+    (tmp_path / "later").touch()
+    assert json.loads(project.quick("replay", batch, "--json").stdout)["counts"] == {"identical": 1}
+
+
+def test_evaluating_again_refuses_the_same_names(simulate: Simulate) -> None:
+    project = simulate("printf 't,v\\n1,1\\n' > swarm_accepted.csv")
+    ask(project, "size=1")
+    declare(project, ACCEPT)
+    failure = ask(project, "size=1", code=1)["failures"][0]
+    assert "makes the table 'swarm_accepted', as rows of accepted ends do" in failure["reason"]
 
 
 def test_an_evaluator_repeats_all_ends_without_sierra(simulate: Simulate, tmp_path: Path) -> None:

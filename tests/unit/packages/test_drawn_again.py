@@ -117,11 +117,23 @@ def test_a_figure_that_cannot_be_made_is_no_reproduction(packed: Simulated, tmp_
     assert "not made" in page
 
 
-def test_runs_that_were_left_out_are_not_drawn(packed: Simulated, tmp_path: Path) -> None:
-    done = packed.quick(
-        "reproduce", str(tmp_path / "x.zip"), "--into", str(tmp_path / "new"), "--yes", "--budget", "1s", "--json"
+def test_what_rests_on_runs_that_were_left_out_is_not_made(packed: Simulated, tmp_path: Path) -> None:
+    (tmp_path / "factor").write_text("100")
+    [row] = packed.sql("SELECT min(wall_s) AS shortest FROM executions")
+    budget = f"{1.01 * row['shortest']:.6f}s"
+    words = (
+        "reproduce",
+        str(tmp_path / "x.zip"),
+        "--into",
+        str(tmp_path / "new"),
+        "--yes",
+        "-j",
+        "1",
+        "--budget",
+        budget,
+        "--json",
     )
-    answer = json.loads(done.stdout)
-    if answer["left_out"]:
-        assert answer["drawn"] == []
-        assert not (tmp_path / "new/index.html").exists()
+    answer = json.loads(packed.quick(*words).stdout)
+    assert answer["left_out"]
+    assert (answer["drawn"], answer["numbers"]) == ([], {})
+    assert not (tmp_path / "new/index.html").exists()

@@ -120,6 +120,8 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
         ({**LINE, "files": {"../input.xml": ""}}, {}),
         ({**LINE, "files": {"input.xml": {"0": "there is no line before"}}}, {}),
         ({**LINE, "outputs": {"swarm.csv": None}}, {}),
+        ({**LINE, "ended": float("inf")}, {}),
+        ({**LINE, "ended": "x"}, {}),
     ],
 )
 def test_a_wrong_plan_or_job_is_one_line_and_executes_nothing(
@@ -128,6 +130,14 @@ def test_a_wrong_plan_or_job_is_one_line_and_executes_nothing(
     status, printed = said(capsys, made(tmp_path / "x", line, **batch), tmp_path / "work", "--yes")
     assert (status, printed.count("\n")) == (1, 1)
     assert not (tmp_path / "work").exists()
+
+
+def test_a_report_is_never_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text("mine")
+    (tmp_path / "reproduction.md").symlink_to(tmp_path / "victim")
+    execute_runs.write_report(tmp_path / "reproduction.md", tmp_path, "LEVEL 2: *x*", ["a"], ["b"], 2, 0.0)
+    assert (tmp_path / "victim").read_text() == "mine"
+    assert "**LEVEL 2: \\*x\\***" in (tmp_path / "reproduction.md").read_text()
 
 
 def test_outputs_that_match_a_pattern_are_compared_by_order(tmp_path: Path) -> None:
