@@ -79,7 +79,9 @@ class PackageManifest(_Part):
 
 BATCHES = """
 SELECT b.batch, b.query, m.experiments, m.runs, coalesce(f.successful, 0) AS successful
-FROM batches b LEFT JOIN (SELECT batch, count(DISTINCT run) AS successful FROM effective GROUP BY batch) f USING (batch)
+FROM batches b LEFT JOIN (
+    SELECT batch, count(DISTINCT run) AS successful FROM effective WHERE outcome = 'success' GROUP BY batch
+) f USING (batch)
 JOIN (SELECT batch, count(DISTINCT ordinal) AS experiments, count(DISTINCT run) AS runs FROM batch_runs GROUP BY batch) m
     USING (batch)
 """

@@ -252,9 +252,9 @@ class Frame:
         return {(ordinal, run): seed for ordinal, run, seed in rows}
 
     def counts(self) -> dict[int, tuple[int, int]]:
-        """Return by experiment position how many runs have an effective execution, and how many runs there are."""
+        """Return by experiment position how many runs were successful, and how many runs there are."""
         rows = self._snapshot.run(
-            "SELECT w.ordinal, count(m.run), count(*) FROM wanted w LEFT JOIN membership m "
+            "SELECT w.ordinal, count(*) FILTER (m.outcome = 'success'), count(*) FROM wanted w LEFT JOIN membership m "
             "ON m.run = w.run AND m.experiment = w.ordinal GROUP BY w.ordinal"
         )
         return {row[0]: (row[1], row[2]) for row in rows}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 
 from sierra.config.claim_table import Claim
@@ -13,10 +14,13 @@ from sierra.store.several_batches import joined
 from sierra.store.sql_result import SqlValue
 from sierra.store.store import Store
 from sierra.util.arrow_columns import rows_of
+from sierra.util.lazy_definitions import regex
 from sierra.util.text import DIGITS, digits_apart, few, short_number
 
 SHOWN = 8
 """The largest number of columns in the text."""
+ENDS = regex(r"\boutcomes?\b|_accepted\b", re.IGNORECASE)
+"""Names in a statement that is about accepted ends."""
 
 
 def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> Found:
@@ -49,12 +53,17 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> F
 
 
 def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | Found:
-    """Return the number of successful runs; if too many are lost, what that means."""
+    """Return the number of runs that count; if too many are lost, what that means.
+
+    Runs with accepted ends count if the statement names their outcomes or their tables.
+    """
     counts: list[tuple[int, int]] = []
     reasons: list[str | None] = []
     for batch in batches.values():
         with Frame(store, batch) as frame:
             counts += frame.counts().values()
+            if ENDS.search(claim.sql):
+                counts += ((runs, 0) for ends in frame.accepted().values() for runs in ends.values())
             reasons.append(frame.failure())
     n, planned = (sum(part) for part in zip(*counts, strict=True))
     if not n and (reason := next(filter(None, reasons), None)):

@@ -10,7 +10,7 @@ from sierra.util.hashing import short
 from sierra.util.text import counted
 
 BATCHES = """
-SELECT m.batch, count(DISTINCT m.run) AS runs, count(DISTINCT f.run) AS successful
+SELECT m.batch, count(DISTINCT m.run) AS runs, count(DISTINCT f.run) FILTER (f.outcome = 'success') AS successful
 FROM batch_runs m LEFT JOIN effective f ON f.run = m.run AND f.batch = m.batch
 GROUP BY m.batch HAVING runs > successful ORDER BY m.batch
 """

@@ -90,6 +90,18 @@ def test_a_table_of_accepted_ends_is_used_only_where_it_is_named(crashing: Simul
     assert "n = 2; 2 of 4 runs missing (2 with exit 3)" in caption.read_text()
 
 
+def test_claims_by_sql_lose_accepted_ends_unless_they_name_them(crashing: Simulated) -> None:
+    file = crashing.folder / "sierra.toml"
+    claim = '[claims.{name}]\nsays = "x"\npaper = "1"\nquery = "size=1,2"\nruns = 2\nsql = "{sql}"\n'
+    plain = claim.format(name="plain", sql="SELECT avg(v) > 0 FROM swarm")
+    rate = claim.format(name="rate", sql="SELECT count(*) FILTER (outcome = 'exit 3') = 2 FROM runs")
+    file.write_text(file.read_text() + plain + rate)
+    ask(crashing, "size=1,2", "--runs", "2")
+    found = {one["name"]: one for one in json.loads(crashing.quick("claims", "--json").stdout)}
+    assert {name: one["verdict"] for name, one in found.items()} == {"plain": "can't tell", "rate": "holds"}
+    assert (found["plain"]["n"], found["rate"]["n"]) == (2, 4)
+
+
 def test_a_last_line_without_an_end_makes_no_row(simulate: Simulate) -> None:
     project = simulate("printf 't,v\\n1,123\\n2,12' > swarm.csv; exit 3")
     declare(project, ACCEPT)
