@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.browser import INJECTED, Browser
 from tests.conftest import Simulated
 
 pytestmark = pytest.mark.integration
@@ -92,6 +93,22 @@ def test_the_same_values_are_shown_beside_the_packed_picture(packed: Simulated, 
     assert "final.svg in the package" in page
     assert page.count("data:image/svg+xml;base64,") == 4
     assert not re.search(r"""(src|href)="(?!data:|#)""", page)
+
+
+@pytest.mark.real
+def test_the_page_fits_a_wide_and_a_narrow_window(packed: Simulated, tmp_path: Path, require: Callable[..., str]) -> None:
+    reproduced(packed, tmp_path, 0)
+    page = tmp_path / "new/index.html"
+    with Browser(require("chromium"), tmp_path / "profile") as browser:
+        for width in (1280, 390):
+            browser.open(page, width=width)
+            assert browser.console == []
+            assert [url for url in browser.requests if not url.startswith("data:")] == [page.as_uri()]
+            assert browser.run("document.documentElement.scrollWidth") == width
+            assert browser.run("[...document.images].every(image => image.naturalWidth > 0)")
+        beside = "[...document.querySelectorAll('#figures .figures')].map(one => getComputedStyle(one).gridTemplateColumns)"
+        assert all(len(columns.split()) == 1 for columns in browser.run(beside))
+        assert browser.run(INJECTED) == ["script-src-attr", "script-src-elem", 0]
 
 
 def test_other_values_are_named_with_their_difference(packed: Simulated, tmp_path: Path) -> None:
