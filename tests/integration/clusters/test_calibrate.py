@@ -106,8 +106,8 @@ def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[...,
     assert done.returncode == 0, done.stderr
     assert "runs with these values were never timed: 2 runs of 28 are executed first" in done.stderr
     joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
-    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
-    assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]
+    pair = project.sql(f"SELECT r.size FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
+    assert [row["size"] for row in pair] == [30, 60]
 
 
 @pytest.mark.nightly
