@@ -582,7 +582,7 @@ class Project:
         from sierra.execution.show_record import show
         from sierra.execution.shown_records import ShownBatch, ShownExecution
 
-        if (outcome := self._shown_study(prefix) or self._shown_claim(prefix)) is not None:
+        if (outcome := self._shown_other(prefix)) is not None:
             return outcome
         try:
             shown = show(self.store, prefix)
@@ -611,12 +611,14 @@ class Project:
 
         return check.find(self._loaded, self.store, Path(file), self.compare_declared)
 
-    def _shown_study(self, prefix: str) -> StudyOutcome | None:
-        """Return the study with this id; None if the id is that of another object."""
+    def _shown_other(self, prefix: str) -> StudyOutcome | ShownClaim | None:
+        """Return the study or the registered claim with this id; None if the id is that of another object."""
         try:
             found = self.store.identify(prefix)
         except NotFound:
             return None
+        if found.kind == "claim":
+            return self._shown_claim(found.id)
         if found.kind != "study":
             return None
         from sierra.deliverables.studies import study
@@ -624,27 +626,20 @@ class Project:
         outcome = study.find(self.store, found.id)
         return outcome and study.checked(self._loaded, self.store, outcome)
 
-    def _shown_claim(self, prefix: str) -> ShownClaim | None:
-        """Return the registered claim with this id; None if the id is that of another object."""
+    def _shown_claim(self, claim: str) -> ShownClaim:
         import json
 
         from sierra.execution.shown_records import ShownClaim
         from sierra.store.row_types import RegisteredClaimRow
         from sierra.util.json_types import as_object
 
-        try:
-            found = self.store.identify(prefix)
-        except NotFound:
-            return None
-        if found.kind != "claim":
-            return None
         text = "SELECT * FROM registered_claims WHERE claim = $claim ORDER BY lamport, name"
-        rows = self.store.select(RegisteredClaimRow, text, claim=found.id)
+        rows = self.store.select(RegisteredClaimRow, text, claim=claim)
         try:
             form = as_object(json.loads(rows[0].text))
         except (ValueError, RecursionError) as error:
-            raise Damaged(f"the record of claim {found.id[:10]} is not JSON; sierra fsck names what is damaged") from error
-        return ShownClaim(found.id, form, rows)
+            raise Damaged(f"the record of claim {claim[:10]} is not JSON; sierra fsck names what is damaged") from error
+        return ShownClaim(claim, form, rows)
 
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""

@@ -589,6 +589,10 @@ class Purpose(StrEnum):
     """An execution with rendering, for its frames alone."""
 
 
+ACCEPTED = "_accepted"
+"""The end of the name of a table that has an output's rows of accepted ends."""
+
+
 class Status(StrEnum):
     """The outcome of an execution."""
 

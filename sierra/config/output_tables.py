@@ -412,8 +412,6 @@ STATUSES = range(-64, 256)
 """The exit statuses of programs; those below 0 are signals."""
 
 
-ACCEPTED = "_accepted"
-"""The end of the name of a table that has an output's rows of accepted ends."""
 END = regex(r"exit (\d{1,3})|signal (?:SIG)?([A-Z][A-Z0-9+]*|\d{1,2})")
 """An end of a program that is no success, as `accept` names it."""
 

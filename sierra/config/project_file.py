@@ -56,13 +56,13 @@ from sierra.config.field_types import (
 from sierra.config.find_project import ProjectFolder, content, find, settings_in
 from sierra.config.model_table import Model
 from sierra.config.number_table import Letters, NumberInText, Paper
-from sierra.config.output_tables import ACCEPTED, STATUSES, Equivalence, Output, Success, file_once
+from sierra.config.output_tables import STATUSES, Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
-from sierra.model import Axis, Value
+from sierra.model import ACCEPTED, Axis, Value
 from sierra.store.layout import CONFIG, PYPROJECT, RUN_STDERR, RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.processors import ARCH

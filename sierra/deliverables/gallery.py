@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
-from sierra.config.output_tables import ACCEPTED, Output, volatile_and_rates
+from sierra.config.output_tables import Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import bound, chosen_groups, kinds, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -597,7 +597,7 @@ class Gallery:
 
 def _accepted(frame: Frame, output: OutputTable) -> Mapping[int, Mapping[str, int]]:
     """Return the ends of runs that have no rows in an output because these are in a table of their own, by experiment."""
-    return frame.accepted() if output.name in frame.written and not output.name.endswith(ACCEPTED) else {}
+    return frame.accepted() if output.name in frame.written and not frame.is_of_accepted(output.name) else {}
 
 
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:

@@ -192,7 +192,7 @@ class Executor:
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self.given_up = frozenset() if self._options.retry else failed_twice(self.plan, self.store, now)
-            lacking = wanted - self.given_up if self.only is None else (wanted - self.given_up) & self.only
+            lacking = (wanted if self.only is None else wanted & self.only) - self.given_up
             self._tally.reused = self._tally.total - len(lacking)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
         if self._options.only is not None:

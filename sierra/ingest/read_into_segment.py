@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.output_tables import ACCEPTED, Output
+from sierra.config.output_tables import Output
 from sierra.ingest import robot_files
 from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
@@ -15,7 +15,7 @@ from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement
-from sierra.model import OutputFile, Result, Status
+from sierra.model import ACCEPTED, OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import OUTPUT, Writer

@@ -31,7 +31,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.output_tables import ACCEPTED, Output, Success
+from sierra.config.output_tables import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher
@@ -40,7 +40,7 @@ from sierra.ingest.read_into_segment import TableFile, TableIngest, artifact_row
 from sierra.ingest.recording_context import SAME_PROGRAMS, Context, rules_of
 from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files
-from sierra.model import OutputFile, Result, Status
+from sierra.model import ACCEPTED, OutputFile, Result, Status
 from sierra.store.copy_rejudged_rows import write_again
 from sierra.store.endings import Kind
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
@@ -107,7 +107,7 @@ class Past:
 
     @property
     def succeeded(self) -> bool:
-        return self.last.status in (Status.OK, Status.ACCEPTED)
+        return Status(self.last.status).is_result
 
     def result(self, execution: str, directory: Path, files: Mapping[str, OutputFile]) -> Result:
         """Return the result that a worker would have reported; `files` are the files whose bytes are in `directory`."""

@@ -38,7 +38,7 @@ def recorded_metrics(
 
 
 class _End(NamedTuple):
-    """How an execution has ended, by one of its judgements."""
+    """The end of an execution, by one of its judgements."""
 
     judgement: str
     status: str

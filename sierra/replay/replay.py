@@ -27,6 +27,7 @@ from sierra.execution.on_robots import configured
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
+from sierra.model import Status
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
@@ -427,7 +428,7 @@ def finished(store: Store, record: Record, options: ReplayOptions, context: Cont
         sessions=sorted(options.earlier),
         executions=sorted(options.variation.finished),
         runs=[one.run for one in record.runs],
-        failed=[one.run for one in record.runs if one.status not in ("ok", "accepted")],
+        failed=[one.run for one in record.runs if not Status(str(one.status)).is_result],
         programs=context.programs,
         environment=context.environment,
         rules=context.ingest_rules,

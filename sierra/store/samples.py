@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
-from sierra.model import Axis, Value
+from sierra.model import ACCEPTED, Axis, Value
 from sierra.store import captures, clock_times, robot_means, rounded_times
 from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import Definition, Made
@@ -69,7 +69,7 @@ FROM wanted w LEFT JOIN (
 """SQL: the number of successful runs, of all runs and of executed runs, and the reason of the first one that was executed."""
 
 
-ACCEPTED = "SELECT experiment, outcome, count(*) FROM membership WHERE outcome <> 'success' GROUP BY ALL"
+ENDS = "SELECT experiment, outcome, count(*) FROM membership WHERE outcome <> 'success' GROUP BY ALL"
 
 
 class AllFailed(SierraError):
@@ -265,7 +265,7 @@ class Frame:
 
     def _accepted(self) -> dict[int, dict[str, int]]:
         ends: dict[int, dict[str, int]] = {}
-        for experiment, outcome, runs in self._snapshot.run(ACCEPTED):
+        for experiment, outcome, runs in self._snapshot.run(ENDS):
             ends.setdefault(experiment, {})[outcome] = runs
         return ends
 
@@ -352,7 +352,7 @@ class Frame:
 
     def is_of_accepted(self, table: str) -> bool:
         """Return whether a table has the rows of accepted ends, so that it is only used where it is named."""
-        return table.endswith("_accepted") and bool(self.accepted())
+        return table.endswith(ACCEPTED) and bool(self.accepted())
 
     def first_inputs(self) -> dict[int, list[tuple[str, str]]]:
         """Return the name and the SHA-256 of each input file of the first run of each experiment."""

@@ -645,11 +645,12 @@ origin that counts in the batch. One commit's rows have one lamport time, so tha
 as a whole, in whatever order the files are read.
 """
 
-RESULTS_ONLY = "e.status IN ('ok', 'accepted')"
-COUNTS = f"""{RESULTS_ONLY} AND e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
+RESULT = "e.status IN ('ok', 'accepted')"
+FITS = """e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
     AND CASE WHEN e.reusing IS NULL THEN e.packages IS NOT DISTINCT FROM l.packages AND e.programs = l.programs
         AND NOT coalesce(list_contains(l.stale, e.session), false)
         ELSE e.reusing = l.session END"""
+COUNTS = f"{RESULT} AND {FITS}"
 """The SQL condition that a candidate e may be effective in a batch with `latest` l. Of all such candidates of a run, the last
 judgement of the last execution is effective.
 """
@@ -698,9 +699,9 @@ ENDED = f"""{LATEST}
 SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.status
 FROM batch_runs m
 JOIN latest l ON m.batch = l.batch
-JOIN all_candidates e ON e.run = m.run AND ({COUNTS} OR {COUNTS.replace(RESULTS_ONLY, BY_ITSELF)})
+JOIN all_candidates e ON e.run = m.run AND ({RESULT} OR {BY_ITSELF}) AND {FITS}
 QUALIFY row_number() OVER (
-    PARTITION BY m.batch, m.ordinal, m.run ORDER BY e.status IN ('ok', 'accepted') DESC, {LAST_FIRST}
+    PARTITION BY m.batch, m.ordinal, m.run ORDER BY {RESULT} DESC, {LAST_FIRST}
 ) = 1
 """
 

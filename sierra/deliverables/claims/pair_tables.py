@@ -27,7 +27,7 @@ from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 
 Key: TypeAlias = tuple[object, ...]
-"""What claims on one table have in common."""
+"""The parts that claims on one table have in common."""
 PairId: TypeAlias = tuple[frozenset[tuple[str, object]], frozenset[str]]
 """A pair: the values of the variables that are not compared, and the two groups or batches."""
 VALUES = ("table", "column", "measure", "threshold", "where")

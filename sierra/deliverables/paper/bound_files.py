@@ -103,7 +103,7 @@ def items(found: BatchesOfQueries) -> Iterator[PaperItem]:
     """
     project, store, config = found.project, found.store, found.project.config
     compared: dict[str, Compared] = {}
-    with _Galleries(project, store) as galleries:
+    with Galleries(project, store) as galleries:
         for name, figure in config.figures.items():
             if figure.query:
                 with named("figure", name):
@@ -144,7 +144,7 @@ def named(kind: str, name: str) -> Iterator[None]:
         raise type(error)(f"{kind} {name}: {error}") from error
 
 
-class _Galleries:
+class Galleries:
     """The data of batches, each opened once."""
 
     def __init__(self, project: LoadedProject, store: Store) -> None:
@@ -153,7 +153,7 @@ class _Galleries:
         self._frames = ExitStack()
         self._known: dict[str, Gallery] = {}
 
-    def __enter__(self) -> _Galleries:
+    def __enter__(self) -> Galleries:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -166,15 +166,18 @@ class _Galleries:
         return self._known[batch]
 
 
-def _figure(name: str, figure: Figure, batches: Mapping[str, str], galleries: _Galleries) -> PaperItem:
+def drawing_of(name: str, figure: Figure, batches: Mapping[str, str], galleries: Galleries) -> Drawing:
+    """Return a figure of batches, by label. Raises SierraError if it cannot be drawn."""
     if len(batches) == 1:
         [batch] = batches.values()
-        drawing = galleries.of(batch).drawing(name, figure)
-    else:
-        fitted, own = overlay.fitting(figure, declared=True), overlay.name_of(name, batches)
-        drawings = {label: galleries.of(batch).drawing(own, fitted) for label, batch in batches.items()}
-        drawing = overlay.merged(drawings, overlay.BATCH)
-    drawing = replace(drawing, formats=figure.formats or ("pdf",))
+        return galleries.of(batch).drawing(name, figure)
+    fitted, own = overlay.fitting(figure, declared=True), overlay.name_of(name, batches)
+    drawings = {label: galleries.of(batch).drawing(own, fitted) for label, batch in batches.items()}
+    return overlay.merged(drawings, overlay.BATCH)
+
+
+def _figure(name: str, figure: Figure, batches: Mapping[str, str], galleries: Galleries) -> PaperItem:
+    drawing = replace(drawing_of(name, figure, batches, galleries), formats=figure.formats or ("pdf",))
     check(drawing)
     paths = tuple(_path(name, ending) for ending in _with_caption(drawing.formats))
     return PaperItem(name, drawing.content(), drawing.shown, paths, partial(_drawn, name, drawing))

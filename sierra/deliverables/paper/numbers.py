@@ -80,12 +80,12 @@ def check(config: Project, compared: Container[str]) -> None:
             raise NotFound(f"number {name}: no comparison {number.comparison!r} is bound to queries; {known}")
 
 
-def claims_of(queries: BatchesOfQueries) -> dict[str, Evaluated]:
-    """Return the evaluations of the claims whose numbers are printed, by their names."""
+def claims_of(queries: BatchesOfQueries, among: Sequence[str] | None = None) -> dict[str, Evaluated]:
+    """Return the evaluations of the claims whose numbers are printed, by their names; `among` is as in `evaluate`."""
     names = dict.fromkeys(number.claim for number in queries.project.config.numbers.values() if number.claim)
     if not names:
         return {}
-    return {claim.name: claim for claim in evaluate.evaluate(queries.project, queries.store, list(names))}
+    return {claim.name: claim for claim in evaluate.evaluate(queries.project, queries.store, list(names), among=among)}
 
 
 def computed(

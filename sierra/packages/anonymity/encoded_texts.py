@@ -37,7 +37,7 @@ OFFSETS = 4
 
 
 class Decoded(NamedTuple):
-    """What a run of base64 stands for."""
+    """The bytes that a run of base64 stands for."""
 
     begin: int
     """The offset of the run."""

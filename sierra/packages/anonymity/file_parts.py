@@ -46,7 +46,7 @@ class Part(NamedTuple):
     """The part has the bytes from `begin` to before `end`."""
     place: str = ""
     content: bytes | None = None
-    """What it holds; None for compressed data, as of pictures, that hold no text."""
+    """Its content, unpacked; None for compressed data, as of pictures, that hold no text."""
     is_file: bool = False
     """True if the content is a file, False if it is a text."""
     is_all: bool = True

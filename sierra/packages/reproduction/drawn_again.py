@@ -7,15 +7,13 @@ this one is shown instead of one that is drawn from the recorded runs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Figure, TableForPaper
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import bound, comparison, comparison_figure, declared_tables, overlay
-from sierra.deliverables.claims import evaluate
+from sierra.deliverables import bound, comparison, comparison_figure, declared_tables
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.figures import drawing as figures
 from sierra.deliverables.figures.drawing import Drawing
@@ -172,14 +170,9 @@ def _of_several(sides: Sides, queries: BatchesOfQueries, batches: Sequence[str])
 
 
 def _overlaid(sides: Sides, batches: Mapping[str, str], name: str, figure: Figure, is_new: bool) -> Made:
-    fitted, own = overlay.fitting(figure, declared=True), overlay.name_of(name, batches)
-    with ExitStack() as frames:
-        drawings = {}
-        for label, batch in batches.items():
-            frame = frames.enter_context(Frame(sides.of(is_new), batch))
-            drawings[label] = Gallery(sides.project, sides.of(is_new), frame).drawing(own, fitted)
+    with bound_files.Galleries(sides.project, sides.of(is_new)) as galleries:
         packed = None if is_new else _Packed(sides, next(iter(batches.values())))
-        return _of_drawing(overlay.merged(drawings, overlay.BATCH), packed)
+        return _of_drawing(bound_files.drawing_of(name, figure, batches, galleries), packed)
 
 
 def _known(
@@ -297,9 +290,7 @@ def numbers_of(sides: Sides, batches: Sequence[str]) -> tuple[dict[str, tuple[st
 
 def _texts(sides: Sides, store: Store, batches: Sequence[str]) -> dict[str, str]:
     project, found = sides.project, BatchesOfQueries(sides.project, store)
-    names = dict.fromkeys(number.claim for number in project.config.numbers.values() if number.claim)
-    packed = received.batches(store)
-    claims = {one.name: one for one in evaluate.evaluate(project, store, list(names), among=packed)} if names else {}
+    claims = numbers.claims_of(found, among=received.batches(store))
     compared = dict(bound_files.compared_by(found))
     texts = {}
     for name, number in project.config.numbers.items():

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from sierra.config.project_file import Project
-from sierra.deliverables.claims.model import Evaluated, Verdict
+from sierra.deliverables.claims.model import Evaluated
 from sierra.deliverables.html.page import page as html_page
+from sierra.deliverables.report.claims import KINDS
 from sierra.deliverables.report.parts import auto, badge, note, table
 from sierra.deliverables.report.results import paper_table
 from sierra.packages.reproduction.drawn_again import DrawnAgain, Made
@@ -16,7 +17,6 @@ from sierra.packages.reproduction.outcome import Reproduction
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
 
-KINDS = {Verdict.holds: "good", Verdict.does_not_hold: "bad", Verdict.cannot_tell: "unclear"}
 TITLES = {
     "claims": "Claims",
     "numbers": "Numbers in the text",
