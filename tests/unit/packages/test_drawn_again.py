@@ -125,6 +125,22 @@ def test_other_values_are_named_with_their_difference(packed: Simulated, tmp_pat
     assert "other values" in page
 
 
+def test_a_figure_of_several_queries_is_made_from_all_their_reproduced_runs(packed: Simulated, tmp_path: Path) -> None:
+    more = '[queries.more]\ncriteria = "size=1,2"\nruns = 7\n[figures.both]\nquery = ["main", "more"]\nkind = "summary"\n'
+    file = packed.folder / "sierra.toml"
+    file.write_text(file.read_text() + more + 'column = "v"\n')
+    for query in ("main", "more"):
+        assert packed.quick("run", query, "--no-figures").returncode == 0
+    batches = [row["batch"] for row in packed.sql("SELECT batch FROM batches")]
+    (tmp_path / "x.zip").unlink()
+    assert packed.quick("package", *batches, "--yes", "-o", str(tmp_path / "x.zip")).returncode == 0
+    for factor, same in (("1", True), ("100", False)):
+        (tmp_path / "factor").write_text(factor)
+        words = ("reproduce", str(tmp_path / "x.zip"), "--into", str(tmp_path / factor), "--yes", "--json")
+        drawn = {one["name"]: one for one in json.loads(packed.quick(*words).stdout)["drawn"]}
+        assert (drawn["both"]["same"], drawn["both"]["problem"], set(drawn["both"]["batches"])) == (same, "", set(batches))
+
+
 def test_a_figure_that_cannot_be_made_is_no_reproduction(packed: Simulated, tmp_path: Path) -> None:
     (tmp_path / "factor").write_text("none")
     answer, page = reproduced(packed, tmp_path, 1)
