@@ -225,10 +225,11 @@ def test_captures_are_removed_with_the_measured_executions(root: Path) -> None:
 def test_runs_of_one_experiment_or_one_id_are_captured_with_the_recorded_code(root: Path) -> None:
     """The code is that of then; the limits are those of now, and those in [capture] come before those in [limits]."""
     (root / "sim.py").write_text("raise SystemExit('the code has changed')\n")
-    config = (root / "sierra.toml").read_text().replace("wall = 30", 'wall = 0.001, output = "1 B"')
-    (root / "sierra.toml").write_text(config)
+    config = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(config.replace("wall = 30", "wall = 0.001"))
     _, answer = captured(root)
     assert [row["reason"].partition(": ")[2] for row in answer["made"]] == ["[capture] wall sets another limit"] * 2
+    config = config.replace("wall = 30", 'wall = 0.001, output = "1 B"')
     (root / "sierra.toml").write_text(config + "wall = 30\n")
     assert captured(root)[1]["made"][0]["reason"].endswith(": [capture] output sets another limit")
     (root / "sierra.toml").write_text(config + 'wall = 30\noutput = "1 MB"\n')
