@@ -48,7 +48,7 @@ def python(folder: Path) -> Path:
     files = [path for path in library.rglob("*") if path.is_file() and not LEFT_OUT.search(str(path))]
     loaded = {path for one in (real, *(file for file in files if file.suffix == ".so")) for path in _loaded(one)}
     members = [(str(path).lstrip("/"), path.read_bytes()) for path in (real, *files, *sorted(loaded))]
-    applets = ("sh", "sleep", "sed", "cat", "env", "true", "setsid", "mv", "ln", "grep")
+    applets = ("sh", "id", "cp", "sleep", "sed", "cat", "env", "true", "setsid", "mv", "ln", "grep")
     shell = [("bin/busybox", BUSYBOX.read_bytes()), *((f"bin/{name} -> busybox", "") for name in applets)]
     return _archive(folder / "python.tar", *members, ("usr/bin/python3 -> " + real.name, ""), *shell)
 

@@ -87,7 +87,9 @@ ROBOT_PYTHON = "python3"
 KNOWN_ON_ROBOTS = (*OWN_PLACEHOLDERS, robots.VALUE)
 """Names in braces that have a meaning of their own in commands on robots."""
 _BESIDE = f"{INSIDE}/beside"
-_CONDUCTOR = f"{INSIDE}/{worker.CONDUCTOR}"
+CONDUCTOR = f"{INSIDE}/{worker.CONDUCTOR}"
+"""The conductor's path in a container. `CONDUCTING` are the words before its plan."""
+CONDUCTING = (PYTHON, "-I", "-S", CONDUCTOR, RUN)
 PORT_MARK = "\2{}\2"
 """The text that stands for a service's port until the conductor fills it in."""
 READY_S = 30.0
@@ -498,7 +500,7 @@ class CommandBuilder:
             return None
         more: tuple[Mount, ...] = ()
         if self._spec.around:
-            argv, more = (PYTHON, "-I", "-S", _CONDUCTOR, RUN, *argv[1:]), (self._conductor(),)
+            argv, more = (*CONDUCTING, *argv[1:]), (self._conductor(),)
         return self._engine.client(self._box, run_process(argv, variables, *more))
 
     def _container(self) -> Client:
@@ -514,7 +516,7 @@ class CommandBuilder:
 
     def _conductor(self) -> Mount:
         """Return the mount of the program that executes what is around the command."""
-        return Mount(str(self._script.with_name(worker.CONDUCTOR)), _CONDUCTOR)
+        return Mount(str(self._script.with_name(worker.CONDUCTOR)), CONDUCTOR)
 
 
 def _in_project(word: str, root: Path, made: Sequence[str]) -> str:

@@ -3,7 +3,7 @@
 It is one file that needs only the standard library (Python 3.8 or newer). `reproduce.py` starts it in an extracted package,
 after it has verified all files:
 
-    execute_runs.py PACKAGE WORK [--runs N | --seconds S] [--engine NAME] [--yes]
+    execute_runs.py PACKAGE WORK [--id ID] [--runs N | --seconds S] [--engine NAME] [--yes]
 
 It reaches level 2 of 3: `worker.py`, which lies beside it, executes runs on this machine or in containers without network, in a
 new folder of WORK. Then the SHA-256 of each output is compared with the recorded one. Nothing is executed before a question is
@@ -19,6 +19,7 @@ comparable, and 130 after Ctrl-C.
     beside        files that lie beside the inputs of all runs
     needs         programs of the machine; `requires`: Python packages, if runs are executed by this Python
     image         the container image, or null
+    clients       for each container engine, the command that starts a container as SIERRA does: see `Client` and the marks
     environment   the variables that its runs share; `limits`, `success`: their limits and exit statuses
     by_value      the outputs whose bytes may differ, with the reason
     patterns      the patterns of outputs whose names may differ, except those in `named`
@@ -41,6 +42,7 @@ import itertools
 import json
 import os
 import re
+import resource
 import shlex
 import shutil
 import subprocess
@@ -51,7 +53,7 @@ import time
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
-FORMAT = "sierra execution 1"
+FORMAT = "sierra execution 2"
 PLAN = "plan.json"
 PROJECT_MARK = "/@sierra-project@"
 PYTHON_MARK = "@sierra-python@"
@@ -65,14 +67,18 @@ HOST = "host"
 INSIDE = "/run/sierra"  # in containers, as in sierra.containers.engines.base
 IN_RUN = INSIDE + "/run"
 IN_PROJECT = INSIDE + "/project"
-IN_CONDUCTOR = INSIDE + "/conductor.py"
-WAYS = ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs"))
+# Marks in clients. Words of their own: options of the way to start containers here, and the run's command
+WAY, COMMAND = "@sierra-way@", "@sierra-command@"
+# In a word that is repeated for each variable of the run: its name and value
+VARIABLE, VALUE = "sierra_variable", "@sierra-value@"
+# In other words: the image, the folder with the project, and the folder of this program
+IMAGE, SOURCE, HERE = "@sierra-image@", "@sierra-source@", "@sierra-here@"
+MOST = re.compile("(--ulimit=(?:nofile|nproc)=)([0-9]+):[0-9]+")
 POLL_S = 0.1
 SHELL = 128  # what a shell adds to the number of the signal that has ended a program
 SHOWN = 20  # runs that are printed
 REPORTED = 10000  # runs that the report lists
 REPORT = "reproduction.md"
-MANIFEST = "manifest-sha256.txt"
 WIDTH = 200  # characters of a text that are printed
 IDENTICAL, DIFFERENT, FAILED, NOT_COMPARABLE = "identical", "different", "failed", "not comparable"
 
@@ -149,6 +155,28 @@ class Run(NamedTuple):
         return f"run {self.number} of experiment {self.experiment} ({clean(self.run)[:10]})"
 
 
+class Client(NamedTuple):
+    """The command that starts a container, with marks."""
+
+    argv: list[str]
+    environment: dict[str, str]
+    inherits: str
+    """A pattern of the names of this program's variables that the command also gets."""
+    stop: list[str]
+    ways: list[list[str]]
+    """Options before any command of the engine, to try one after the other until a container starts."""
+
+    @classmethod
+    def read(cls, given: Mapping[str, Any]) -> Client:
+        return cls(
+            words_of(given["argv"]),
+            texts_of(given["environment"]),
+            re.compile(text_of(given["inherits"])).pattern,
+            [text_of(word) for word in given["stop"]],
+            [[text_of(word) for word in way] for way in given["ways"]],
+        )
+
+
 class Batch:
     """A batch that can be executed, from its object in the plan. Raises Stop if that is not valid."""
 
@@ -173,7 +201,8 @@ class Batch:
             self.limits = {text_of(name): limit_of(name, limit) for name, limit in plan["limits"].items()}
             self.success = [int(status) for status in plan["success"]]
             self.image = None if plan["image"] is None else texts_of(plan["image"])
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            self.clients = {text_of(name): Client.read(one) for name, one in plan["clients"].items()}
+        except (KeyError, TypeError, ValueError, AttributeError, re.error) as error:
             raise Stop(f"{PLAN}: a batch is not described as it should be: {clean(repr(error))}", 1) from None
         if not HASH.fullmatch(self.id):
             raise Stop(f"{PLAN}: {clean(repr(self.id))} is not the id of a batch", 1)
@@ -394,6 +423,8 @@ class Container:
         """Yield a line for each thing that is missing on this machine, with the remedy."""
         if not self.image:
             yield "the runs were recorded without a container image; use --engine host"
+        elif self.name not in self.batch.clients:
+            yield f"the package does not say how {self.name} starts a container"
         elif not shutil.which(self.name):
             yield f"{self.name} is not installed; install it, for example with apt-get install {self.name}"
         else:
@@ -416,28 +447,44 @@ class Container:
         environment = {name: filled(text, marks) for name, text in variables(self.batch, run).items()}
         environment["TMPDIR"] = "/tmp"  # noqa: S108 - the container's own
         argv = command(run.argv, marks)
-        mounts = [("\0", IN_RUN, False), ("\0/output", IN_RUN + "/output", True), ("\0/home", IN_RUN + "/home", True)]
-        mounts += [("\0/tmp", "/tmp", True), (str(project), IN_PROJECT, False)]  # noqa: S108
-        inside = argv
-        if argv[0] == CONDUCTED:
-            mounts.append((str(Path(__file__).with_name("conductor.py")), IN_CONDUCTOR, False))
-            inside = ["python3", "-I", "-S", IN_CONDUCTOR, IN_RUN, *argv[1:]]
         job = {"argv": argv, "environment": environment, "folders": filled(run.folders, marks)}
-        return {**job, "client": self.client(inside, environment, mounts), "shared": False}
+        inside = argv[1:] if argv[0] == CONDUCTED else argv
+        return {**job, "client": self.client(inside, environment, project), "shared": False}
 
-    def client(
-        self, argv: list[str], environment: Mapping[str, str], mounts: Sequence[tuple[str, str, bool]]
-    ) -> dict[str, Any]:
+    def client(self, argv: list[str], environment: Mapping[str, str], project: Path) -> dict[str, Any]:
+        """Return the engine's command for a container, as SIERRA would start it. Raises Stop for an unusual folder."""
+        recorded = self.batch.clients[self.name]
+        own = {IMAGE: self.reference, SOURCE: str(project), HERE: str(Path(__file__).parent)}
+        for folder in own.values():
+            if '"' in folder or "\n" in folder:
+                raise missing(f"{folder!r} cannot be mounted; use a folder whose path has neither quotes nor line feeds")
+
+        def words(word: str) -> Iterable[str]:
+            if word == WAY:
+                return self.way()
+            if word == COMMAND:
+                return argv
+            if VARIABLE in word:
+                return (word.replace(VARIABLE, name).replace(VALUE, text) for name, text in environment.items())
+            return [MOST.sub(allowed, str(filled(word, own)))]
+
+        inherited = {name: text for name, text in os.environ.items() if re.fullmatch(recorded.inherits, name)}
+        for name, text in recorded.environment.items():
+            every = environment if VARIABLE in name else {"": ""}
+            inherited.update({name.replace(VARIABLE, one): text.replace(VALUE, value) for one, value in every.items()})
+        argv = list(itertools.chain.from_iterable(map(words, recorded.argv)))
+        return {"argv": argv, "environment": inherited, "stop": recorded.stop}
+
+    def way(self) -> Sequence[str]:
+        """Return the options with which the engine starts containers here."""
         raise NotImplementedError
 
 
-def mount(source: str, target: str, writable: bool) -> str:
-    """Return the option for a mount, a line of CSV. Raises Stop for a path that cannot be written in it."""
-    if '"' in source or "\n" in source:
-        raise missing(
-            f"{source!r} cannot be mounted into a container; use a folder whose path has neither quotes nor line feeds"
-        )
-    return f'--mount=type=bind,"source={source}","destination={target}"' + ("" if writable else ",ro")
+def allowed(option: re.Match[str]) -> str:
+    """Return an option for a limit that this user may set: some systems do not allow as many open files or processes."""
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE if "nofile" in option.group(1) else resource.RLIMIT_NPROC)[1]
+    most = int(option.group(2)) if hard == resource.RLIM_INFINITY else min(int(option.group(2)), hard)
+    return f"{option.group(1)}{most}:{most}"
 
 
 class Podman(Container):
@@ -465,24 +512,10 @@ class Podman(Container):
     def is_there(self) -> bool:
         return subprocess.call(["podman", "image", "exists", self.reference], stderr=subprocess.DEVNULL) == 0
 
-    def client(
-        self, argv: list[str], environment: Mapping[str, str], mounts: Sequence[tuple[str, str, bool]]
-    ) -> dict[str, Any]:
-        options = ["--rm", "--init", "--pull=never", "--log-driver=none", "--cidfile=\0/.cid", "--network=none", "--no-hosts"]
-        options += ["--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--image-volume=ignore"]
-        options += ["--no-healthcheck", "--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", "--hostname=run"]
-        options += ["--tz=UTC", "--pid=private", "--ipc=private", "--umask=0022", "--ulimit=nofile=1024:1024"]
-        options += ["--ulimit=nproc=1024:1024", *(mount(*one) for one in mounts), "--unsetenv-all"]
-        options += [f"--env={name}={text}" for name, text in environment.items()]
-        options += ["--entrypoint=", "--workdir=" + IN_RUN + "/output", "--"]
-        words = ["podman", *self.way(), "run", *options, self.reference, *argv]
-        stop = ["podman", "rm", "--force", "--time=0", "--ignore", "--cidfile=\0/.cid"]
-        return {"argv": words, "environment": dict(os.environ), "stop": stop}
-
     def way(self) -> Sequence[str]:
-        """Return the options with which podman starts containers here: as it is, or with another runtime or cgroup manager."""
         if not hasattr(self, "_way"):
-            self._way = next((one for one in WAYS if not self.is_refused(one)), ())
+            ways = self.batch.clients[self.name].ways
+            self._way: Sequence[str] = next((one for one in ways if not self.is_refused(one)), ())
         return self._way
 
     def is_refused(self, options: Sequence[str]) -> bool:
@@ -505,17 +538,8 @@ class Apptainer(Container):
         else:
             self.reference = str(file)
 
-    def client(
-        self, argv: list[str], environment: Mapping[str, str], mounts: Sequence[tuple[str, str, bool]]
-    ) -> dict[str, Any]:
-        script = str(Path(__file__).with_name("environment.sh"))
-        mapped = ["unshare", "--map-root-user", "--"] if os.geteuid() and shutil.which("unshare") else []
-        words = [*mapped, "apptainer", "--silent", "exec", "--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs"]
-        words += ["--no-umask", "--no-mount=bind-paths,hostfs", "--hostname=run", "--net", "--network=none"]
-        words += [mount(*one) for one in ((script, "/.singularity.d/env/99-zz-sierra.sh", False), *mounts)]
-        given = {"APPTAINERENV_SIERRA__" + name: text for name, text in environment.items()}
-        words += ["--pwd=" + IN_RUN + "/output", self.reference, *argv]
-        return {"argv": words, "environment": {**os.environ, **given}, "stop": []}
+    def way(self) -> Sequence[str]:
+        return ["unshare", "--map-root-user", "--"] if os.geteuid() and shutil.which("unshare") else []
 
 
 def called(*words: str) -> str:
@@ -809,14 +833,16 @@ def proposal(batches: Sequence[Batch], places: Sequence[Any], count: int, second
     if any(place.name == HOST for place in places):
         yield "These are programs of the package. On this machine they can do everything that you can."
     else:
-        yield "The containers isolate the runs. execution/worker.py of the package, which starts them, is not isolated."
+        yield "The containers isolate the runs. execution/ of the package, whose programs start them, is not isolated."
 
 
 def duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
-def execute(package: Path, work: Path, runs: int | None, seconds: float | None, engine: str | None, yes: bool) -> int:
+def execute(
+    package: Path, identity: str, work: Path, runs: int | None, seconds: float | None, engine: str | None, yes: bool
+) -> int:
     """Execute runs of a package and print the verdicts; return the exit status."""
     batches, obstacles = read_plan(package)
     for line in obstacles:
@@ -848,7 +874,7 @@ def execute(package: Path, work: Path, runs: int | None, seconds: float | None, 
     lines = (*(f"batch {clean(one.id)[:10]}: {where.place()}" for one, where in zip(batches, places)), *obstacles)
     print(verdict)
     try:
-        write_report(work / REPORT, package, verdict, lines, faults, unlike, began)
+        write_report(work / REPORT, identity, verdict, lines, faults, unlike, began)
         print(f"The report is {work / REPORT}")
     except OSError as error:
         print(f"The report {work / REPORT} cannot be written: {error.strerror}")
@@ -861,16 +887,16 @@ def verdict_of(counts: Mapping[str, int], of: int) -> str:
 
 
 def write_report(
-    path: Path, package: Path, verdict: str, lines: Sequence[str], faults: Sequence[str], unlike: int, began: float
+    path: Path, package: str, verdict: str, lines: Sequence[str], faults: Sequence[str], unlike: int, began: float
 ) -> None:
-    """Write the verdict, the machine, the time and each difference as Markdown: something to attach to a review."""
+    """Write the verdict, the package's id, the machine, the time and each difference as Markdown, to attach to a review."""
     system = os.uname()
     shown = [
         "# Reproduction without SIERRA",
         "",
         f"**{marked(verdict)}**",
         "",
-        f"- package: `{identity(package)}`",
+        f"- package: `{package}`",
         f"- machine: {system.sysname} {system.release}, {arch()}, {cores()} cores, Python {sys.version.split()[0]}",
         f"- began: {time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(began))} UTC, and took {duration(time.time() - began)}",
         *(f"- {marked(line)}" for line in lines),
@@ -884,17 +910,6 @@ def write_report(
     with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=str(path.parent), delete=False) as file:
         file.write("\n".join(shown) + "\n")
     Path(file.name).replace(path)  # never written through a link that came with the package
-
-
-def identity(package: Path) -> str:
-    """Return the id of a package, as `reproduce.py` computes it from the list of files; "" without a list."""
-    try:
-        lines = (package / MANIFEST).read_text("utf-8").splitlines()
-    except OSError:
-        return ""
-    members = sorted(line.split("  ", 1)[::-1] for line in lines)
-    fields = {"format": 1, "members": members, "sierra": "package"}
-    return hashlib.sha256(json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()).hexdigest()
 
 
 def marked(text: str) -> str:
@@ -919,6 +934,7 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="execute_runs.py", description="Execute the runs of a package, and compare bytes.")
     parser.add_argument("package", type=Path, metavar="PACKAGE", help="folder of an extracted package that was verified")
     parser.add_argument("work", type=Path, metavar="WORK", help="folder to write to")
+    parser.add_argument("--id", default="unknown", help="id of the package, for the report")
     parser.add_argument("--runs", type=int, metavar="N", help="only the first N runs of each experiment")
     parser.add_argument("--seconds", type=float, metavar="S", help="only as many runs as fit into this time")
     parser.add_argument("--engine", choices=(HOST, *ENGINES), help="where runs are executed")
@@ -929,7 +945,8 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
 def main(arguments: Sequence[str]) -> int:
     given = parsed(arguments)
     try:
-        status = execute(given.package.absolute(), given.work.absolute(), given.runs, given.seconds, given.engine, given.yes)
+        package, work = given.package.absolute(), given.work.absolute()
+        status = execute(package, given.id, work, given.runs, given.seconds, given.engine, given.yes)
         sys.stdout.flush()
         return status
     except Stop as stop:

@@ -522,7 +522,7 @@ def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int
     work = Path(options.work).absolute() if options.work else folder / CREATED
     level = options.level or (3 if wheels_fit(names) or can_reproduce(sierra()) else 2)
     if level == 2:
-        return level_2(names, folder, work, options)
+        return level_2(checked, folder, work, options)
     if options.runs is not None:
         raise Stop("--runs is for level 2; give --level 2, or --budget instead", 2)
     program = sierra() if can_reproduce(sierra()) else ""
@@ -540,13 +540,14 @@ def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int
     return status
 
 
-def level_2(names: set[str], folder: Path, work: Path, options: argparse.Namespace) -> int:
+def level_2(checked: Checked, folder: Path, work: Path, options: argparse.Namespace) -> int:
     """Start the program of the package that executes its runs; return its exit status."""
-    if EXECUTOR not in names:
+    if EXECUTOR not in checked.hashes:
         raise Stop(f"the package has no {EXECUTOR}, which level 2 needs", 3)
     if Path(__file__).resolve().parent != folder.resolve():  # else this program came in the package too
         confirm(f"Level 2 starts {EXECUTOR} of the package, which asks again before it executes the runs.", yes=options.yes)
     command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work)]
+    command += [f"--id={package_id(checked.hashes)}"]
     command += [f"--runs={options.runs}"] if options.runs is not None else []
     command += [f"--seconds={seconds(options.budget)}"] if options.budget else []
     command += [f"--engine={options.engine}"] if options.engine else []

@@ -89,8 +89,8 @@ class Apptainer(WithoutOptions):
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         way = apptainer_ways_to_start.way(self._host)
-        argv = (*way.words(network=box.network, files=box.files), *_options(way, box, process), box.reference, *process.argv)
-        return Client(argv, {**apptainer_ways_to_start.environment(self._host), **dict(_given(way, box, process))})
+        given = apptainer_ways_to_start.environment(self._host) | variables(way, box, process)
+        return Client(words(way, box, process), given)
 
     def sweep(self, sessions: Sequence[str]) -> None:
         if self._host is not HERE:
@@ -126,6 +126,16 @@ def _script(host: Host, files: str) -> str:
     if host is HERE and not files:
         return str(SCRIPT)
     return str(host.call("keep", files or host.folder, SCRIPT.read_text(), "sh"))
+
+
+def words(way: Way, box: ContainerSpec, process: Process) -> tuple[str, ...]:
+    """Return the command of a client."""
+    return (*way.words(network=box.network, files=box.files), *_options(way, box, process), box.reference, *process.argv)
+
+
+def variables(way: Way, box: ContainerSpec, process: Process) -> dict[str, str]:
+    """Return the variables that a client needs for its process. Raises Missing for a name that apptainer does not accept."""
+    return dict(_given(way, box, process))
 
 
 def _options(way: Way, box: ContainerSpec, process: Process) -> Iterator[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
@@ -29,12 +29,14 @@ from sierra.util.lazy_definitions import regex
 
 LABEL = "org.sierra.session"
 CID = "\0/.cid"
+STOP = ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}")
 HANDED_ON = regex(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|CONTAINERS_\w+|STORAGE_\w+|BUILDAH_\w+|SSL_CERT_\w+"
 )
 """The variables of the caller's environment that podman itself needs."""
 MAX_FILES = 16384
 """The greatest number of open files, and of processes, in a container. Some hosts do not allow podman's own, higher default."""
+MOST: Mapping[str, int | None] = {"NOFILE": None, "NPROC": None}
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
 INIT = regex(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
 ERROR = regex(r"Error: (.*)")
@@ -94,10 +96,8 @@ class Podman(WithoutOptions):
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         here = podman_ways_to_start.here(self._host)
-        options = _options(self._host, box, process, here.abilities.enforced)
-        argv = ("podman", *here.options, "run", *options, box.reference, *process.argv)
-        stop = ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}")
-        return Client(argv, environment(box.session, self._host), stop)
+        enforced, most = here.abilities.enforced, self._host.facts.most
+        return Client(words(box, process, here.options, enforced, most, self._host), environment(box.session, self._host), STOP)
 
     def sweep(self, sessions: Sequence[str]) -> None:
         for session in sessions:
@@ -132,13 +132,31 @@ def _check_kind(image: Image) -> None:
         raise Missing(f"podman cannot run {image.name}, which is only a file system; use --engine apptainer")
 
 
-def _options(host: Host, box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
+def words(
+    box: ContainerSpec,
+    process: Process,
+    way: Sequence[str] = (),
+    enforced: AbstractSet[str] = frozenset(),
+    most: Mapping[str, int | None] = MOST,
+    host: Host = HERE,
+) -> tuple[str, ...]:
+    """Return the command of a client.
+
+    `way` are the options with which podman starts here, `enforced` the limits that it enforces, and `most` the greatest limits
+    that the user may set.
+    """
+    return ("podman", *way, "run", *_options(host, box, process, enforced, most), box.reference, *process.argv)
+
+
+def _options(
+    host: Host, box: ContainerSpec, process: Process, enforced: AbstractSet[str], most: Mapping[str, int | None]
+) -> Iterator[str]:
     yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
     yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
     yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image adds writable folders and programs beside the run
     yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
     yield from ("--pid=private", "--ipc=private", "--umask=0022")  # independent of containers.conf
-    yield from (f"--ulimit={name}={_allowed(host, kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
+    yield from (f"--ulimit={name}={_allowed(most[kind])}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
     yield "--network=host" if box.network else "--network=none"
     if process.interactive:
         yield "--interactive"
@@ -161,7 +179,6 @@ def _options(host: Host, box: ContainerSpec, process: Process, enforced: Abstrac
     yield from ("--entrypoint=", f"--workdir={process.folder}", "--")
 
 
-def _allowed(host: Host, kind: str) -> str:
-    hard = host.facts.most[kind]
+def _allowed(hard: int | None) -> str:
     most = MAX_FILES if hard is None else min(hard, MAX_FILES)
     return f"{most}:{most}"

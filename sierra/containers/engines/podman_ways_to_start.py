@@ -23,6 +23,8 @@ from sierra.containers.engines.on_host import ROOT
 
 KEYS = ("volumes", "mounts", "devices")
 NAME = "containers.conf"
+WAYS = ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs"))
+"""The options before any command to try, one after the other."""
 
 
 def podman(host: Host = HERE) -> Capabilities:
@@ -46,7 +48,7 @@ def _test(host: Host) -> Found:
         return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
     limits = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
     first = ""
-    for options in ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs")):
+    for options in WAYS:
         if options and "--runtime=runc" in options and host.call("which", "runc") is None:
             continue
         for given in ((*memory_options(MEMORY, host), *limits), limits, ()):

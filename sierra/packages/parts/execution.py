@@ -12,7 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sierra.containers.engines.apptainer import SCRIPT
+from sierra.containers.engines import apptainer, apptainer_ways_to_start, podman, podman_ways_to_start
+from sierra.containers.engines.apptainer import SCRIPT, Apptainer
+from sierra.containers.engines.base import PROJECT as PROJECT_INSIDE
+from sierra.containers.engines.base import ContainerSpec, Mount, run_process
+from sierra.containers.engines.podman import Podman
 from sierra.containers.images.image import AnyImage, Image
 from sierra.errors import DamagedFile, Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
@@ -88,6 +92,7 @@ class _Batch:
             "needs": _needs(recalled),
             "requires": list(project.config.requires),
             "image": _image(image),
+            "clients": {} if image is None else _clients(recalled, image),
             "limits": local.limits(commands.limits(project.config)),
             "success": sorted(recalled.success.statuses),
             "notes": _notes(recalled),
@@ -194,6 +199,33 @@ def _image(image: Image | None) -> dict[str, str] | None:
     if image is None:
         return None
     return {"id": image.id, "kind": image.kind, "name": "" if image.file else image.name, "architecture": image.architecture}
+
+
+def _clients(recalled: Recalled, image: Image) -> dict[str, dict[str, Any]]:
+    """Return the commands by which engines start a container for a run, with the marks of `execute_runs`."""
+    conducting = commands.CONDUCTING if recalled.spec.around else ()
+    mounts = [Mount(execute_runs.SOURCE, PROJECT_INSIDE)]
+    mounts += [Mount(f"{execute_runs.HERE}/{worker.CONDUCTOR}", commands.CONDUCTOR)] if conducting else []
+    process = run_process((*conducting, execute_runs.COMMAND), {execute_runs.VARIABLE: execute_runs.VALUE}, *mounts)
+    box = ContainerSpec(image, execute_runs.IMAGE, session="package")
+    way = apptainer_ways_to_start.Way(Apptainer.name, "", mapped=False, squashfs=True)
+    packed = f"{execute_runs.HERE}/{SCRIPT.name}"
+    return {
+        Podman.name: {
+            "argv": podman.words(box, process, (execute_runs.WAY,)),
+            "environment": {},
+            "inherits": podman.HANDED_ON.pattern,
+            "stop": podman.STOP,
+            "ways": podman_ways_to_start.WAYS,
+        },
+        Apptainer.name: {
+            "argv": (execute_runs.WAY, *(word.replace(str(SCRIPT), packed) for word in apptainer.words(way, box, process))),
+            "environment": apptainer.variables(way, box, process),
+            "inherits": apptainer_ways_to_start.HANDED_ON.pattern,
+            "stop": (),
+            "ways": (),
+        },
+    }
 
 
 def _notes(recalled: Recalled) -> list[str]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -57,3 +59,24 @@ def test_the_recorded_image_is_packed_and_no_other(
         with pytest.raises(Damaged, match=r"busybox\.tar is the image sha256:\w+, not sha256"):
             sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image=form)
     assert not (tmp_path / "x.zip").exists()
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_without_sierra_containers_start_as_those_that_were_recorded(
+    tmp_path: Path, require: Callable[..., str], engine: str
+) -> None:
+    """The same limits and rights are in the outputs, also of runs with commands before their own."""
+    require(engine)
+    require("mksquashfs")
+    state = "{ ulimit -n; ulimit -u; umask; grep -E 'Cap|NoNewPrivs' /proc/self/status; id -u; } > state.txt\n"
+    root = containers.make(tmp_path / "project", containers.python(tmp_path), simulator=containers.SIMULATOR + state)
+    config = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text('before = "cp {input} copy.xml"\n' + config + PACKAGE)
+    batch = sierra.open(root).run("population_size=1,2", runs=1, figures=False, engine=engine).batch
+    sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image="sif" if engine == "apptainer" else "oci")
+    with zipfile.ZipFile(tmp_path / "x.zip") as file:
+        file.extractall(tmp_path / "x")
+    command = [sys.executable, "reproduce.py", "--execute", "--yes", "--level=2", f"--engine={engine}"]
+    done = subprocess.run(command, cwd=tmp_path / "x", capture_output=True, text=True, check=False)
+    assert "LEVEL 2: 2 of 2 runs executed again: 2 identical" in done.stdout, done.stdout + done.stderr

@@ -79,6 +79,7 @@ BATCH: dict[str, Any] = {
     "needs": [],
     "requires": [],
     "image": None,
+    "clients": {},
     "limits": {},
     "success": [0],
     "notes": [],
@@ -135,7 +136,7 @@ def test_a_wrong_plan_or_job_is_one_line_and_executes_nothing(
 def test_a_report_is_never_written_through_a_link(tmp_path: Path) -> None:
     (tmp_path / "victim").write_text("mine")
     (tmp_path / "reproduction.md").symlink_to(tmp_path / "victim")
-    execute_runs.write_report(tmp_path / "reproduction.md", tmp_path, "LEVEL 2: *x*", ["a"], ["b"], 2, 0.0)
+    execute_runs.write_report(tmp_path / "reproduction.md", "ab" * 32, "LEVEL 2: *x*", ["a"], ["b"], 2, 0.0)
     assert (tmp_path / "victim").read_text() == "mine"
     assert "**LEVEL 2: \\*x\\***" in (tmp_path / "reproduction.md").read_text()
 
