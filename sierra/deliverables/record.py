@@ -89,7 +89,7 @@ class Recorder:
             batches=list(content.batches),
             kind=content.kind,
             name=content.name,
-            definition=json.dumps(content.definition, ensure_ascii=False, sort_keys=True),
+            definition=defined(content),
             sql=content.sql,
             data=content.data,
             files=files,
@@ -99,6 +99,11 @@ class Recorder:
             lamport=0,
         )
         return row._replace(deliverable=deliverable_records.deliverable_id(row))
+
+
+def defined(content: Content) -> str:
+    """Return the definition of a deliverable as it is recorded."""
+    return json.dumps(content.definition, ensure_ascii=False, sort_keys=True)
 
 
 def marked_folder(mark: Path, content: str) -> Path:

@@ -13,10 +13,11 @@ from sierra.deliverables.claims.rests_on import BatchesOfClaims
 from sierra.deliverables.paper import bound_files, folder, numbers
 from sierra.deliverables.paper.bound_files import PaperItem
 from sierra.deliverables.paper.folder import PaperClaim, PaperFile, PaperQuery, Provenance, Written
-from sierra.deliverables.record import Recorder
+from sierra.deliverables.record import Recorder, defined
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries, command
+from sierra.store import deliverable_records
 from sierra.store.layout import PROVENANCE
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
@@ -67,7 +68,7 @@ def make(project: LoadedProject, store: Store) -> Written:
     items: list[PaperItem] = []
     found = BatchesOfQueries(project, store)
     for item in bound_files.items(found):
-        kept = _kept(item, before, path(project))
+        kept = _kept(item, before, path(project), _recorded(found, item))
         made = {} if kept else item.files()
         contents |= made
         files |= kept or {name: _described(item, data) for name, data in made.items()}
@@ -79,12 +80,28 @@ def make(project: LoadedProject, store: Store) -> Written:
     return written
 
 
-def _kept(item: PaperItem, before: Provenance, place: Path) -> dict[str, PaperFile] | None:
-    """Return the files of a deliverable if they exist and show the same data in the same way; else None."""
+def _recorded(found: BatchesOfQueries, item: PaperItem) -> dict[str, str]:
+    """Return the SHA-256 of the files that the store has recorded for what a deliverable shows now, by path."""
+    content, place = item.content, path(found.project).relative_to(found.project.root).as_posix()
+    same = content.kind, content.name, content.data, defined(content)
+    return {
+        file.removeprefix(f"{place}/"): digest
+        for row in deliverable_records.latest(found.store, content.batches[0])
+        if (row.kind, row.name, row.data, row.definition) == same
+        for file, digest in zip(row.files, row.sha256s, strict=True)
+    }
+
+
+def _kept(item: PaperItem, before: Provenance, place: Path, recorded: Mapping[str, str]) -> dict[str, PaperFile] | None:
+    """Return the files of a deliverable if they exist and show the same data in the same way; else None.
+
+    Files that the store has recorded with other hashes do not count: somebody edited them together with `provenance.json`.
+    """
     known = {name: file for name, file in before.files.items() if (file.kind, file.name) == (item.content.kind, item.name)}
     present = item.data, _definition(item)
     same = all((file.data, file.definition) == present for file in known.values())
-    whole = same and known.keys() == {*item.paths}
+    own = all(recorded.get(name, file.sha256) == file.sha256 for name, file in known.items())
+    whole = same and own and known.keys() == {*item.paths}
     return known if whole and not any(folder.faults(place, Provenance(files=known))) else None
 
 
@@ -194,11 +211,13 @@ def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
 def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance) -> Iterator[str]:
     """Yield a line for each file of a deliverable that shows other data now, and for those that are no longer made."""
     known: dict[str, tuple[str, str]] = {}
+    recorded: dict[str, str] = {}
     paths: list[str] = []
     try:
         for item in bound_files.items(found):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
             paths += item.paths
+            recorded |= _recorded(found, item)
         batches, claims = _batches(found), _claims(found)
     except DamagedFile:
         raise
@@ -213,6 +232,8 @@ def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance) -
             yield f"{shown / name} shows other data than the store has now"
         elif definition != file.definition:
             yield f"{shown / name} is made otherwise now: sierra.toml or SIERRA has changed"
+        elif recorded.get(name, file.sha256) != file.sha256:
+            yield f"{shown / name} is not the file that the store has recorded: {PROVENANCE} has the hash of another one"
     yield from (f"{shown / name} was not made yet" for name in paths if name not in provenance.files)
     for name in sorted({*claims, *provenance.claims}):
         if claims.get(name) != provenance.claims.get(name):

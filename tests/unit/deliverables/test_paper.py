@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -166,6 +167,24 @@ def test_files_that_somebody_edited_are_named_and_left_alone(paper: Path) -> Non
     assert edited.read_text() == "my own words\n"
     edited.unlink()
     assert projects.quick(paper, "paper").returncode == 0
+    assert checked(paper)[0] == 0
+
+
+@pytest.mark.integration
+def test_a_file_that_was_edited_together_with_its_hash_is_named_and_made_again(paper: Path) -> None:
+    folder = paper / "paper" / "sierra"
+    table = folder / "tables" / "noise.tex"
+    before = table.read_bytes()
+    table.write_bytes(before + b"% 0.99\n")
+    provenance = (folder / "provenance.json").read_text()
+    hashes = (hashlib.sha256(text).hexdigest() for text in (before, table.read_bytes()))
+    (folder / "provenance.json").write_text(provenance.replace(*hashes))
+    code, lines = checked(paper)
+    why = "is not the file that the store has recorded: provenance.json has the hash of another one"
+    assert (code, lines) == (1, [f"paper/sierra/tables/noise.tex {why}"])
+    done = projects.quick(paper, "paper")
+    assert (done.returncode, table.read_bytes()) == (0, before), done.stderr
+    assert (folder / "provenance.json").read_text() == provenance
     assert checked(paper)[0] == 0
 
 
