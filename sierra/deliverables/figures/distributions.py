@@ -68,7 +68,9 @@ def histogram(drawing: Drawing, bins: int, *, density: bool) -> Figure:
             look, (counts, _) = looks[within.group(panel.drawing, ordinal)], np.histogram(runs, at)
             seaborn_plots.bins(panel.plot, counts, at, look, density=density)
         panel.plot.set_ylim(bottom=0)
-    _frame(drawing, within, looks, drawing.figure.ylabel or ("density" if density else "number of runs"))
+    _frame(
+        drawing, within, looks, drawing.figure.ylabel or ("density" if density else f"number of {sampled_runs.noun(drawing)}s")
+    )
     return within.figure
 
 
@@ -118,6 +120,9 @@ def value_label(drawing: Drawing) -> str:
     """Return the label of the values, which are on the x axis here."""
     from dataclasses import replace
 
+    if sampled_runs.is_of_rows(drawing):
+        [column] = drawing.figure.columns
+        return drawing.figure.xlabel or style.label(column, drawing.units.get(column, ""))
     plain = replace(drawing, figure=drawing.figure.model_copy(update={"ylabel": ""}))
     return drawing.figure.xlabel or style.value_label(plain)
 

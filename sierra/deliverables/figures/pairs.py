@@ -7,6 +7,7 @@ basis b of the polynomial (Seber and Lee 2003, section 5.2).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3, "log": 1, "exp": 1, "power": 1}
 LOG_X, LOG_Y = ("log", "power"), ("exp", "power")
+POWERS = ("", "²", "³")
+EQUATIONS = 4
+"""The largest number of equations in the small print."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,7 @@ class Fit:
     low: Floats
     high: Floats
     r2: float
+    equation: str
 
 
 def fitted(x: Floats, y: Floats, kind: str) -> Fit | None:
@@ -60,7 +65,20 @@ def fitted(x: Floats, y: Floats, kind: str) -> Fit | None:
         spread = np.einsum("ij,jk,ik->i", places, np.linalg.inv(basis.T @ basis), places)
         half = t * np.sqrt(float((rest**2).sum()) / freedom * spread)
     back = np.exp if kind in LOG_Y else np.asarray
-    return Fit(np.exp(at) if kind in LOG_X else at, back(center), back(center - half), back(center + half), r2)
+    polynomial = np.polynomial.Polynomial(weights[::-1])(np.polynomial.Polynomial([-middle / scale, 1 / scale]))
+    ends = back(center - half), back(center + half)
+    return Fit(np.exp(at) if kind in LOG_X else at, back(center), *ends, r2, _equation(kind, polynomial.coef.tolist()))
+
+
+def _equation(kind: str, factors: Sequence[float]) -> str:
+    """Return the equation of a curve: `y = 2 + 0.5 x − 0.1 x²`; `factors` are those of the powers from 0 on."""
+    place = "ln x" if kind in LOG_X else "x"
+    first, *others = (style.number(factor, 4) for factor in factors)
+    terms = (
+        f" {'−' if word[0] == '−' else '+'} {word.lstrip('−')} {place}{power}"
+        for word, power in zip(others, POWERS, strict=False)
+    )
+    return f"{'ln y' if kind in LOG_Y else 'y'} = {first}{''.join(terms)}"
 
 
 def scatter(drawing: Drawing, fit: str) -> Figure:
@@ -93,7 +111,8 @@ def _marks(panel: Panel, series: dict[int, tuple[Floats, Floats]], looks: list[L
 def _curve(panel: Panel, curve: Fit, look: Look) -> None:
     """Draw a curve with its interval. It is not seaborn's `regplot`, which estimates the interval from random samples."""
     panel.plot.plot(curve.x, curve.y, color=look["color"], linestyle=look.get("linestyle", "-"))
-    panel.plot.fill_between(curve.x, curve.low, curve.high, facecolor=look["color"], alpha=0.15, linewidth=0)
+    if not sampled_runs.is_of_rows(panel.drawing):  # rows of a run depend on each other: their interval would be too narrow
+        panel.plot.fill_between(curve.x, curve.low, curve.high, facecolor=look["color"], alpha=0.15, linewidth=0)
 
 
 def _scale(within: Panels, drawing: Drawing) -> None:
@@ -110,8 +129,12 @@ def notes(drawing: Drawing, fit: str) -> list[str]:
     within_log = [*_left_out(drawing, fit), *sampled_runs.notes(drawing, "by their ids")]
     if fit == "none":
         return within_log
-    few = [f"no curve for {counted} series with too few different values"] if (counted := _without(drawing, fit)) else []
-    return [*within_log, *few]
+    curves = _fits(drawing, fit)
+    without = sum(curve is None for _, curve in curves)
+    few = [f"no curve for {without} series with too few different values"] if without else []
+    said = [f"{name and f'{name}: '}{curve.equation}, R² = {curve.r2:.3f}" for name, curve in curves if curve is not None]
+    more = [f"{len(said) - EQUATIONS} more equations"] if len(said) > EQUATIONS else []
+    return [*within_log, *few, *said[:EQUATIONS], *more]
 
 
 def _left_out(drawing: Drawing, fit: str) -> list[str]:
@@ -119,7 +142,9 @@ def _left_out(drawing: Drawing, fit: str) -> list[str]:
     runs = sampled_runs.table(drawing)
     x, y = style.column(runs, "value"), style.column(runs, "value_2")
     bad = int((~_usable(drawing, x, y, fit)).sum())
-    return [*lacking(drawing), *([f"log scale: {bad} of {len(x)} runs not above 0 left out"] if bad else [])]
+    what = f"{sampled_runs.noun(drawing)}s"
+    lost = [] if sampled_runs.is_of_rows(drawing) else lacking(drawing)
+    return [*lost, *([f"log scale: {bad} of {len(x)} {what} not above 0 left out"] if bad else [])]
 
 
 def lacking(drawing: Drawing) -> list[str]:
@@ -132,10 +157,16 @@ def lacking(drawing: Drawing) -> list[str]:
     return [f"{lost} runs without {what} left out"] if lost > 0 else []
 
 
-def _without(drawing: Drawing, fit: str) -> int:
+def _fits(drawing: Drawing, fit: str) -> list[tuple[str, Fit | None]]:
+    """Return the curve of each series of each panel, with the name of the series."""
     within = facets.panels(drawing, over_first=False)
-    series = [points for panel in within.panels for points in _series(panel, within, drawing, fit).values()]
-    return sum(fitted(x, y, fit) is None for x, y in series)
+    names = style.names(within.groups.values)
+    series = [f"{style.axis_label(within.groups)} = {name}" if len(names) > 1 else "" for name in names]
+    return [
+        (", ".join(filter(None, (panel.plot.get_title(), series[place]))), fitted(x, y, fit))
+        for panel in within.panels
+        for place, (x, y) in _series(panel, within, drawing, fit).items()
+    ]
 
 
 def _usable(drawing: Drawing, x: Floats, y: Floats, fit: str) -> np.typing.NDArray[np.bool_]:
@@ -155,9 +186,9 @@ def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[in
 
 
 def frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
-    first, second = drawing.tables
-    measure = drawing.figure.measure
-    names = [style.label(of_run(measure, column), drawing.units.get(column, "")) for column in (first, second)]
+    rows, measure = sampled_runs.is_of_rows(drawing), drawing.figure.measure
+    words = ((column, column if rows else of_run(measure, column)) for column in drawing.figure.columns)
+    names = [style.label(word, drawing.units.get(column, "")) for column, word in words]
     style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
     entries = style.names(within.groups.values)
     marks = [look | Look(linestyle="none") if "marker" in look else look for look in looks]

@@ -13,8 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sierra.deliverables.figures import style
+from sierra.deliverables.figures.base import DrawnBy
 from sierra.deliverables.figures.style import Floats
+from sierra.errors import SierraError, UsageError
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.lazy_definitions import replace
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -23,6 +27,39 @@ if TYPE_CHECKING:
 
 MOST = 100_000
 """The largest number of runs that are drawn one by one."""
+
+
+ROWS = 10_000_000
+"""The largest number of rows in a figure of rows."""
+
+
+def of_rows(drawn: DrawnBy) -> DrawnBy:
+    """Return functions that draw the rows of the statement `rows` of a kind in the place of its runs."""
+
+    def as_runs(drawing: Drawing) -> Drawing:
+        rows = drawing.rows["rows"]
+        if not rows.num_rows:
+            raise SierraError("there is no value to draw")
+        if rows.num_rows > ROWS:
+            raise UsageError(f"there are {rows.num_rows:,} rows, but at most {ROWS:,} can be drawn one by one; use where")
+        return replace(drawing, runs=rows)
+
+    def notes(drawing: Drawing) -> list[str]:
+        rows, of = drawing.rows["rows"].num_rows, drawing.rows["all"].column("count")[0].as_py()
+        lost = [f"{of - rows} rows without a value left out"] if rows < of else []
+        return [counted(rows, "row"), *lost, *(note for one in drawn.notes for note in one(as_runs(drawing)))]
+
+    return DrawnBy(lambda drawing: drawn.draw(as_runs(drawing)), (notes,))
+
+
+def is_of_rows(drawing: Drawing) -> bool:
+    """Return whether a figure shows rows in the place of runs."""
+    return "rows" in drawing.rows
+
+
+def noun(drawing: Drawing) -> str:
+    """Return the word for what is drawn one by one."""
+    return "row" if is_of_rows(drawing) else "run"
 
 
 def table(drawing: Drawing) -> pa.Table:
@@ -58,5 +95,7 @@ def places(count: int, every: int) -> npt.NDArray[np.int_]:
 def notes(drawing: Drawing, order: str = "by value") -> list[str]:
     """Return a note if not all runs are drawn."""
     every, count = step(drawing), table(drawing).num_rows
-    note = f"of {count} runs, the first, the last and every k-th of each experiment, {order}, are drawn: k = {every}"
+    note = (
+        f"of {count} {noun(drawing)}s, the first, the last and every k-th of each experiment, {order}, are drawn: k = {every}"
+    )
     return [note] if every > 1 else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import ClassVar
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
@@ -13,6 +13,7 @@ from sierra.deliverables.figures.base import STATISTICAL, DrawnBy, DrawnKind, Re
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.sql_names import identifier, quote
+from sierra.util.text import counted
 
 CURVE = frozenset({"series", "facet", "palette", "labels", "xlim", "ylim"})
 
@@ -44,37 +45,51 @@ class CurveOptions(Table):
     positive: str | None = Field(
         None, description="value of the first column, as text, that makes a row positive; by default `1` or `true`"
     )
+    classes: tuple[str, ...] = Field(
+        (),
+        description="values of the first column, as text, whose scores the further columns have, in this order: a curve for "
+        "each class against the others, of all their decisions together (micro), and of the mean over the classes (macro)",
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> CurveOptions:
+        if self.classes and self.positive is not None:
+            raise ValueError('"positive" is for two classes; "classes" names several')
+        if len(set(self.classes)) < len(self.classes) or len(self.classes) == 1:
+            raise ValueError('"classes" should name two classes or more, each once')
+        return self
 
 
 class Roc(DrawnKind[CurveOptions]):
-    """True-positive rate over false-positive rate, from two columns: the truth and the score."""
+    """True-positive rate over false-positive rate, from two columns, the truth and the score, or from a score of each class."""
 
     Options: ClassVar[type[Table]] = CurveOptions
     uses: ClassVar[frozenset[str]] = CURVE
+    draws: ClassVar[str] = "roc"
 
     def needs(self, request: Request) -> Needs:
+        shows = "mean of the curves of the runs, 95 % CI of the mean at each place"
+        if self.options.classes:
+            rows = _scores_of_classes(request, self.options.classes)
+            return Needs(rows=rows, columns=len(request.columns), numeric=False, shows=shows)
         truth, score = _two(request, "the truth and the score")
         positive = ("1", "true") if self.options.positive is None else (self.options.positive,)
-        return Needs(
-            rows=_scores(f"{identifier(truth)}::VARCHAR IN ({', '.join(map(quote, positive))})", score),
-            columns=2,
-            numeric=False,
-            shows="mean of the curves of the runs, 95 % CI of the mean at each place",
-        )
+        is_positive = f"{identifier(truth)}::VARCHAR IN ({', '.join(map(quote, positive))})"
+        return Needs(rows=_scores(is_positive, score), columns=2, numeric=False, shows=shows)
 
     def drawn_by(self) -> DrawnBy:
-        from sierra.extensions.figures.classifiers_drawing import notes_on_curves, roc
+        from sierra.extensions.figures import classifiers_drawing as drawn
 
-        return DrawnBy(roc, (notes_on_curves,))
+        draw, classes = getattr(drawn, self.draws), self.options.classes
+        if classes:
+            return DrawnBy(partial(draw, classes=classes), (partial(drawn.notes_on_classes, classes=classes),))
+        return DrawnBy(draw, (drawn.notes_on_curves,))
 
 
 class Pr(Roc):
-    """Precision over recall, from two columns: the truth and the score."""
+    """Precision over recall, from two columns, the truth and the score, or from a score of each class."""
 
-    def drawn_by(self) -> DrawnBy:
-        from sierra.extensions.figures.classifiers_drawing import notes_on_curves, precision_recall
-
-        return DrawnBy(precision_recall, (notes_on_curves,))
+    draws: ClassVar[str] = "precision_recall"
 
 
 class RiskCoverage(DrawnKind[NoOptions]):
@@ -117,3 +132,30 @@ def _scores(positive: str, score: str) -> dict[str, str]:
         f"WHERE isfinite({number}) AND ({positive}) IS NOT NULL GROUP BY ALL ORDER BY experiment, run, score DESC"
     )
     return {"scores": statement, "all": ALL}
+
+
+def _scores_of_classes(request: Request, classes: tuple[str, ...]) -> dict[str, str]:
+    """Return the statements of the rows of each class against the others, and of all these decisions together.
+
+    Rows without a truth, or without a score of each class, do not count. Raises UsageError unless each class has a column.
+    """
+    truth, *scores = request.columns
+    if len(scores) != len(classes):
+        counts = f"{len(classes)} classes, but {counted(len(scores), 'column')} after the truth"
+        raise UsageError(f"a {request.figure.kind} figure of classes needs a column with the score of each; there are {counts}")
+    actual = f"{identifier(truth)}::VARCHAR"
+    numbers = [f"{identifier(name)}::DOUBLE" for name in scores]
+    whole = " AND ".join([f"{actual} IS NOT NULL", *(f"isfinite({number})" for number in numbers)])
+    decided = " UNION ALL ".join(
+        f'SELECT "# experiment" AS experiment, run, {place} AS class, {number} AS score, {actual} = {quote(name)} AS positive '
+        f"FROM data WHERE {whole}"
+        for place, (name, number) in enumerate(zip(classes, numbers, strict=True))
+    )
+    sums = "count(*) AS count, count(*) FILTER (positive) AS positive"
+    return {
+        "scores": f"SELECT experiment, run, class, score, {sums} FROM ({decided}) GROUP BY ALL "
+        "ORDER BY experiment, run, class, score DESC",
+        "micro": f"SELECT experiment, run, score, {sums} FROM ({decided}) GROUP BY ALL ORDER BY experiment, run, score DESC",
+        "truths": f"SELECT {actual} AS truth, count(*) FILTER ({whole}) AS count FROM data GROUP BY ALL ORDER BY ALL",
+        "all": ALL,
+    }

@@ -6,17 +6,21 @@ the rows of all runs first would weigh runs by their number of rows, and would m
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sierra.deliverables.figures import facets, seaborn_plots, style
 from sierra.deliverables.figures.style import Floats
 from sierra.errors import SierraError, UsageError
+from sierra.model import Axis
 from sierra.stats import student_t
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.text import counted, like, verb
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
 GRID = np.linspace(0, 1, 201)
 CATEGORIES = 20
 LEGIBLE = 8
+AVERAGES = ("micro-average", "macro-average")
 Curve = Callable[["pa.Table"], "tuple[Floats, float] | None"]
 """The values of one run's curve at GRID, and one number that sums it up; None if the run has no curve."""
 
@@ -73,14 +78,16 @@ def accuracy(run: pa.Table) -> float:
     return float(right / sum(row["count"] for row in rows))
 
 
-def roc(drawing: Drawing) -> Figure:
+def roc(drawing: Drawing, classes: Sequence[str] = ()) -> Figure:
     """Draw the true-positive rate over the false-positive rate."""
-    return _curves(drawing, roc_of, "false-positive rate", "true-positive rate", "AUC", diagonal=True)
+    draw = partial(_curves_of_classes, classes=classes) if classes else _curves
+    return draw(drawing, roc_of, "false-positive rate", "true-positive rate", "AUC", diagonal=True)
 
 
-def precision_recall(drawing: Drawing) -> Figure:
+def precision_recall(drawing: Drawing, classes: Sequence[str] = ()) -> Figure:
     """Draw the precision over the recall."""
-    return _curves(drawing, precision_of, "recall", "precision", "AP", diagonal=False)
+    draw = partial(_curves_of_classes, classes=classes) if classes else _curves
+    return draw(drawing, precision_of, "recall", "precision", "AP", diagonal=False)
 
 
 def risk_coverage(drawing: Drawing) -> Figure:
@@ -154,6 +161,29 @@ def notes_on_curves(drawing: Drawing) -> list[str]:
     return [*absent, *left_out_rows(drawing, "scores")]
 
 
+def notes_on_classes(drawing: Drawing, classes: Sequence[str]) -> list[str]:
+    """Return notes on rows of other classes, on runs that lack a class, and on rows that are left out.
+
+    Raises SierraError for a class that no row has.
+    """
+    rows = {row["truth"]: row["count"] for row in drawing.rows["truths"].to_pylist()}
+    column, scores = drawing.figure.columns[0], drawing.rows["scores"]
+    if unknown := next((name for name in classes if not rows.get(name)), None):
+        known = like(unknown, [name for name in rows if name is not None], "there are")
+        raise SierraError(f"classes: {unknown!r} is no value of {column} in a row with all scores; {known}")
+    others = sum(count for name, count in rows.items() if name is not None and name not in classes)
+    runs = _runs(scores)
+    lacking = sum(len(_of_classes(run, roc_of, len(classes))) < len(classes) for run in runs)
+    total = drawing.rows["all"].column("count")[0].as_py()
+    missing = total - sum(rows.values())
+    return [
+        "each class against the others",
+        *([f"{counted(others, 'row')} of no class {verb(others, 'is', 'are')} negative for all"] if others else []),
+        *([f"{lacking} of {len(runs)} runs lack rows of a class, and are not in the macro-average"] if lacking else []),
+        *([f"{missing} rows without a value left out"] if missing else []),
+    ]
+
+
 def left_out_rows(drawing: Drawing, table: str) -> list[str]:
     """Return a note on the rows without a value."""
     missing = drawing.rows["all"].column("count")[0].as_py() - int(numpy_of(drawing.rows[table].column("count")).sum())
@@ -173,22 +203,67 @@ def _curves(drawing: Drawing, of: Curve, xlabel: str, ylabel: str, summed: str, 
             place = within.group(panel.drawing, ordinal)
             look = looks[place]
             look.pop("marker", None)
-            center, half = mean_of([curve for curve, _ in found])
-            panel.plot.plot(GRID, center, **look)
-            panel.plot.fill_between(GRID, center - half, center + half, facecolor=look["color"], alpha=0.18, linewidth=0)
-            area, around = mean_of([np.array(number) for _, number in found])
+            area = _mean_curve(panel.plot, found, look)
             if len(within.panels) == 1:
-                entries[place] += f" ({summed} {float(area):.3f}" + (f" ± {float(around):.3f})" if np.isfinite(around) else ")")
-        if diagonal:
-            panel.plot.plot([0, 1], [0, 1], color="#999999", linewidth=0.6, linestyle=":")
-        panel.plot.set_xlim(-0.01, 1.01)
-        if summed != "AURC":
-            panel.plot.set_ylim(-0.01, 1.02)
+                entries[place] += f" ({summed} {area})"
+        _frame(panel.plot, diagonal=diagonal, parts=summed != "AURC")
     style.outer_labels(within.plots, drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)
     for look in looks:
         look.pop("marker", None)
     style.legend(within.figure, within.plots, within.groups, entries, style.lines(looks))
     return within.figure
+
+
+def _curves_of_classes(
+    drawing: Drawing, of: Curve, xlabel: str, ylabel: str, summed: str, *, diagonal: bool, classes: Sequence[str]
+) -> Figure:
+    """Draw the mean of the runs' curves of each class, and of their averages, in a panel for each experiment."""
+    parts, together = _experiments(drawing.rows["scores"]), _experiments(drawing.rows["micro"])
+    figure, plots = facets.experiments(drawing, parts)
+    axis = Axis("# class", (*classes, *AVERAGES), label=drawing.figure.columns[0].replace("_", " "))
+    looks = style.looks(Axis(axis.name, tuple(classes)))
+    looks += [{"color": "black", "linestyle": line} for line in (":", "-")]
+    entries = style.names([drawing.figure.labels.get(str(value), value) for value in axis.values])
+    for ordinal, plot in plots.items():
+        by_run = [_of_classes(run, of, len(classes)) for run in _runs(parts[ordinal])]
+        curves = [[found[place] for found in by_run if place in found] for place in range(len(classes))]
+        curves.append([curve for run in _runs(together[ordinal]) if (curve := of(run)) is not None])
+        whole = [[*found.values()] for found in by_run if len(found) == len(classes)]
+        curves.append([(np.mean([c for c, _ in all_], axis=0), float(np.mean([area for _, area in all_]))) for all_ in whole])
+        for place, (found, look) in enumerate(zip(curves, looks, strict=True)):
+            look.pop("marker", None)
+            if found:
+                area = _mean_curve(plot, found, look)
+                entries[place] += f" ({summed} {area})" if len(plots) == 1 else ""
+        _frame(plot, diagonal=diagonal, parts=True)
+    style.outer_labels(list(plots.values()), drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)
+    style.legend(figure, list(plots.values()), axis, entries, style.lines(looks))
+    return figure
+
+
+def _of_classes(run: pa.Table, of: Curve, count: int) -> dict[int, tuple[Floats, float]]:
+    """Return the curve of each class against the others in one run, by the number of the class, if it has one."""
+    numbers = numpy_of(run.column("class"))
+    curves = ((place, of(run.filter(numbers == place))) for place in range(count))
+    return {place: curve for place, curve in curves if curve is not None}
+
+
+def _mean_curve(plot: Axes, found: Sequence[tuple[Floats, float]], look: style.Look) -> str:
+    """Draw the mean of curves of runs with its band; return the mean of their areas with half of its interval."""
+    center, half = mean_of([curve for curve, _ in found])
+    plot.plot(GRID, center, **look)
+    plot.fill_between(GRID, center - half, center + half, facecolor=look["color"], alpha=0.18, linewidth=0)
+    area, around = mean_of([np.array(number) for _, number in found])
+    return f"{float(area):.3f}" + (f" ± {float(around):.3f}" if np.isfinite(around) else "")
+
+
+def _frame(plot: Axes, *, diagonal: bool, parts: bool) -> None:
+    """Set the limits of axes of which x, and y if it has `parts`, goes from 0 to 1."""
+    if diagonal:
+        plot.plot([0, 1], [0, 1], color="#999999", linewidth=0.6, linestyle=":")
+    plot.set_xlim(-0.01, 1.01)
+    if parts:
+        plot.set_ylim(-0.01, 1.02)
 
 
 def _categories(drawing: Drawing) -> list[str]:

@@ -14,7 +14,7 @@ from sierra.deliverables.figures.drawing import noted
 from sierra.errors import SierraError
 from sierra.extensions.figures import classifiers_drawing
 from sierra.model import Axis
-from sierra.testing.figures import Row, Trial
+from sierra.testing.figures import ROWS, Row, Trial
 
 
 def scores(*rows: tuple[float, int, int]) -> pa.Table:
@@ -103,3 +103,46 @@ def test_the_accuracies_of_confusion_matrices_have_the_order_of_the_panels() -> 
 @pytest.mark.parametrize("kind", ["ridge", "confusion"])
 def test_the_record_names_seaborn_and_pandas(kind: str) -> None:
     assert {library.partition("==")[0] for library in made_by(kind)} == {"matplotlib", "seaborn", "pandas"}
+
+
+def classified(classes: tuple[str, ...] = ("cat", "dog", "owl"), absent: str = "") -> Trial:
+    """Return a figure of three classes with a score of each; rows of run 1 never have the class `absent`."""
+
+    def score(experiment: int, run: int, row: int) -> Row:
+        names = [name for name in ("cat", "dog", "owl") if not (run == 1 and name == absent)]
+        truth, numbers = names[row % len(names)], np.random.default_rng((experiment, run, row)).random(3).round(2)
+        return {"truth": truth, **{name: float(v) + (name == truth[0]) * 0.3 for name, v in zip("cdo", numbers, strict=True)}}
+
+    return Trial("roc", {"column": ("truth", "c", "d", "o"), "classes": classes}, score, ())
+
+
+def test_curves_of_classes_are_those_of_scikit_learn() -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
+    drawing = classified().drawing(runs=lambda experiment: 1)
+    truths, numbers = [], []
+    for row in range(ROWS):
+        values = np.random.default_rng((0, 0, row)).random(3).round(2)
+        values[row % 3] += 0.3
+        truths.append(row % 3)
+        numbers.append(values)
+    onehot = np.eye(3)[truths]
+    [scored] = classifiers_drawing._runs(drawing.rows["scores"])
+    found = classifiers_drawing._of_classes(scored, classifiers_drawing.roc_of, 3)
+    expected = metrics.roc_auc_score(onehot, numbers, average=None)
+    assert [found[place][1] for place in range(3)] == pytest.approx(list(expected))
+    micro = classifiers_drawing.roc_of(drawing.rows["micro"])
+    assert micro is not None
+    assert micro[1] == pytest.approx(metrics.roc_auc_score(onehot, numbers, average="micro"))
+    entries = [text.get_text() for text in classifiers_drawing.roc(drawing, ("cat", "dog", "owl")).legends[0].get_texts()]
+    macro = metrics.roc_auc_score(onehot, numbers, average="macro")
+    assert entries[0] == f"cat (AUC {expected[0]:.3f})"
+    assert entries[-2:] == [f"micro-average (AUC {micro[1]:.3f})", f"macro-average (AUC {macro:.3f})"]
+
+
+def test_runs_without_a_class_and_wrong_classes_are_said() -> None:
+    note = noted(classified(absent="owl").drawing(runs=lambda experiment: 2)).note
+    assert "1 of 2 runs lack rows of a class, and are not in the macro-average" in note
+    with pytest.raises(SierraError, match="classes: 'ct' is no value of truth in a row with all scores; did you mean 'cat'"):
+        noted(classified(("ct", "dog", "owl")).drawing())
+    with pytest.raises(SierraError, match="there are 2 classes, but 3 columns after the truth"):
+        classified(("cat", "dog")).drawing()

@@ -13,7 +13,7 @@ from sierra.deliverables.figures import pairs
 from sierra.deliverables.figures.drawing import Drawing, noted
 from sierra.errors import UsageError
 from sierra.model import Axis
-from sierra.testing.figures import Row, Trial
+from sierra.testing.figures import ROWS, RUNS, Row, Trial
 from tests.drawings import plot
 
 SIZE = (Axis("size", (1, 2)),)
@@ -99,3 +99,52 @@ def test_runs_that_a_logarithm_cannot_show_are_left_out_and_counted() -> None:
     nothing = replace(drawing, runs=drawing.runs and drawing.runs.slice(0, 1))
     with pytest.raises(UsageError, match="logarithms need values above 0"):
         plot(nothing)
+
+
+def of_rows(experiment: int, run: int, row: int) -> Row:
+    """Rows on the line y = 3 − 2 x, but one without a value."""
+    x = float(run + 10 * row)
+    return {"x": x, "y": float("nan") if (run, row) == (1, 1) else 3 - 2 * x}
+
+
+def test_a_scatter_of_rows_has_all_rows_and_a_curve_without_an_interval() -> None:
+    trial = Trial("scatter", {"column": ("x", "y"), "rows": True, "fit": "linear"}, of_rows, ())
+    drawing = trial.drawing()
+    marks = RUNS * ROWS - 1
+    note = noted(drawing).note
+    assert f"{marks} rows; 1 rows without a value left out" in note
+    assert "y = 3 − 2 x, R² = 1.000" in note
+    assert "interval" not in note
+    drawn = plot(drawing)
+    assert (sum(len(marked.get_offsets()) for marked in drawn.collections), len(drawn.lines)) == (marks, 1)
+    assert (drawn.get_xlabel(), drawn.get_ylabel()) == ("x", "y")
+
+
+def test_a_histogram_of_rows_counts_rows() -> None:
+    drawing = Trial("histogram", {"column": ("x",), "rows": True, "bins": 4}, of_rows, ()).drawing()
+    assert f"{RUNS * ROWS} rows; 4 bins" in noted(drawing).note
+    assert plot(drawing).get_ylabel() == "number of rows"
+
+
+def test_rows_and_a_measure_of_runs_exclude_each_other() -> None:
+    with pytest.raises(UsageError, match="measure reduces the rows of a run to one value, but rows = true shows all rows"):
+        Trial("histogram", {"column": ("x",), "rows": True, "measure": "mean"}, of_rows, ()).drawing()
+
+
+@pytest.mark.parametrize(
+    ("kind", "equation"),
+    [
+        ("linear", "y = −1.5 + 2 x"),
+        ("cubic", "y = −1.5 + 2 x − 0.5 x² + 0.25 x³"),
+        ("log", "y = −1.5 + 2 ln x"),
+        ("exp", "ln y = −1.5 + 2 x"),
+        ("power", "ln y = −1.5 + 2 ln x"),
+    ],
+)
+def test_the_equation_of_a_curve_is_the_one_of_its_points(kind: str, equation: str) -> None:
+    x = np.linspace(1, 4, 30)
+    u = np.log(x) if kind in pairs.LOG_X else x
+    v = -1.5 + 2 * u + (kind == "cubic") * (-0.5 * u**2 + 0.25 * u**3)
+    fit = pairs.fitted(x, np.exp(v) if kind in pairs.LOG_Y else v, kind)
+    assert fit is not None
+    assert fit.equation == equation

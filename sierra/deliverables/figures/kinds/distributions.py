@@ -9,7 +9,10 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.deliverables.figures.base import PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
+from sierra.errors import UsageError
 from sierra.stats.needs import Needs
+from sierra.store.sql_names import identifier
+from sierra.util.text import counted
 
 
 class EcdfOptions(Table):
@@ -43,6 +46,7 @@ class HistogramOptions(Table):
 
     bins: int = Field(0, ge=0, le=1000, description="number of bins, the same for all experiments; 0: by Freedman and Diaconis")
     density: bool = Field(False, description="show densities instead of numbers of runs")
+    rows: bool = Field(False, description="count rows instead of runs")
 
 
 class Histogram(DrawnKind[HistogramOptions]):
@@ -53,11 +57,33 @@ class Histogram(DrawnKind[HistogramOptions]):
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_x", "log_y"}
 
     def needs(self, request: Request) -> Needs:
+        if self.options.rows:
+            return Needs(rows=of_rows(request, 1), shows="histogram of the rows")
         return Needs(("median",), runs=True, shows="histogram of the runs")
 
     def drawn_by(self) -> DrawnBy:
-        from sierra.deliverables.figures import distributions
+        from sierra.deliverables.figures import distributions, sampled_runs
 
         bins = self.options.bins
         draw = partial(distributions.histogram, bins=bins, density=self.options.density)
-        return DrawnBy(draw, (lambda drawing: [f"{len(distributions.edges(drawing, bins)) - 1} bins"],))
+        drawn = DrawnBy(draw, (lambda drawing: [f"{len(distributions.edges(drawing, bins)) - 1} bins"],))
+        return sampled_runs.of_rows(drawn) if self.options.rows else drawn
+
+
+def of_rows(request: Request, count: int) -> dict[str, str]:
+    """Return the statements of the rows with finite values of the columns, and of the number of all rows.
+
+    Raises UsageError for a key that reduces the rows of a run to one value, and for another number of columns.
+    """
+    if chosen := {"measure", "threshold"} & request.figure.model_fields_set:
+        raise UsageError(f"{min(chosen)} reduces the rows of a run to one value, but rows = true shows all rows")
+    if len(request.columns) != count:
+        raise UsageError(f"a {request.figure.kind} of rows needs {counted(count, 'column')}, not {len(request.columns)}")
+    numbers = [f"{identifier(name)}::DOUBLE" for name in request.columns]
+    values = ", ".join(f"{number} AS {name}" for number, name in zip(numbers, ("value", "value_2"), strict=False))
+    finite = " AND ".join(f"isfinite({number})" for number in numbers)
+    return {
+        "rows": f'SELECT "# experiment" AS experiment, run, {values} FROM data WHERE {finite} '
+        'ORDER BY experiment, run, "# place"',
+        "all": "SELECT count(*) AS count FROM data",
+    }

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.deliverables.figures.base import PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
+from sierra.deliverables.figures.kinds.distributions import of_rows
 from sierra.stats.needs import Needs
 
 
@@ -20,6 +21,7 @@ class ScatterOptions(Table):
         description="curve through the runs of each series by least squares; `log`: y over log x; `exp`, `power`: a line "
         "through log y over x, or over log x",
     )
+    rows: bool = Field(False, description="show each row as a mark instead of each run")
 
 
 class Scatter(DrawnKind[ScatterOptions]):
@@ -31,10 +33,15 @@ class Scatter(DrawnKind[ScatterOptions]):
 
     def needs(self, request: Request) -> Needs:
         fit = self.options.fit
+        if self.options.rows:
+            return Needs(
+                rows=of_rows(request, 2), columns=2, shows="each mark a row" + (f", {fit} fit" if fit != "none" else "")
+            )
         shows = "each mark a run" + (f", {fit} fit with the 95 % interval of its mean" if fit != "none" else "")
         return Needs(("median",), runs=True, columns=2, shows=shows)
 
     def drawn_by(self) -> DrawnBy:
-        from sierra.deliverables.figures import pairs
+        from sierra.deliverables.figures import pairs, sampled_runs
 
-        return DrawnBy(partial(pairs.scatter, fit=self.options.fit), (partial(pairs.notes, fit=self.options.fit),))
+        drawn = DrawnBy(partial(pairs.scatter, fit=self.options.fit), (partial(pairs.notes, fit=self.options.fit),))
+        return sampled_runs.of_rows(drawn) if self.options.rows else drawn
