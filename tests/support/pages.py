@@ -80,7 +80,7 @@ def pattern(shown: list[str]) -> re.Pattern[str]:
 
 
 def follow(page: Path, folder: Path) -> None:
-    """Execute the steps of a page in order."""
+    """Execute the steps of a page in order. A command `cd FOLDER` holds for all that follow."""
     for block in blocks(page):
         if "not executed" in block.notes:
             continue
@@ -90,6 +90,10 @@ def follow(page: Path, folder: Path) -> None:
         elif block.kind in ("sh", "console"):
             codes = []
             for command, shown in steps(block):
+                if command.startswith("cd ") and not SHELL.search(command):
+                    folder = (folder / command.removeprefix("cd ")).resolve(strict=True)
+                    codes.append(0)
+                    continue
                 code, output, messages = run(command, folder)
                 codes.append(code)
                 where = f"{name_of(page)}, line {block.line}: {command}\n{output}{messages}"
