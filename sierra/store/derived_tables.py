@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from sierra.errors import SierraError, SqlError
+from sierra.model import ACCEPTED
 from sierra.store import statement
 from sierra.store.connections import reset
 from sierra.store.duckdb_messages import explain
@@ -67,6 +68,8 @@ class Definition:
     """Why there is no statement: for example, its file does not exist."""
     implicit: bool = False
     """True if SIERRA adds it. An output of this name then counts instead."""
+    empty: bool = False
+    """True if it stands for the rows of accepted ends, and there are none. It is no part of recorded statements."""
 
     @property
     def text(self) -> str:
@@ -133,9 +136,9 @@ class DerivedTables:
 
     def _statements(self, name: str) -> Iterator[str]:
         """Yield the statements of the tables that a table needs, some several times, and then its own."""
-        if name.lower() not in self.definitions:
+        definition = self.definitions.get(name.lower())
+        if definition is None or definition.empty:
             return
-        definition = self.definitions[name.lower()]
         for other in statement.used(self._connection(), definition.sql).tables:
             yield from self._statements(other)
         yield f"-- {definition.origin}\n{definition.sql.strip()}"
@@ -146,15 +149,24 @@ class DerivedTables:
         if names is not None and names <= TABLE_NAMES:
             return []
         try:
-            found = statement.used(self._connection(), text)
+            found = self._used(text)
         except SqlError:
             return []
         return [name for name in found.tables if name not in TABLE_NAMES and name in self.definitions]
 
+    def _used(self, text: str) -> statement.Used:
+        """Return what a statement uses, after making empty tables of accepted ends that no run has written. Raises SqlError."""
+        found = statement.used(self._connection(), text)
+        for name in found.tables:
+            output = self._outputs.get(name.removesuffix(ACCEPTED))
+            if output is not None and name not in {*self._outputs, *self.definitions}:
+                self.add(Definition(name, f"SELECT * FROM {identifier(output)} LIMIT 0", f"the table {name}", empty=True))
+        return found
+
     def list(self) -> list[str]:
         """Make views of all tables that are not made yet, so that they are listed; return notes on those that cannot be."""
         notes = []
-        for name in self.definitions:
+        for name in [*self.definitions]:
             if name in self._made or name in self._listed:
                 continue
             try:
@@ -230,7 +242,7 @@ class DerivedTables:
         if problem := definition.problem or self._taken(definition):
             raise SqlError(f"{definition.origin}: {problem}")
         try:
-            found = statement.used(self._connection(), definition.sql)
+            found = self._used(definition.sql)
             statement.check_repeatable(self._connection(), found)
         except SqlError as error:
             raise SqlError(f"{definition.origin}: {error}") from error

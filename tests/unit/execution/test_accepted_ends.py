@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from sierra.store.several_batches import joined
+from sierra.store.store import Store
 from tests.conftest import Simulated
 
 pytestmark = pytest.mark.integration
@@ -74,6 +76,38 @@ def test_rows_of_accepted_ends_are_in_a_table_of_their_own(crashing: Simulated) 
     ]
     said = crashing.quick("stats", "swarm", "v", "--json")
     assert "6 of 8 runs missing (2 with exit 3, 4 with signal ABRT)" in said.stderr
+
+
+def test_without_accepted_ends_their_table_is_empty(crashing: Simulated) -> None:
+    file = crashing.folder / "sierra.toml"
+    join = "SELECT run, size, v FROM swarm UNION ALL SELECT run, size, v FROM swarm_accepted"
+    file.write_text(file.read_text() + f'[tables.every]\nsql = "{join}"\n')
+
+    def rows(*words: str) -> list[dict[str, Any]]:
+        done = crashing.quick("sql", "--json", *words)
+        assert done.returncode == 0, done.stderr
+        return list(json.loads(done.stdout))
+
+    def without() -> None:
+        batch = next(row["batch"] for row in crashing.sql("SELECT query, batch FROM batches") if row["query"] == "size=1")
+        assert rows("SELECT size, count(*) AS n FROM every GROUP BY size", "--batch", batch) == [{"size": 1, "n": 4}]
+        assert rows("SELECT v, size FROM swarm_accepted", "--batch", batch) == []
+        table = joined(Store(crashing.folder / ".sierra"), {"a": batch, "b": batch}, "FROM swarm_accepted", "it").table
+        assert (table.num_rows, {"batch", "run", "size", "v"} <= {*table.column_names}) == (0, True)
+        found = crashing.quick("stats", "every", "v", "--batch", batch, "--json")
+        assert found.returncode == 0, found.stderr
+
+    ask(crashing, "size=1", "--runs", "2")
+    without()
+    assert "every" in crashing.quick("sql", "SHOW TABLES").stdout
+    done = crashing.quick("sql", "FROM swam_accepted")
+    assert (done.returncode, "swam_accepted" in done.stderr) == (2, True)
+    ask(crashing, "size=2")
+    without()
+    assert rows("SELECT size, count(*) AS n FROM every GROUP BY size ORDER BY size") == [
+        {"size": 1, "n": 4},
+        {"size": 2, "n": 2},
+    ]
 
 
 def test_a_table_of_accepted_ends_is_used_only_where_it_is_named(crashing: Simulated) -> None:
