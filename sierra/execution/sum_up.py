@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -97,15 +97,22 @@ def with_outcomes(plan: Plan, store: Store, summary: Summary) -> Summary:
     """Return the summary of a recorded session, in which ends that [success] accepts are no successes."""
     if not plan.project.config.success.accept:
         return summary
-    outcomes, ends = Counter[str](), Counter[int]()
-    for row in store.select(_Accepted, ACCEPTED, b=plan.batch.id):
-        outcomes[row.outcome] += row.runs
+    ends = Counter[int]()
+    for row in (accepted := store.select(_Accepted, ACCEPTED, b=plan.batch.id)):
         ends[row.ordinal] += row.runs
     counts = (
         replace(one, succeeded=one.succeeded - ends[ordinal], accepted=ends[ordinal])
         for ordinal, one in enumerate(summary.counts)
     )
-    return replace(summary, counts=tuple(counts), outcomes=dict(outcomes))
+    return replace(summary, counts=tuple(counts), outcomes=_outcomes(accepted))
+
+
+def _outcomes(accepted: Iterable[_Accepted]) -> dict[str, int]:
+    """Return the number of runs of all experiments by an accepted end."""
+    outcomes = Counter[str]()
+    for row in accepted:
+        outcomes[row.outcome] += row.runs
+    return dict(outcomes)
 
 
 REASONS = """
@@ -167,6 +174,7 @@ def of_recorded(
         interrupted=interrupted,
         detached=detached,
         counts=counts,
+        outcomes=_outcomes(store.select(_Accepted, ACCEPTED, b=batch)),
         failures=tuple(_failure(store, one) for one in shown.failures[:SHOWN_REASONS]),
         target=shown.sessions[-1].target if shown.sessions else None,
         left_out=0 if unfinished is None else max(0, missing - unfinished),

@@ -108,6 +108,19 @@ def test_attach_follows_a_detached_batch_to_its_end(waiting: Waiting) -> None:
     assert waiting.project.executed().total() == 6
 
 
+def test_attach_lists_accepted_ends_as_run_does(waiting: Waiting) -> None:
+    script, config = waiting.project.folder / "sim.sh", waiting.project.folder / "sierra.toml"
+    script.write_text(script.read_text() + 'grep -q \'size="2"\' "$1" && exit 3; exit 0\n')
+    config.write_text(config.read_text() + '[success]\naccept = ["exit 3"]\n')
+    waiting.submit()
+    waiting.open()
+    done = waiting.project.quick("attach", waiting.batch(), "--no-figures")
+    assert done.returncode == 0, done.stderr
+    last = "ended as [success] accept names: exit 3 in 2 of 6 runs"
+    assert last in done.stdout
+    assert last in waiting.project.quick("run", *QUERY, "--no-figures").stdout
+
+
 @pytest.mark.nightly
 def test_a_part_of_a_batch_is_detached_attached_and_completed(waiting: Waiting) -> None:
     left = waiting.submit(*QUERY, "--only", "size>=2")
