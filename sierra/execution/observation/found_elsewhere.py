@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 from collections.abc import Iterable, Mapping
 
+from sierra.util import bounded_program
 from sierra.util.lazy_definitions import regex
 
 CACHE = "/etc/ld.so.cache"
@@ -24,11 +24,17 @@ class LoaderCache:
     def __init__(self) -> None:
         self._known: dict[str, dict[str, str]] | None = None
         """Paths by name and architecture."""
+        self._unknown = False
         self._folders: set[str] = set()
 
     def found_elsewhere(self, used: Iterable[str]) -> str | None:
-        """Return a used library in a folder of the cache that the cache would now find in another file; None if none."""
+        """Return a used library in a folder of the cache that the cache would now find in another file; None if none.
+
+        If the cache cannot be read, it could be any: return the cache itself.
+        """
         known = self._read()
+        if self._unknown:
+            return CACHE
         for path in used:
             folder, name = os.path.split(path)
             if folder not in self._folders or name not in known:
@@ -40,19 +46,29 @@ class LoaderCache:
     def _read(self) -> Mapping[str, Mapping[str, str]]:
         if self._known is None:
             self._known = {}
-            for name, architecture, path in _cached():
+            cached = _cached()
+            self._unknown = cached is None
+            for name, architecture, path in cached or ():
                 self._known.setdefault(name, {}).setdefault(architecture, path)
                 self._folders.add(os.path.dirname(path))  # noqa: PTH120 - for speed
         return self._known
 
 
-def _cached() -> list[tuple[str, str, str]]:
-    """Return the entries of the loader's cache, in its order: name, architecture, path. The first of several is found."""
-    program = shutil.which("ldconfig", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin")
-    if program is None or not os.path.exists(CACHE):  # noqa: PTH110 - for speed
+def _cached() -> list[tuple[str, str, str]] | None:
+    """Return the entries of the loader's cache, in its order: name, architecture, path. The first of several is found.
+
+    None if there is a cache that cannot be read.
+    """
+    if not os.path.exists(CACHE):  # noqa: PTH110 - for speed
         return []
-    done = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    return [(match[1], match[2], match[3]) for match in map(LINE.fullmatch, done.stdout.splitlines()) if match]
+    program = shutil.which("ldconfig", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin")
+    try:
+        done = bounded_program.execute([program, "-p"], cwd="/", wall=LIMIT_S) if program else None
+    except OSError:
+        return None
+    if done is None or done.status != 0:
+        return None
+    return [(match[1], match[2], match[3]) for match in map(LINE.fullmatch, os.fsdecode(done.output).splitlines()) if match]
 
 
 def found_elsewhere(executed: Iterable[str], missed: Iterable[str], before: str | None, now: str) -> str | None:

@@ -70,7 +70,7 @@ def _changed_for(
             if one.use == "listed":
                 yield name, one, not folders.is_harmless(one, members[name])
             elif path := loader.found_elsewhere(located_paths(members[name], current, *LOADED)):
-                yield name, UsedFile(path, FOUND_ELSEWHERE, None), True
+                yield name, one if path == one.path else UsedFile(path, FOUND_ELSEWHERE, None), True
             else:
                 yield name, one, False
 

@@ -175,10 +175,12 @@ def test_a_library_that_the_loader_finds_elsewhere_executes_all_runs_again(
     root = project(tmp_path / "project", f"{program} {{input}}")
     settings.write_text(f"{folders[0]}\n{folders[1]}\ninclude /etc/ld.so.conf\n")
 
-    def executed() -> int:
+    def executed(found_first: Path = tmp_path / "nowhere") -> int:
         subprocess.run(["ldconfig", "-C", cache, "-f", settings], check=True)
         words = (projects.SIERRA, "run", QUERY, "--no-figures", "--json")
-        done = subprocess.run([*alone, cache, *words], cwd=root, check=True, capture_output=True, text=True)
+        variables = {**os.environ, "PATH": f"{found_first}{os.pathsep}{os.environ['PATH']}"}
+        done = subprocess.run([*alone, cache, *words], cwd=root, env=variables, check=False, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
         return int(json.loads(done.stdout)["executed"])
 
     assert executed() == 4
@@ -187,6 +189,12 @@ def test_a_library_that_the_loader_finds_elsewhere_executes_all_runs_again(
     build(PLUGIN.format(force=300), folders[0] / name, "-shared", "-fPIC", f"-Wl,-soname,{name}")
     assert executed() == 4
     assert projects.sql(root, VALUES) == [{"value": 300}]
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "ldconfig").write_text("#!/nowhere/sh\n")
+    (broken / "ldconfig").chmod(0o755)
+    build(PLUGIN.format(force=5), folders[0] / "libunused2.so", "-shared", "-fPIC", "-Wl,-soname,libunused2.so")
+    assert executed(broken) == 4  # what the changed cache finds is not known
 
 
 @pytest.mark.nightly
