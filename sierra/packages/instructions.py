@@ -111,7 +111,8 @@ def beginning(version: str, members: Mapping[str, Member], seconds: float | None
     yield f"SIERRA {version} wrote this package. To install it for Python 3.11 or newer, in the extracted package:\n"
     if any(name.startswith(WHEELS) for name in members):
         yield f"- without a network, for the versions of Python and the processors that `{WHEELS}` has:\n"
-        yield _sh(f"{PIP} --no-index --find-links {WHEELS.rstrip('/')} --require-hashes -r {REQUIREMENTS}")
+        places = " ".join(f"--find-links {place.rstrip('/')}" for place in (WHEELS, SIERRA))
+        yield _sh(f"{PIP} --no-index {places} --require-hashes -r {REQUIREMENTS}")
         yield "- for others, with a network:\n"
     yield _sh(f"{PIP} {_installed(version, members)}")
     yield f"The command `sierra` is then `{VENV}/bin/sierra`."

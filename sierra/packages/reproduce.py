@@ -64,7 +64,7 @@ MANIFEST = "manifest-sha256.txt"
 ABOUT = "package.json"
 CREATED = "reproduction"  # the folder for what an evaluator makes; files below it need not be listed
 EXECUTOR = "execution/execute_runs.py"
-WHEELS = "environment/wheels/"
+WHEELS, OWN_WHEEL = "environment/wheels/", "environment/sierra/"
 LOCK = "environment/requirements.lock"
 ENGINES = ("podman", "apptainer")
 HOST = "host"
@@ -613,9 +613,10 @@ def installed(names: set[str], folder: Path, work: Path) -> str:
     pip = next((name for name in sorted(wheels_of(names)) if name.startswith("pip-")), None)
     run([sys.executable, "-I", "-m", "venv", "--clear", *(["--without-pip"] if pip else []), str(place)])
     words = [str(folder / WHEELS / pip / "pip")] if pip else ["-m", "pip"]
+    places = [word for name in (WHEELS, OWN_WHEEL) for word in ("--find-links", str(folder / name))]
     wanted = ["--require-hashes", "-r", str(folder / LOCK)] if LOCK in names else ["sierra-experiments"]
     options = ["--isolated", "--no-input", "--disable-pip-version-check", "--quiet", "--no-cache-dir", "--no-index"]
-    run([str(place / "bin" / "python"), *words, "install", *options, "--find-links", str(folder / WHEELS), *wanted])
+    run([str(place / "bin" / "python"), *words, "install", *options, *places, *wanted])
     if not program.exists():
         raise Stop(f"the wheels of the package do not install SIERRA: there is no {program}", 3)
     complete.touch()

@@ -1,8 +1,9 @@
-"""The part `environment/wheels/` of a package: wheels of SIERRA and of the project's Python packages, to install them offline.
+"""The part `environment/wheels/` of a package: wheels of the Python packages of SIERRA and of the project, for use offline.
 
 pip downloads the wheels for each requested Python and processor, in the recorded versions, from the index that the user has
 configured; no address of it is kept. `environment/requirements.lock` has the SHA-256 of each wheel. For this Python, pip then
 resolves the lock from the wheels alone, as an offline installation will. pip's own wheel is there for a Python without pip.
+SIERRA's own wheel is in the lock, too, but in the folder of `sierra.packages.parts.own_wheel`.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         wheels[one] = _download(subject.folder / f"wheels-{one.python}-{one.machine}", one, wanted, own)
     if HERE in wheels:
         _resolve(subject.folder, wheels[HERE])
-    files = {wheel.path.name: wheel.path for ones in wheels.values() for wheel in ones}
+    files = {wheel.path.name: wheel.path for ones in wheels.values() for wheel in ones if wheel.path != own}
     made = [Member(WHEELS + name, path, "Python package") for name, path in sorted(files.items())]
     return Made([*made, Member(REQUIREMENTS, lock(wheels).encode(), "versions and SHA-256 of the Python packages")])
 

@@ -112,21 +112,24 @@ def test_a_package_begins_with_what_needs_only_python_and_installs_sierra(packed
 
 @pytest.mark.integration
 def test_packed_wheels_are_installed_without_an_index(tmp_path: Path, packed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wheels, "_download", lambda folder, one, wanted, own: list(wheels._wheels([own])))
+    other = tmp_path / "one-1.0-py3-none-any.whl"
+    other.touch()
+    monkeypatch.setattr(wheels, "_download", lambda folder, one, wanted, own: list(wheels._wheels([other, own])))
     monkeypatch.setattr(wheels, "_resolve", lambda folder, ones: None)
     project = sierra.open(packed.with_name("project"))
     assert project.package(project.batches[0].batch, report=False, path=tmp_path / "y.zip", wheels=True)
     with zipfile.ZipFile(tmp_path / "y.zip") as file:
         text, names = file.read("README.md").decode(), set(file.namelist())
         needs = file.read("REPRODUCING.md").decode()
-        own = [file.read(name) for name in names if name.endswith(".whl")]
-    installs = "pip install --no-index --find-links environment/wheels --require-hashes -r environment/requirements.lock\n"
-    assert installs in text
+        [own] = [name for name in names if "sierra_experiments" in name]
+        lock = file.read("environment/requirements.lock").decode()
+        assert hashlib.sha256(file.read(own)).hexdigest() in lock
+    assert own.startswith("environment/sierra/")
+    places = "--find-links environment/wheels --find-links environment/sierra"
+    assert f"pip install --no-index {places} --require-hashes -r environment/requirements.lock\n" in text
     assert (
         "- network: none; only to install SIERRA for another Python or processor than those of `environment/wheels/`" in needs
     )
-    assert len(own) == 2
-    assert own[0] == own[1]
 
 
 @pytest.mark.integration

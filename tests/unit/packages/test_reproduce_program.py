@@ -319,7 +319,9 @@ def test_level_3_installs_the_wheels_of_the_package_without_network(require: Cal
     module = "import sys\ndef main():\n    print('called:', *sys.argv[1:3])\n"
     content = wheel("sierra_experiments", "2.0", module, "sierra = sierra_experiments:main")
     lock = f"sierra-experiments==2.0 --hash=sha256:{hashlib.sha256(content).hexdigest()}\n".encode()
-    folder = extracted(tmp_path / "x", **{WHEEL: content, "environment/requirements.lock": lock})
+    own = WHEEL.replace("/wheels/", "/sierra/")
+    other = {"environment/wheels/one-1.0-py3-none-any.whl": b"PK"}
+    folder = extracted(tmp_path / "x", **other, **{own: content, "environment/requirements.lock": lock})
     options = ("--execute", "--yes", f"--work={tmp_path / 'work'}")
     for _ in range(2):
         status, printed = ran(folder, *options, cwd=tmp_path, python=str(python))

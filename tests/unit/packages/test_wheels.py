@@ -101,7 +101,8 @@ def test_wheels_come_from_the_users_index_and_are_checked_together(tmp_path: Pat
     assert (tmp_path / "x.zip").read_bytes() == (tmp_path / "y.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         names = [name for name in file.namelist() if name.startswith("environment/wheels/")]
-        assert [name.split("/")[-1].split("-")[0] for name in names] == ["one", "pip", "sierra_experiments", "two"]
+        assert [name.split("/")[-1].split("-")[0] for name in names] == ["one", "pip", "two"]
+        assert [name.split("/")[1] for name in file.namelist() if "sierra_experiments" in name] == ["sierra"]
         assert not [name for name in file.namelist() if str(index).encode() in file.read(name)]
     assert projects.quick(root, "package", batch, "--no-report", "-o", "../z.zip", "--python", "3.12").returncode == 2
 
@@ -117,7 +118,18 @@ def test_sierra_is_installed_from_a_package_without_an_index(tmp_path: Path) -> 
     environment = tmp_path / "x" / "environment"
     [pip] = (environment / "wheels").glob("pip-*.whl")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "v"], check=True)
-    words = ["--isolated", "install", "--no-index", "--find-links", "wheels", "--require-hashes", "-r", "requirements.lock"]
+    words = [
+        "--isolated",
+        "install",
+        "--no-index",
+        "--find-links",
+        "wheels",
+        "--find-links",
+        "sierra",
+        "--require-hashes",
+        "-r",
+        "requirements.lock",
+    ]
     installed = [tmp_path / "v/bin/python", f"{pip}/pip", *words]
     subprocess.run(installed, cwd=environment, check=True, capture_output=True)
     replayed = [tmp_path / "v/bin/sierra", "replay", batch]
