@@ -1122,7 +1122,16 @@ class Project:
         """
         from sierra.deliverables.paper import make
 
+        self._paper_package()
         return make.requests(self._loaded)
+
+    def _paper_package(self) -> str:
+        """Return the id of the package that `[paper]` names; "" if it names none. Raises Missing, Damaged."""
+        from sierra.deliverables.paper.bound_files import named
+        from sierra.packages import archive
+
+        with named("[paper]", "package"):
+            return archive.identity(self.root / self.config.paper.package) if self.config.paper.package else ""
 
     def paper(self) -> PaperWritten:
         """Write the folder of the paper from the last batches of its queries: see `sierra.deliverables.paper`.
@@ -1138,7 +1147,7 @@ class Project:
 
         if self.config.claims:
             self._register_claims(self.store)
-        return make.make(self._loaded, self.store)
+        return make.make(self._loaded, self.store, self._paper_package())
 
     def check_paper(self) -> list[str]:
         """Return one line for each fault of the paper's folder, and for each query without a batch of the present code.
@@ -1151,7 +1160,8 @@ class Project:
         """
         from sierra.deliverables.paper import make
 
-        return list(make.faults(self._loaded, self.stored()))
+        stored = self.stored()
+        return list(make.faults(self._loaded, stored, self._paper_package() if stored else ""))
 
     def model_errors(self, prefix: str | None = None, name: str | None = None) -> ModelErrors:
         """Return how far `[models.NAME]` are from the data of a batch: all, or the one called `name`.

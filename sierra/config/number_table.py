@@ -39,6 +39,9 @@ class Paper(Table):
     )
     prefix: Letters = Field("sierra", description="beginning of the names of macros: `[numbers.best]` is \\sierrabest")
     siunitx: bool = Field(False, description="write numbers by \\num and \\qty of the LaTeX package siunitx")
+    package: str = Field(
+        "", description="reproduction package of the paper, a zip or its extracted folder: \\sierrapackage is its id"
+    )
 
 
 class NumberInText(Table):

@@ -231,6 +231,13 @@ class Opened:
         return path
 
 
+def identity(path: Path) -> str:
+    """Return the id of a package, a zip or an extracted folder, after checking all members. Raises Missing, Damaged."""
+    with Extracted(path) if path.is_dir() else Archive(path) as package:
+        package.verify()
+        return package.id
+
+
 class Archive(Opened):
     """A context manager for a package in a zip."""
 

@@ -96,8 +96,8 @@ def _words(name: str, declared: Comparison, config: Project) -> tuple[str, ...]:
     return () if others else declared.groups
 
 
-def items(found: BatchesOfQueries) -> Iterator[PaperItem]:
-    """Yield the deliverables of a paper, each computed from the last batches of its queries.
+def items(found: BatchesOfQueries, package: str = "") -> Iterator[PaperItem]:
+    """Yield the deliverables of a paper, each computed from the last batches of its queries. `package`: the id of its package.
 
     Raises NotFound for a query that was not run, and SierraError for a deliverable that cannot be made.
     """
@@ -120,8 +120,8 @@ def items(found: BatchesOfQueries) -> Iterator[PaperItem]:
             with named("comparison", name):
                 content, made_files = comparison_figure.content_of(made_now), partial(_comparison, made_now)
                 yield PaperItem(name, content, content.data, _paths_of(made_now), made_files)
-    if config.numbers:
-        yield _numbers(found, compared)
+    if config.numbers or config.paper.package:
+        yield _numbers(found, compared, package)
 
 
 def compared_by(found: BatchesOfQueries) -> Iterator[tuple[str, Compared]]:
@@ -213,8 +213,11 @@ def _table(made: declared_tables.Made) -> dict[str, bytes]:
     }
 
 
-def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared]) -> PaperItem:
-    """Return the numbers in the text. Raises SierraError for one that cannot be computed."""
+def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared], package: str) -> PaperItem:
+    """Return the numbers in the text. Raises SierraError for one that cannot be computed.
+
+    Records do not have the package's id: whoever checks them may not have the package.
+    """
     config = found.project.config
     claims = numbers.claims_of(found)
     shown: dict[str, tuple[str, str]] = {}
@@ -234,6 +237,9 @@ def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared]) -> Paper
     sql = "\n\n".join(f"-- {name}\n{number.sql}" for name, number in config.numbers.items() if number.sql)
     content = Content(NUMBERS, NUMBERS, tuple(batches), definition, sql, data, (f"sierra-experiments=={__version__}",))
     paths = (f"{NUMBERS}.tex", *([f"{SQL}/{NUMBERS}.sql"] if sql else []))
+    if package:
+        every["package"] = package, ""
+        data = digest("numbers", {"numbers": data, "package": package})
     return PaperItem(NUMBERS, content, data, paths, partial(_macros, content, every, config.paper.prefix))
 
 

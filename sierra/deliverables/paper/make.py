@@ -46,7 +46,7 @@ def _check_names(config: Project) -> None:
     for name in compared:
         if other := others.get(name.lower()):
             raise UsageError(f"[{other}] and [comparisons.{name}] would have files of the same name; rename one")
-    if config.numbers and others.get(bound_files.NUMBERS, "").startswith("paper_tables."):
+    if (config.numbers or config.paper.package) and others.get(bound_files.NUMBERS, "").startswith("paper_tables."):
         raise UsageError(f"[{others[bound_files.NUMBERS]}] and [numbers] would have files of the same name; rename the table")
 
 
@@ -55,8 +55,8 @@ def path(project: LoadedProject) -> Path:
     return project.root / project.config.paper.folder
 
 
-def make(project: LoadedProject, store: Store) -> Written:
-    """Make the files of the paper from the last batches of its queries, and record them.
+def make(project: LoadedProject, store: Store, package: str = "") -> Written:
+    """Make the files of the paper from the last batches of its queries, and record them. `package`: the id of its package.
 
     The files of a deliverable stay as they are if they show the same data in the same way, also if the batch is another one.
     Raises the errors of `requests` and `items`.
@@ -67,7 +67,7 @@ def make(project: LoadedProject, store: Store) -> Written:
     files: dict[str, PaperFile] = {}
     items: list[PaperItem] = []
     found = BatchesOfQueries(project, store)
-    for item in bound_files.items(found):
+    for item in bound_files.items(found, package):
         kept = _kept(item, before, path(project), _recorded(found, item))
         made = {} if kept else item.files()
         contents |= made
@@ -170,7 +170,7 @@ def _record(project: LoadedProject, store: Store, items: Iterable[PaperItem], ed
         recorder.close()
 
 
-def faults(project: LoadedProject, store: Store | None) -> Iterator[str]:
+def faults(project: LoadedProject, store: Store | None, package: str = "") -> Iterator[str]:
     """Yield one line for each file that is missing, was edited, or shows other data than the store has; and for each query
     that has no batch of the present code.
 
@@ -186,7 +186,7 @@ def faults(project: LoadedProject, store: Store | None) -> Iterator[str]:
     if store is not None:
         found = BatchesOfQueries(project, store)
         yield from dict.fromkeys(_old_queries(found))
-        yield from _differences(found, shown, provenance)
+        yield from _differences(found, shown, provenance, package)
 
 
 def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
@@ -208,13 +208,13 @@ def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
             yield f"query {text!r} was requested last with other code, as batch {short(last[0])}; make the paper again"
 
 
-def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance) -> Iterator[str]:
+def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance, package: str) -> Iterator[str]:
     """Yield a line for each file of a deliverable that shows other data now, and for those that are no longer made."""
     known: dict[str, tuple[str, str]] = {}
     recorded: dict[str, str] = {}
     paths: list[str] = []
     try:
-        for item in bound_files.items(found):
+        for item in bound_files.items(found, package):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
             paths += item.paths
             recorded |= _recorded(found, item)

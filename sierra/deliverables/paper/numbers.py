@@ -3,7 +3,8 @@
     \\newcommand{\\sierrabest}{0.45}
 
 A number that cannot be computed is an error: no macro is empty. Further macros have the numbers of runs, of runs without a
-successful execution and of different seeds in all batches of the paper, and the version of SIERRA.
+successful execution and of different seeds in all batches of the paper, the version of SIERRA, and the id of the package that
+`[paper]` names.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 from sierra.util.version import __version__
 
-BUILT_IN = ("runs", "failedruns", "seeds", "version")
-"""The macros that each paper has."""
+BUILT_IN = ("runs", "failedruns", "seeds", "version", "package")
+"""The macros that each paper has; the last one only if `[paper]` names a package."""
 COUNTS = """
 SELECT count(*) AS runs, count(*) FILTER (NOT succeeded) AS failed, count(DISTINCT seed) AS seeds FROM (
     SELECT b.run, any_value(b.seed) AS seed, bool_or(e.run IS NOT NULL) AS succeeded

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
+import sierra
 from sierra.config import project_file
 from sierra.errors import ConfigError
 from tests import projects
@@ -151,3 +156,44 @@ def test_keys_that_do_not_fit_are_refused(tmp_path: Path, name: str, number: str
     made = projects.make(tmp_path / "p", CONFIG + f"[numbers.{name}]\n{number}\n")
     with pytest.raises(ConfigError, match=re.escape(message)):
         project_file.load(made)
+
+
+@pytest.mark.integration
+def test_the_id_of_the_package_is_a_macro(folder: Path, tmp_path: Path) -> None:
+    here = shutil.copytree(folder, tmp_path / "project", symlinks=True)
+    config, numbers = here / "sierra.toml", here / "paper" / "sierra" / "numbers.tex"
+    config.write_text(config.read_text() + '[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n')
+    batch = next(iter(sierra.open(here).batches)).batch
+    packed = sierra.open(here).package(batch, report=False, path=tmp_path / "x.zip")
+    assert packed
+    assert "sierrapackage" not in macros(here)
+    config.write_text(config.read_text() + '[paper]\npackage = "../x.zip"\n')
+    assert projects.quick(here, "paper", "--check").returncode == 1
+    with zipfile.ZipFile(tmp_path / "x.zip") as file:
+        file.extractall(tmp_path / "x")
+    told = subprocess.run([sys.executable, tmp_path / "x/reproduce.py"], check=True, capture_output=True, text=True).stdout
+    before = numbers.read_bytes()
+    for text, status, message in (("../nope.zip", 3, "[paper] package: "), ("../y", 1, "y: member 'README.md' is not what")):
+        config.write_text(config.read_text().replace("../x.zip", text))
+        if text == "../y":
+            shutil.copytree(tmp_path / "x", tmp_path / "y")
+            (tmp_path / "y" / "README.md").write_text("damaged")
+        for words in (("paper",), ("paper", "--check")):
+            done = projects.quick(here, *words)
+            assert (done.returncode, message in done.stderr, done.stderr.count("\n")) == (status, True, 1), done.stderr
+        assert numbers.read_bytes() == before
+        config.write_text(config.read_text().replace(text, "../x.zip"))
+    for place in ("../x.zip", "../x"):
+        config.write_text(config.read_text().replace("../x.zip", place))
+        done = projects.quick(here, "paper")
+        assert done.returncode == 0, done.stderr
+        assert f"id:      {macros(here)['sierrapackage']} " in told
+        assert "follows from the store" in projects.quick(here, "show", "paper/sierra/numbers.tex").stdout
+        assert projects.quick(here, "paper", "--check").returncode == 0
+
+
+@pytest.mark.integration
+def test_the_name_of_the_package_is_no_name_of_a_number(tmp_path: Path) -> None:
+    made = projects.make(tmp_path / "project", CONFIG + NUMBERS.replace("[numbers.word]", "[numbers.package]"))
+    done = projects.quick(made, "paper", "-n")
+    assert (done.returncode, "[numbers.package] is the name of a macro" in done.stderr) == (2, True), done.stderr
