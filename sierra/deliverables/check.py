@@ -133,7 +133,7 @@ def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Conte
     from sierra.execution.batches_of_queries import BatchesOfQueries
 
     del row
-    items = bound_files.items(BatchesOfQueries(project, store))
+    items = bound_files.items(BatchesOfQueries(project, store), "", {})
     return next(item.content for item in items if item.content.kind == bound_files.NUMBERS)
 
 

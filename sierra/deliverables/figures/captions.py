@@ -1,7 +1,8 @@
 """Captions beside figures, to be pasted into a paper: `NAME.txt`, and `NAME.tex` for LaTeX.
 
 A caption says what is shown, and then what the small print says: the center and its interval, n, what is left out, and the
-figure's `footnote`. The text is that of the small print, so both always agree. The last line names the batch and the data.
+figure's `footnote`. The text is that of the small print, so both always agree. In a paper, the claims that the figure shows
+follow. The last line names the batch and the data.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ def latex(drawing: Drawing, origin: str) -> bytes:
 
 def caption(drawing: Drawing) -> str:
     """Return the caption in one line."""
-    parts = (drawing.figure.title or _begun(shown(drawing)), _begun(drawing.note), drawing.figure.footnote)
-    return " ".join(_ended(" ".join(part.split())) for part in parts if part.strip())
+    parts = (drawing.figure.title or _begun(shown(drawing)), _begun(drawing.note), drawing.figure.footnote, drawing.claims)
+    return " ".join(ended(" ".join(part.split())) for part in parts if part.strip())
 
 
 def shown(drawing: Drawing) -> str:
@@ -54,5 +55,6 @@ def _begun(text: str) -> str:
     return text[0].upper() + text[1:] if len(first) > 1 and first.isalpha() and first.islower() else text
 
 
-def _ended(text: str) -> str:
+def ended(text: str) -> str:
+    """Return a text as a sentence."""
     return text if text.endswith((".", "!", "?")) else f"{text}."

@@ -73,6 +73,8 @@ class Drawing:
     """The models that the figure shows."""
     failed_models: Mapping[str, str] = field(default_factory=dict)
     """The models that the figure should show, and the reason why it cannot."""
+    claims: str = ""
+    """The claims that the figure shows, for its caption."""
     charts: tuple[Chart, ...] = ()
     """The same data as charts that readers can explore; empty for kinds that have none."""
 

@@ -22,6 +22,7 @@ from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables import comparison, comparison_figure, comparison_text, declared_tables, overlay, paper_tables
 from sierra.deliverables.claims import rests_on
 from sierra.deliverables.comparison import Compared
+from sierra.deliverables.figures.captions import ended
 from sierra.deliverables.figures.drawing import Drawing, check, rendered
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.paper import numbers
@@ -96,8 +97,10 @@ def _words(name: str, declared: Comparison, config: Project) -> tuple[str, ...]:
     return () if others else declared.groups
 
 
-def items(found: BatchesOfQueries, package: str = "") -> Iterator[PaperItem]:
-    """Yield the deliverables of a paper, each computed from the last batches of its queries. `package`: the id of its package.
+def items(found: BatchesOfQueries, package: str, words: Mapping[str, str]) -> Iterator[PaperItem]:
+    """Yield the deliverables of a paper, each computed from the last batches of its queries.
+
+    `package` is the id of its package; `words` has by the name of a claim whether it was planned or exploratory.
 
     Raises NotFound for a query that was not run, and SierraError for a deliverable that cannot be made.
     """
@@ -107,14 +110,15 @@ def items(found: BatchesOfQueries, package: str = "") -> Iterator[PaperItem]:
         for name, figure in config.figures.items():
             if figure.query:
                 with named("figure", name):
-                    yield _figure(name, figure, comparison.of_queries(found, figure.query), galleries)
+                    claims = _claims(config, words, figure=name)
+                    yield _figure(name, figure, comparison.of_queries(found, figure.query), galleries, claims)
         for name, table in config.paper_tables.items():
             if table.query:
                 with named("table", name):
                     made = declared_tables.make(project, store, name, table, comparison.of_queries(found, table.query))
-                    content = made.content()
+                    content, claims = made.content(), _claims(config, words, table=name)
                     paths = f"{TABLES}/{fitting(name)}.tex", f"{SQL}/{fitting(name)}.sql"
-                    yield PaperItem(name, content, content.data, paths, partial(_table, made))
+                    yield PaperItem(name, content, _with(content.data, claims), paths, partial(_table, made, claims))
         for name, made_now in compared_by(found):
             compared[name] = made_now
             with named("comparison", name):
@@ -131,6 +135,18 @@ def compared_by(found: BatchesOfQueries) -> Iterator[tuple[str, Compared]]:
         with named("comparison", name):
             asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
             yield name, comparison.compare(found.project, found.store, name, comparison.of_queries(found, words), asked)
+
+
+def _claims(config: Project, words: Mapping[str, str], *, figure: str = "", table: str = "") -> str:
+    """Return the claims that name a figure or a table as what shows them, each with its word; "" if there are none."""
+    shown = ((name, claim) for name, claim in config.claims.items() if name in words)
+    own = {name: claim.says for name, claim in shown if figure == claim.figure != "" or table == claim.table != ""}
+    return " ".join(ended(f"Claim ({words[name]}): {says}") for name, says in own.items())
+
+
+def _with(data: str, more: str) -> str:
+    """Return the hash of values and of what a paper shows with them, which records do not have."""
+    return digest("with", {"data": data, "more": more}) if more else data
 
 
 @contextmanager
@@ -176,11 +192,11 @@ def drawing_of(name: str, figure: Figure, batches: Mapping[str, str], galleries:
     return overlay.merged(drawings, overlay.BATCH)
 
 
-def _figure(name: str, figure: Figure, batches: Mapping[str, str], galleries: Galleries) -> PaperItem:
-    drawing = replace(drawing_of(name, figure, batches, galleries), formats=figure.formats or ("pdf",))
+def _figure(name: str, figure: Figure, batches: Mapping[str, str], galleries: Galleries, claims: str) -> PaperItem:
+    drawing = replace(drawing_of(name, figure, batches, galleries), formats=figure.formats or ("pdf",), claims=claims)
     check(drawing)
     paths = tuple(_path(name, ending) for ending in _with_caption(drawing.formats))
-    return PaperItem(name, drawing.content(), drawing.shown, paths, partial(_drawn, name, drawing))
+    return PaperItem(name, drawing.content(), _with(drawing.shown, claims), paths, partial(_drawn, name, drawing))
 
 
 def _drawn(name: str, drawing: Drawing) -> dict[str, bytes]:
@@ -202,13 +218,17 @@ def _placed(name: str, files: Iterable[tuple[Format, bytes]]) -> dict[str, bytes
     return {_path(name, ending): data for ending, data in files}
 
 
-def _table(made: declared_tables.Made) -> dict[str, bytes]:
-    """Return the files of a table for papers: its LaTeX, and its SQL."""
+def _table(made: declared_tables.Made, claims: str) -> dict[str, bytes]:
+    """Return the files of a table for papers: its LaTeX, with claims in its caption or else below it, and its SQL."""
     content, name = made.content(), fitting(made.name)
+    table = made.table
+    above = table.caption or table.note
+    text = f"{ended(above)} {claims}" if above and claims else above or claims
+    table = replace(table, caption=text) if table.caption else replace(table, note=text)
     origin = origin_of(content.batches[0], content.data, *content.batches[1:])
     head = f"% {origin}; SQL: {SQL}/{name}.sql\n\n"
     return {
-        f"{TABLES}/{name}.tex": (head + paper_tables.FORMATS["latex"](made.table)).encode(),
+        f"{TABLES}/{name}.tex": (head + paper_tables.FORMATS["latex"](table)).encode(),
         f"{SQL}/{name}.sql": f"-- {origin}\n{made.sql}\n".encode(),
     }
 
@@ -239,8 +259,7 @@ def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared], package:
     paths = (f"{NUMBERS}.tex", *([f"{SQL}/{NUMBERS}.sql"] if sql else []))
     if package:
         every["package"] = package, ""
-        data = digest("numbers", {"numbers": data, "package": package})
-    return PaperItem(NUMBERS, content, data, paths, partial(_macros, content, every, config.paper.prefix))
+    return PaperItem(NUMBERS, content, _with(data, package), paths, partial(_macros, content, every, config.paper.prefix))
 
 
 def _macros(content: Content, shown: Mapping[str, tuple[str, str]], prefix: str) -> dict[str, bytes]:

@@ -67,15 +67,14 @@ def make(project: LoadedProject, store: Store, package: str = "") -> Written:
     files: dict[str, PaperFile] = {}
     items: list[PaperItem] = []
     found = BatchesOfQueries(project, store)
-    for item in bound_files.items(found, package):
+    claims = _claims(found)
+    for item in bound_files.items(found, package, _words(claims)):
         kept = _kept(item, before, path(project), _recorded(found, item))
         made = {} if kept else item.files()
         contents |= made
         files |= kept or {name: _described(item, data) for name, data in made.items()}
         items.append(item)
-    written = folder.write(
-        path(project), before, Provenance(queries=_batches(found), claims=_claims(found), files=files), contents
-    )
+    written = folder.write(path(project), before, Provenance(queries=_batches(found), claims=claims, files=files), contents)
     _record(project, store, items, {*written.edited})
     return written
 
@@ -156,6 +155,10 @@ def _claims(found: BatchesOfQueries) -> dict[str, PaperClaim]:
     return {name: PaperClaim(claim=one.claim, registered=one.word) for name, one in registered.items()}
 
 
+def _words(claims: Mapping[str, PaperClaim]) -> dict[str, str]:
+    return {name: claim.registered for name, claim in claims.items()}
+
+
 def _record(project: LoadedProject, store: Store, items: Iterable[PaperItem], edited: Container[Path]) -> None:
     """Record the files of each deliverable, so that a copy of any of them is known by its content."""
     root = path(project)
@@ -214,11 +217,12 @@ def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance, p
     recorded: dict[str, str] = {}
     paths: list[str] = []
     try:
-        for item in bound_files.items(found, package):
+        claims = _claims(found)
+        for item in bound_files.items(found, package, _words(claims)):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
             paths += item.paths
             recorded |= _recorded(found, item)
-        batches, claims = _batches(found), _claims(found)
+        batches = _batches(found)
     except DamagedFile:
         raise
     except SierraError as error:

@@ -117,6 +117,44 @@ def test_the_folder_has_the_files_of_all_bound_deliverables(paper: Path) -> None
     assert checked(paper) == (0, ["all files follow from the store"])
 
 
+CLAIM = """
+[claims.{name}]
+says = "It covers 100 %"
+query = "population_size=1,2"
+runs = 2
+{shown}
+sql = "SELECT count(*) > 0 FROM swarm"
+"""
+
+
+@pytest.mark.integration
+def test_captions_say_which_claims_they_show_and_if_these_were_planned(paper: Path) -> None:
+    before, config = content(paper), paper / "sierra.toml"
+    places = {"one": 'figure = "lines"', "two": 'table = "noise"', "three": 'paper = "Sec. 1"', "four": 'figure = "free"'}
+    config.write_text(config.read_text() + "".join(CLAIM.format(name=name, shown=shown) for name, shown in places.items()))
+    assert {line.split()[0] for line in checked(paper)[1]} > {
+        "paper/sierra/captions/lines.tex",
+        "paper/sierra/tables/noise.tex",
+    }
+    done = projects.quick(paper, "paper")
+    assert done.returncode == 0, done.stderr
+    assert checked(paper) == (0, ["all files follow from the store"])
+    after = content(paper)
+    assert {name for name in after if after[name] != before[name]} == {
+        "captions/lines.tex",
+        "tables/noise.tex",
+        "provenance.json",
+    }
+    said = b"Claim (exploratory): It covers 100 \\%."
+    assert after["captions/lines.tex"].splitlines()[0].endswith(b" " + said + b"}")
+    assert after["tables/noise.tex"].count(said) == 1
+    for file in ("captions/lines.tex", "tables/noise.tex"):
+        assert "follows from the store" in projects.quick(paper, "show", f"paper/sierra/{file}").stdout
+    config.write_text(config.read_text().replace('label = "tab:noise"', 'label = "tab:noise"\ncaption = "Noise"'))
+    assert projects.quick(paper, "paper").returncode == 0
+    assert b"\\caption{Noise. " + said + b"}" in content(paper)["tables/noise.tex"]
+
+
 @pytest.mark.integration
 def test_nothing_is_executed_and_written_again(paper: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (paper / "paper").rglob("*")}
