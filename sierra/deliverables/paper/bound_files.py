@@ -5,6 +5,7 @@
     tables/NAME.tex      tables for papers and those of comparisons, with booktabs
     texts/NAME.tex       the paragraphs of comparisons
     sql/NAME.sql         the SQL of a table
+    videos/NAME.mp4      videos, and what other extensions make: see `sierra.deliverables.kinds`
     numbers.tex          the numbers in the text: see `sierra.deliverables.paper.numbers`
 
 The same runs give the same bytes on every machine with the same versions of SIERRA and the libraries that draw.
@@ -19,12 +20,13 @@ from functools import partial
 
 from sierra.config.deliverable_tables import Comparison, Figure, Format
 from sierra.config.project_file import LoadedProject, Project
-from sierra.deliverables import comparison, comparison_figure, comparison_text, declared_tables, overlay, paper_tables
+from sierra.deliverables import comparison, comparison_figure, comparison_text, declared_tables, kinds, overlay, paper_tables
 from sierra.deliverables.claims import rests_on
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.figures.captions import ended
 from sierra.deliverables.figures.drawing import Drawing, check, rendered
 from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.kinds import InPaper
 from sierra.deliverables.paper import numbers
 from sierra.deliverables.record import Content, origin_of
 from sierra.design.query.query_request import QueryRequest
@@ -63,6 +65,7 @@ def queries(config: Project) -> list[str]:
     """Return the queries that deliverables are bound to, as they are declared; each once."""
     words = [word for figure in config.figures.values() for word in figure.query]
     words += [word for table in config.paper_tables.values() for word in table.query]
+    words += [word for one in kinds.bound(config) for word in one.query]
     words += [word for some in comparisons(config).values() for word in some]
     words += [word for number in config.numbers.values() for word in number.query]
     return list(dict.fromkeys(words))
@@ -119,6 +122,9 @@ def items(found: BatchesOfQueries, package: str, words: Mapping[str, str]) -> It
                     content, claims = made.content(), _claims(config, words, table=name)
                     paths = f"{TABLES}/{fitting(name)}.tex", f"{SQL}/{fitting(name)}.sql"
                     yield PaperItem(name, content, _with(content.data, claims), paths, partial(_table, made, claims))
+        for one in kinds.bound(config):
+            with named(one.kind, one.name):
+                yield _added(one, comparison.of_queries(found, one.query), galleries)
         for name, made_now in compared_by(found):
             compared[name] = made_now
             with named("comparison", name):
@@ -216,6 +222,17 @@ def _path(name: str, ending: Format) -> str:
 def _placed(name: str, files: Iterable[tuple[Format, bytes]]) -> dict[str, bytes]:
     """Return the files of a figure by their paths."""
     return {_path(name, ending): data for ending, data in files}
+
+
+def _added(one: InPaper, batches: Mapping[str, str], galleries: Galleries) -> PaperItem:
+    """Return the files of a deliverable that an extension makes, in a folder with the name of its table in `sierra.toml`."""
+    data = {label if len(batches) > 1 else "": galleries.of(batch) for label, batch in batches.items()}
+    content, names, make = one.files(data)
+
+    def files() -> dict[str, bytes]:
+        return {f"{one.table}/{name}": made for name, made in make().items()}
+
+    return PaperItem(one.name, content, content.data, tuple(f"{one.table}/{name}" for name in names), files)
 
 
 def _table(made: declared_tables.Made, claims: str) -> dict[str, bytes]:

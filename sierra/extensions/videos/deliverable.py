@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from sierra.deliverables.kinds import DeliverableKind
+from sierra.deliverables.kinds import DeliverableKind, FilesOfPaper
 from sierra.extensions.videos.table import Video
 
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject
+    from sierra.deliverables.gallery import Gallery
     from sierra.deliverables.record import Content
     from sierra.store.row_types import DeliverableRow
     from sierra.store.store import Store
@@ -22,4 +24,10 @@ def _content(project: LoadedProject, store: Store, row: DeliverableRow) -> Conte
     return content(project, store, row)
 
 
-VIDEOS = DeliverableKind("videos", Video, "make it again with: sierra video", _content)
+def _paper(name: str, video: Video, galleries: Mapping[str, Gallery]) -> FilesOfPaper:
+    from sierra.extensions.videos.render import of_paper
+
+    return of_paper(name, video, galleries)
+
+
+VIDEOS = DeliverableKind("videos", Video, "make it again with: sierra video", _content, paper=_paper)

@@ -5,25 +5,30 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
 
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
 from sierra.deliverables import bound
 from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.kinds import FilesOfPaper
 from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
 from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.extensions.videos import encode
 from sierra.extensions.videos.draw import write
-from sierra.extensions.videos.prepare import prepare
+from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.progress import Progress, no_progress
 from sierra.extensions.videos.table import Video, declared
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
+from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.util.fs import fitting
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
@@ -147,3 +152,18 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Conten
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, _tables({name: video}), frames)
         return prepare(name, video, galleries).content()
+
+
+def of_paper(name: str, video: Video, galleries: Mapping[str, Gallery]) -> FilesOfPaper:
+    """Return the files of a video for a paper. Raises SierraError if a file cannot be made."""
+    prepared = prepare(name, video, galleries)
+    if not prepared.complete:
+        raise SierraError("; ".join(prepared.notes))
+    names = tuple(f"{fitting(one.film.name)}.{format}" for one in prepared.films for format in video.formats)
+    return FilesOfPaper(prepared.content(), names, partial(_written, prepared))
+
+
+def _written(prepared: Prepared) -> dict[str, bytes]:
+    encode.check({*prepared.video.formats})
+    with disk_errors(Path(gettempdir())), TemporaryDirectory(prefix="sierra-video-") as folder:
+        return {path.name: path.read_bytes() for path in write(prepared, Path(folder), 1, no_progress)}
