@@ -59,6 +59,8 @@ class PaperItem:
     """Its files, relative to the folder of the paper."""
     files: Callable[[], Mapping[str, bytes]]
     """Makes its files, by their paths."""
+    same_bytes: bool = True
+    """False if the same data may give other bytes, as encoders of videos do."""
 
 
 def queries(config: Project) -> list[str]:
@@ -232,7 +234,7 @@ def _added(one: InPaper, batches: Mapping[str, str], galleries: Galleries) -> Pa
     def files() -> dict[str, bytes]:
         return {f"{one.table}/{name}": made for name, made in make().items()}
 
-    return PaperItem(one.name, content, content.data, tuple(f"{one.table}/{name}" for name in names), files)
+    return PaperItem(one.name, content, content.data, tuple(f"{one.table}/{name}" for name in names), files, same_bytes=False)
 
 
 def _table(made: declared_tables.Made, claims: str) -> dict[str, bytes]:

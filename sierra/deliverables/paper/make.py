@@ -81,6 +81,8 @@ def make(project: LoadedProject, store: Store, package: str = "") -> Written:
 
 def _recorded(found: BatchesOfQueries, item: PaperItem) -> dict[str, str]:
     """Return the SHA-256 of the files that the store has recorded for what a deliverable shows now, by path."""
+    if not item.same_bytes:
+        return {}
     content, place = item.content, path(found.project).relative_to(found.project.root).as_posix()
     same = content.kind, content.name, content.data, defined(content)
     return {
