@@ -41,6 +41,8 @@ class Needs:
     """False if the columns may hold text."""
     shows: str = ""
     """The meaning of the marks, for the small print; empty: the center and its interval."""
+    run: int | None = None
+    """The number of the one run of each experiment that the figure shows; None: all runs."""
     some: str = ""
     """The mark of an experiment of which some runs never reached the threshold, as in `hollow`."""
     none: str = "△"

@@ -173,4 +173,7 @@ def _label(value: Value, labels: Mapping[str, str]) -> Value:
 
 def _note(needs: Needs, seen: stats.Coverage, planned: Mapping[int, int]) -> str:
     """Return the small print of a figure that has no statistics: what it shows, n, and the runs that are not in it."""
-    return "; ".join([", ".join(filter(None, (needs.shows, n_of(seen.runs.values())))), *stats.left_out((), seen, planned)])
+    runs = n_of(seen.runs.values())
+    if needs.run is not None:
+        runs = f"run {needs.run} of {runs.removeprefix('n = ')}"
+    return "; ".join([", ".join(filter(None, (needs.shows, runs))), *stats.left_out((), seen, planned)])

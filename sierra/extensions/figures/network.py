@@ -63,6 +63,7 @@ WITH rows AS (
             others=self.options.place,
             numeric=False,
             shows=self._shows(weighted=len(request.columns) == 3),
+            run=self.options.run,
         )
 
     def drawn_by(self) -> DrawnBy:
@@ -98,8 +99,8 @@ FROM edges JOIN ({runs} GROUP BY ALL) USING (experiment) GROUP BY ALL ORDER BY A
 
     def _shows(self, *, weighted: bool) -> str:
         of_runs = "mean weight over the runs" if weighted else "part of the runs with the edge"
-        width = of_runs if self.options.run is None else f"weight in run {self.options.run}" if weighted else ""
-        return f"width: {width}" if width else f"edges in run {self.options.run}"
+        width = of_runs if self.options.run is None else "weight" if weighted else ""
+        return f"width: {width}" if width else ""
 
 
 NODES = """

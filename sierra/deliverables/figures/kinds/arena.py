@@ -48,9 +48,8 @@ WITH points AS (
 SELECT experiment, robot, t, x, y, every FROM numbered WHERE step % every = 0 OR step = steps - 1
 ORDER BY experiment, robot, t, place"""
         others = (self.options.robot,) if self.options.robot else ()
-        return Needs(
-            rows={"paths": statement}, columns=2, others=others, shows=f"paths in run {self.options.run}, ○ start, □ end"
-        )
+        shows = "paths, ○ start, □ end"
+        return Needs(rows={"paths": statement}, columns=2, others=others, shows=shows, run=self.options.run)
 
     def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import arena
@@ -126,9 +125,9 @@ WITH cells AS (
 SELECT experiment{", t" if several else ""}, i, j, list_avg(list_sort(list(value))) AS value, count(*) AS n
 FROM cells GROUP BY ALL ORDER BY ALL"""
         bad = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({value})) AS finite FROM data WHERE {' AND '.join(chosen)}"
-        what = "mean of the runs" if self.options.run is None else f"run {self.options.run}"
+        what = "mean of the runs, " if self.options.run is None else ""
         when = f"at {', '.join(f'{time:g}' for time in self.options.at)}" if self.options.at else "mean of the rows"
-        return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}, {when}")
+        return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}{when}", run=self.options.run)
 
     def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import arena
