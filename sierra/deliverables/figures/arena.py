@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     from sierra.deliverables.figures.drawing import Drawing
 
+FAR = 3
+"""The multiple of the 98 % quantile of all cells, above which a cell does not take the whole scale of colours."""
 PATHS = 8
 """The largest number of robots that are told apart by colour and have an entry in the legend."""
 
@@ -67,8 +69,17 @@ def density(drawing: Drawing) -> Figure:
         counts[numpy_of(rows.column("j")), numpy_of(rows.column("i"))] = numpy_of(rows.column("count"))
         maps[ordinal] = np.where(counts > 0, counts / counts.sum() * 100, np.nan)
     edges = first["x0"] + np.arange(wide + 1.0) * cell, first["y0"] + np.arange(high + 1.0) * cell
-    figure, _ = _maps(drawing, maps, edges, "rows in a cell [%]", aspect=1.0)
+    figure, _ = _maps(drawing, maps, edges, "rows in a cell [%]", aspect=1.0, most=_most(drawing))
     return figure
+
+
+def _most(drawing: Drawing) -> float | None:
+    """Return the part in percent at which the colours end, if a few cells have far more rows than all others; else None."""
+    table = drawing.rows["cells"]
+    counts, ordinals = style.column(table, "count"), numpy_of(table.column("experiment"))
+    parts = counts / np.bincount(ordinals, counts)[ordinals] * 100
+    usual = float(np.quantile(parts, 0.98))
+    return usual if not drawing.figure.log_y and parts.max() > FAR * usual else None
 
 
 def matrix(drawing: Drawing, aspect: float) -> Figure:
@@ -111,8 +122,10 @@ def notes_on_cells(drawing: Drawing) -> list[str]:
     """Return notes on rows that are not in a cell."""
     (counts,) = drawing.rows["counts"].to_pylist()
     inside = int(numpy_of(drawing.rows["cells"].column("count")).sum())
+    most = _most(drawing)
     return [
         f"{drawing.rows['cells'].column('cell')[0].as_py():.3g} wide cells",
+        *([] if most is None else [f"colours end at {style.number(most, 3)} %, above which are at most 2 % of the cells"]),
         *(["log scale: cells without a row are white"] if drawing.figure.log_y else []),
         *([f"{counts['rows'] - counts['finite']} rows without a place left out"] if counts["finite"] < counts["rows"] else []),
         *([f"{counts['finite'] - inside} rows beyond the limits left out"] if inside < counts["finite"] else []),
@@ -140,6 +153,7 @@ def _maps(
     edges: Sequence[npt.ArrayLike],
     label: str,
     aspect: float,
+    most: float | None = None,
 ) -> tuple[Figure, list[Axes]]:
     figure, panels = facets.experiments(drawing, maps)
     plots = list(panels.values())
@@ -147,7 +161,7 @@ def _maps(
     every = every[np.isfinite(every)]
     if not len(every):
         raise UsageError("log_y needs values above 0, but there are none")
-    low, high = float(every.min()), float(every.max())
+    low, high = float(every.min()), float(every.max()) if most is None else most
     if not low < high:
         low, high = low - abs(low) * 0.1 - 1e-12, high + abs(high) * 0.1 + 1e-12
     norm = (LogNorm if drawing.figure.log_y else Normalize)(low, high)
@@ -156,7 +170,8 @@ def _maps(
         mesh = plot.pcolormesh(*edges, shown, norm=norm, cmap=colormaps["viridis"], linewidth=0, rasterized=True)
         plot.set_aspect(aspect)
         plot.grid(visible=False)
-    bar = figure.colorbar(mesh, ax=plots, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False)
+    extend = "neither" if most is None else "max"
+    bar = figure.colorbar(mesh, ax=plots, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False, extend=extend)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=6, length=2)
     if drawing.figure.log_y:
