@@ -155,7 +155,10 @@ class Figure(Table):
     title: str = Field("", description="title above the figure")
     xlabel: str = Field("", description="label of the x axis; default: name and unit of the time or the variable")
     ylabel: str = Field("", description="label of the values; default: the column's name and unit")
-    log_x: bool = Field(False, description="logarithmic x axis; variables with the values 1, 2, 4, … always have one")
+    log_x: bool | None = Field(
+        None,
+        description="logarithmic or linear x axis; default: linear, but logarithmic for a variable with values such as 1, 2, 4",
+    )
     log_y: bool = Field(False, description="logarithmic scale of the values (in a heatmap: of the colours)")
     xlim: LimitsOfAxis | None = Field(None, description="limits of the x axis; what is beyond them is cut off")
     ylim: LimitsOfAxis | None = Field(None, description="limits of the values; what is beyond them is cut off")
@@ -163,6 +166,13 @@ class Figure(Table):
         "ieee-column",
         description="width of the figure, by the name of a template of papers, or width and height in inches; `slide` is "
         "5 × 2.8 inches, to be enlarged; default: a column of 3.5 inches, or a page for many panels",
+    )
+    legend: Literal["above", "right", "below"] = Field("above", description="place of the legend, never on the data")
+    panel_titles: Literal["values", "letters"] = Field(
+        "values", description="titles of panels: `values` of their variables; `letters`: (a), (b), … before these"
+    )
+    small_print: bool = Field(
+        True, description="write notes such as n and the interval below the figure; the caption (`txt`, `tex`) always has them"
     )
     palette: Palette | Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         "okabe-ito", description="colours of categories: the name of a palette, or a list of colours such as `#0072B2`"
@@ -322,6 +332,10 @@ class Comparison(Table):
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
         0.05, description="significance level: the greatest probability of finding any difference that does not exist"
     )
+    size: Size | tuple[Positive, Positive] | None = Field(
+        None, description="width of the figure, or width and height in inches, as in `figures`; default: a column of 3.5 inches"
+    )
+    labels: Mapping[str, str] = Field(default_factory=dict, description="names of groups and values in the figure")
 
     @model_validator(mode="after")
     def _fitting(self) -> Comparison:

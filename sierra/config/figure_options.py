@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 
 CHOSEN = frozenset(
     {"times", "measure", "center", "band", "quantiles", "x", "series", "facet"}
-    | {"log_x", "log_y", "xlim", "ylim", "palette", "labels"}
+    | {"log_x", "log_y", "xlim", "ylim", "palette", "labels", "legend", "panel_titles"}
 )
 """The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
+FOLLOWS = {"palette": "legend", "facet": "panel_titles"}
+"""Keys that a kind has because it has another one."""
 
 
 def check(figures: Mapping[str, Figure]) -> None:
@@ -39,6 +41,7 @@ def complaint(figure: Figure) -> str:
         if key not in kind.Options.model_fields:
             return f"unknown key {key!r}{_nearest(key, sorted(shared | kind.Options.model_fields.keys()), figure.kind)}"
     uses = kind.uses | ({"times"} if figure.measure == "time_mean" else set())
+    uses |= {new for old, new in FOLLOWS.items() if old in kind.uses}
     for key in sorted(CHOSEN & figure.model_fields_set - uses):
         return f'"{key}" needs kind {_having(key)}, not {figure.kind!r}'
     try:

@@ -83,6 +83,13 @@ class Drawing:
         """Return the title of the figure; the name of its files, if it has none."""
         return visible(self.figure.title or self.name)
 
+    @property
+    def words(self) -> str:
+        """Return all text that may be in the figure."""
+        shown = (self.figure.model_dump(exclude_unset=True), self.axes, self.units, self.time, self.note)
+        columns = [column for table in self.rows.values() for column in table.columns if str(column.type) == "string"]
+        return "".join(map(str, (*shown, [model.label for model in self.models], *(one.unique() for one in columns))))
+
     @cached_property
     def data(self) -> str:
         """Return the hash of all values that the figure shows, and of the ids of their runs."""
@@ -240,9 +247,10 @@ def _freed() -> Iterator[None]:
 
 def noted(drawing: Drawing) -> Drawing:
     """Return the drawing with what its kind adds to the small print."""
-    from sierra.deliverables.figures import models
+    from sierra.deliverables.figures import models, style
 
-    notes = (*kind_of(drawing.figure).notes(drawing), *models.notes(drawing))
+    letters = style.choose_fonts(drawing.words)
+    notes = (*kind_of(drawing.figure).notes(drawing), *models.notes(drawing), *letters)
     return replace(drawing, note="; ".join(filter(None, (drawing.note, *notes))))
 
 

@@ -82,6 +82,16 @@ def panels(drawing: Drawing, *, over_first: bool = True) -> Panels:
     return Panels(figure, tuple(made), first, _joined(grouped, rest), tuple(rest), grouped)
 
 
+def unnamed(drawing: Drawing, *, numbers: bool = True, beside: float = 0) -> list[str]:
+    """Return a note if an x axis with values side by side lacks the names of some.
+
+    `numbers`: numbers are side by side too. `beside`: the width of a colour bar in inches.
+    """
+    plot, *others = (within := panels(drawing)).plots
+    columns = plot.get_gridspec().ncols if others else 1
+    return style.unnamed(plot, within.first, beside / columns) if numbers or not within.first.numeric else []
+
+
 def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int] | None = None) -> list[tuple[Value, ...]]:
     """Return the combinations of values of some variables that experiments (default: all) have, in the order of the values."""
     found = {_values(drawing, axes, ordinal) for ordinal in (drawing.cells if ordinals is None else ordinals)}
@@ -93,7 +103,7 @@ def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int]
 
 
 def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a titled panel for each of these combinations of values; `facet` is the variable of its columns."""
+    """Return a figure with a titled panel for each of these combinations of values; see `check_multiples` for its columns."""
     columns = check_multiples(drawing, axes, shown)
     if columns is None:
         figure, plots = style.panels(len(shown))
@@ -105,14 +115,20 @@ def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Valu
 
 
 def check_multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> Axis | None:
-    """Return the variable of the columns of panels, None if there is none. Raises UsageError for too many panels."""
+    """Return the variable of the columns of panels: `facet`, or of several the one with most values that have room.
+
+    Raises UsageError for too many panels.
+    """
     check(len(shown))
-    columns = next((axis for axis in axes if axis.name == drawing.figure.facet), None)
-    if columns is None or len(shown) == 1:
+    if len(shown) == 1:
         return None
-    if (count := len(_used(axes, columns, shown))) > WIDE:
+    columns = next((axis for axis in axes if axis.name == drawing.figure.facet), None)
+    if columns and (count := len(_used(axes, columns, shown))) > WIDE:
         raise UsageError(f"facet: {columns.name} has {count} values, but at most {WIDE} columns of panels are possible")
-    return columns
+    several = [axis for axis in axes if len(_used(axes, axis, shown)) > 1]
+    counts = {axis: len(_used(axes, axis, shown)) for axis in reversed(several)}
+    narrow = [axis for axis in counts if counts[axis] <= min(WIDE, style.most_in_grid())]
+    return columns or (max(narrow, key=lambda axis: counts[axis]) if len(several) > 1 and narrow else None)
 
 
 def _used(axes: Sequence[Axis], columns: Axis, shown: Sequence[tuple[Value, ...]]) -> list[Value]:

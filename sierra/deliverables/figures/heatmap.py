@@ -19,6 +19,8 @@ from sierra.model import Axis
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
 
+BAR = 0.6
+"""The width of the colour bar with its ticks and its label, about, in inches."""
 LEGIBLE = 8
 """The largest number of columns of cells with numbers in them."""
 
@@ -32,7 +34,7 @@ def heatmap(drawing: Drawing) -> Figure:
     figure, plots, maps, (across, up) = _of_models(drawing) if with_models else _of_facets(drawing)
     _paint(figure, plots, maps, drawing)
     for plot in plots:
-        _frame(plot, across, up, most=20 // min(2, len(plots)))
+        _frame(plot, across, up)
     # The y axis is the second variable here, so that `ylabel` names the values, as in every other figure.
     style.outer_labels(plots, drawing.figure.xlabel or style.axis_label(across), style.axis_label(up))
     return figure
@@ -41,6 +43,12 @@ def heatmap(drawing: Drawing) -> Figure:
 def without_models(drawing: Drawing) -> list[str]:
     """Return a note on models that are not drawn."""
     return ["models are not drawn beside facets"] if drawing.models and drawing.figure.facet else []
+
+
+def unnamed(drawing: Drawing) -> list[str]:
+    """Return notes on the axes that lack the names of some values."""
+    up = facets.panels(drawing).panels[0].drawing.axes[1]
+    return [*facets.unnamed(drawing, beside=BAR), *style.left_out("y", len(up.values), _height(up) - 0.8)]
 
 
 def _of_facets(drawing: Drawing) -> tuple[Figure, list[Axes], list[style.Floats], tuple[Axis, ...]]:
@@ -80,11 +88,12 @@ def _cells(drawing: Drawing, values: Mapping[int, float]) -> style.Floats:
     return style.drawable(cells, drawing)
 
 
-def _frame(plot: Axes, across: Axis, up: Axis, *, most: int) -> None:
-    style.side_by_side(plot, across, most=most)
-    shown = style.thinned(len(up.values), 20)
+def _frame(plot: Axes, across: Axis, up: Axis) -> None:
+    columns = plot.get_subplotspec().get_gridspec().ncols  # type: ignore[union-attr]
+    style.side_by_side(plot, across, BAR / columns)
+    shown, size = style.readable(len(up.values), _height(up) - 0.8)
     names = style.names(up.values, 18)
-    plot.set_yticks(shown, [names[k] for k in shown])
+    plot.set_yticks(shown, [names[k] for k in shown], fontsize=size)
     plot.set_xlim(-0.5, len(across.values) - 0.5)
     plot.set_ylim(-0.5, len(up.values) - 0.5)
     plot.tick_params(length=0)

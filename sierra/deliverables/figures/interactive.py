@@ -124,9 +124,9 @@ def _variable(drawing: Drawing, axis: Axis, column: int) -> ChartAxis:
     label = drawing.figure.xlabel or style.axis_label(axis)
     if not axis.numeric:
         return ChartAxis(column, label, names=axis.values)
-    grows = style.geometric(axis.values)
-    ticks = tuple(style.numbers(axis)) if grows or drawing.figure.log_x or len(axis.values) <= 6 else ()
-    return ChartAxis(column, label, 2 if grows or drawing.figure.log_x else 0, drawing.figure.xlim, ticks)
+    log = style.is_log(axis, drawing.figure.log_x)
+    ticks = tuple(style.numbers(axis)) if log or len(axis.values) <= 6 else ()
+    return ChartAxis(column, label, 2 if log else 0, drawing.figure.xlim, ticks)
 
 
 def _charts(

@@ -7,14 +7,14 @@ replaces it for more than `FEW` numbers or more than `NAMES` names.
 from __future__ import annotations
 
 import re
-import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import matplotlib as mpl
 import numpy as np
@@ -26,12 +26,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize, is_color_like
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
-from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.textpath import text_to_path
+from matplotlib.ticker import AutoLocator, EngFormatter, FixedLocator, FuncFormatter, LogLocator, NullLocator, ScalarFormatter
+from matplotlib.transforms import Bbox
 from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 
 from sierra.config.deliverable_tables import Figure as FigureTable
@@ -41,7 +44,7 @@ from sierra.model import Axis, Value
 from sierra.stats.words import of_run
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.lazy_definitions import dataclass
-from sierra.util.text import visible
+from sierra.util.text import few, visible
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,6 +78,8 @@ class Page:
     """The complete height in inches; None: as much as the content needs."""
     colours: tuple[ColorType, ...] = ()
     """The colours of categories; empty: the palette of Okabe and Ito."""
+    legend: str = "above"
+    titles: str = "values"
 
 
 _page: ContextVar[Page | None] = ContextVar("_page", default=None)
@@ -101,8 +106,10 @@ PAGE = 7.16
 HEIGHT = 2.4
 GAP = 0.05
 """The space around texts and legends above and below the plots, in inches."""
-LETTER = 0.06
-"""The width of a letter of a legend, in inches."""
+MARGIN = 0.55
+"""The width of the labels and ticks beside the plots, about, in inches."""
+SMALLEST = 4.3
+"""The size of the smallest ticks, in points. If even these have no room, some are left out."""
 FEW = 8
 """The largest number of lines with an entry each in a legend."""
 FAINT = "#777777"
@@ -121,6 +128,9 @@ STYLED = 64
 """The largest number of names with an entry each in a legend, if they differ in colour and dashes."""
 ENTRY = 0.12
 """The height of an entry of a legend in inches."""
+
+BASE = frozenset({"s", "m", "g", "J", "W", "V", "A", "N", "Pa", "Hz", "F", "H", "C", "T", "Ω", "K", "B"})
+"""The units that take prefixes, such as ms and kJ."""
 
 SETTINGS = Path(__file__).with_name("sierra.mplstyle")
 
@@ -148,7 +158,7 @@ def page(figure: FigureTable) -> Page:
         width, height = SLIDE
     elif "size" in figure.model_fields_set:
         width = WIDTHS[figure.size]
-    return Page(width, height, _palette(figure.palette))
+    return Page(width, height, _palette(figure.palette), figure.legend, figure.panel_titles)
 
 
 def _palette(given: str | tuple[str, ...]) -> tuple[ColorType, ...]:
@@ -178,6 +188,14 @@ def settings() -> Iterator[None]:
         yield
 
 
+def choose_fonts(text: str) -> list[str]:
+    """Choose fonts for all letters of a figure, until its settings end. Return a note on letters that no font has."""
+    families, lacking = font.others(text)
+    mpl.rcParams["font.family"] = [font.FAMILY, "DejaVu Sans", *families]
+    codes = [f"U+{ord(letter):04X}" for letter in lacking]
+    return [f"boxes: this machine has no font for {few(codes, 6)}; install one and draw again"] if codes else []
+
+
 def blank(width: float = COLUMN, height: float = HEIGHT) -> Figure:
     """Return an empty figure; its size is in inches, unless the figure's keys choose another one."""
     of_page = chosen()
@@ -191,9 +209,18 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     if count == 1:
         figure = blank()
         return figure, [figure.add_subplot()]
-    wide = chosen().width or PAGE
-    columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))), max(2, int(wide / 1.15)))
+    columns = 2 if count in (2, 4) else min(max(3, int(np.ceil(np.sqrt(count)))), most_columns())
     return grid(range(count), columns)
+
+
+def most_columns() -> int:
+    """Return the largest number of columns of panels that the width of the figure has room for."""
+    return min(6, max(2, int((chosen().width or PAGE) / 1.15)))
+
+
+def most_in_grid() -> int:
+    """Return the largest number of columns in a grid of panels, in which each column is a value of a variable."""
+    return int(((chosen().width or PAGE) - MARGIN) / 0.9)
 
 
 def maps(count: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -230,20 +257,18 @@ def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
         _, place = _panel(plot)
         last[place.colspan.start] = plot
         first.setdefault(place.rowspan.start, plot)
+    several = len(plots) > 1
     for plot in first.values():
-        plot.set_ylabel(shortened(ylabel, _letters(plot, 48, down=True)))
+        plot.set_ylabel(wrapped(ylabel, _room(plot)[1], 8, 2) if several else shortened(ylabel, 48))
     for plot in last.values():
-        plot.set_xlabel(shortened(xlabel, _letters(plot, 60)))
+        plot.set_xlabel(wrapped(xlabel, _room(plot)[0], 8, 2) if several else shortened(xlabel, 60))
 
 
-def _letters(plot: Axes, most: int, *, down: bool = False) -> int:
-    """Return the largest length of a label, in letters, beside one of several panels."""
+def _room(plot: Axes) -> tuple[float, float]:
+    """Return the width of a panel, and its height with its title and ticks, in inches."""
     figure, place = _panel(plot)
     grid = place.get_gridspec()
-    if grid.ncols * grid.nrows == 1:
-        return most
-    inches = figure.get_figheight() / grid.nrows if down else figure.get_figwidth() / grid.ncols
-    return min(most, max(12, int(inches / (LETTER * 1.15))))
+    return (figure.get_figwidth() - MARGIN) / grid.ncols - 0.1, figure.get_figheight() / grid.nrows - 0.1
 
 
 def _panel(plot: Axes) -> tuple[Figure, SubplotSpec]:
@@ -255,41 +280,76 @@ def _panel(plot: Axes) -> tuple[Figure, SubplotSpec]:
 
 
 def title(plot: Axes, text: str) -> None:
-    """Write the title of one of several panels, in at most three lines that are no wider than the panel."""
-    figure, place = _panel(plot)
-    grid = place.get_gridspec()
-    if grid.ncols * grid.nrows == 1:
-        return
-    wide = figure.get_figwidth() / grid.ncols - 0.4
-    lines = textwrap.wrap(text, max(10, int(wide / LETTER)), max_lines=3, placeholder=" …")
-    plot.set_title("\n".join(lines), fontsize=7)
+    """Write the title of one of several panels, in lines that are no wider than the panel."""
+    grid = _panel(plot)[1].get_gridspec()
+    if grid.ncols * grid.nrows > 1:
+        if chosen().titles == "letters":
+            figure, _ = _panel(plot)
+            text = f"({_letter(sum(bool(other.get_title()) for other in figure.axes))}) {text}"
+        together = wrapped(text.replace(" = ", "\xa0=\xa0"), _room(plot)[0], 7, 8)
+        plot.set_title(together.replace("\xa0", " "), fontsize=7)
+
+
+def _letter(place: int) -> str:
+    """Return a, b, …, z, aa, ab, … for 0, 1, …"""
+    return (_letter(place // 26 - 1) if place >= 26 else "") + "abcdefghijklmnopqrstuvwxyz"[place % 26]
 
 
 def settle(figure: Figure, drawing: Drawing) -> None:
     """Place title, legend and small print around the plots; then compute the layout once for all formats."""
-    width = figure.get_figwidth()
-    above: list[Legend | Text] = [*figure.legends]
-    if drawing.figure.title:
-        above.insert(0, figure.text(0.02, 1, wrapped(drawing.figure.title, width, 8.5), va="top", fontsize=8.5))
-    below: list[Text] = []
-    if small := "\n".join(wrapped(text, width, 6) for text in (drawing.note, drawing.figure.footnote) if text):
-        below = [figure.text(0.99, 0, small, va="bottom", ha="right", fontsize=6, color=FAINT)]
+    width, table = figure.get_figwidth(), drawing.figure
+    above: list[Legend | Text] = []
+    below: list[Legend | Text] = []
+    if table.title:
+        above.append(figure.text(0.02, 1, wrapped(table.title, width * 0.96, 8.5), va="top", fontsize=8.5))
+    for legend in figure.legends:
+        if table.legend != "right":
+            (above if table.legend == "above" else below).append(legend)
+    small = (drawing.note if table.small_print else "", table.footnote)
+    if words := "\n".join(wrapped(text, width * 0.97, 6, 8) for text in small if text):
+        below.append(figure.text(0.99, 0, words, va="bottom", ha="right", fontsize=6, color=FAINT))
     _limit(figure, drawing)
+    _in_engineering_units(figure)
     room = {item: item.get_window_extent().height / figure.dpi + GAP for item in [*above, *below]}
-    height = figure.get_figheight() + sum(room[item] for item in above) + GAP
     if chosen().height is None:
-        figure.set_figheight(height)
+        figure.set_figheight(figure.get_figheight() + _titles(figure) + sum(room[item] for item in above) + GAP)
+    _lay_out(figure, above, below, room)
+    fixed = [plot for plot in figure.axes if plot.get_aspect() != "auto"]
+    for plot in fixed:  # panels may be narrower than their part of the width
+        text = plot.get_title().replace("\n", " ").replace(" = ", "\xa0=\xa0")
+        plot.title.set_text(wrapped(text, plot.get_position().width * width, 7, 8).replace("\xa0", " "))
+    if fixed and chosen().height is None:
+        plots = Bbox.union([box for plot in fixed if (box := plot.get_tightbbox()) is not None])
+        figure.set_figheight(plots.height / figure.dpi + sum(room.values()) + 2 * GAP)
+        _lay_out(figure, above, below, room)
+
+
+def _lay_out(
+    figure: Figure, above: Sequence[Legend | Text], below: Sequence[Legend | Text], room: Mapping[Legend | Text, float]
+) -> None:
+    """Place items, which need this room in inches, above and below the plots, and the plots between them."""
     height = figure.get_figheight()
-    top = 1 - GAP / 2 / height
+    top, bottom = 1 - GAP / 2 / height, GAP / 2 / height
     for item in above:
         _hang(figure, item, top)
         top -= room[item] / height
-    for item in below:
-        item.set_y(GAP / 2 / height)
-    bottom = sum(room[item] for item in below) / height
+    for item in reversed(below):
+        _hang(figure, item, bottom, "lower center")
+        bottom += room[item] / height
     # An engine that belongs to the figure would compute the layout again, and draw twice, for each format.
     rect = (0, bottom, 1, top - bottom)
-    ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
+    fixed = any(plot.get_aspect() != "auto" for plot in figure.axes)
+    ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect, compress=fixed).execute(figure)
+
+
+def _titles(figure: Figure) -> float:
+    """Return the height in inches of the second and later lines of the panels' titles."""
+    lines: dict[int, int] = {}
+    for plot in figure.axes:
+        if place := plot.get_subplotspec():
+            row = place.rowspan.start
+            lines[row] = max(lines.get(row, 0), plot.title.get_text().count("\n"))
+    return 0.11 * sum(lines.values())
 
 
 def _limit(figure: Figure, drawing: Drawing) -> None:
@@ -302,12 +362,26 @@ def _limit(figure: Figure, drawing: Drawing) -> None:
             plot.set_ylim(*drawing.figure.ylim)
 
 
-def _hang(figure: Figure, item: Legend | Text, top: float) -> None:
-    """Move the upper edge of a legend or a text to a height of the figure."""
+def _hang(
+    figure: Figure, item: Legend | Text, y: float, edge: Literal["upper center", "lower center"] = "upper center"
+) -> None:
+    """Move the upper or the lower edge of a legend or a text to a height of the figure."""
     if isinstance(item, Legend):
-        item.set_bbox_to_anchor((0.5, top), figure.transFigure)
+        item.set_loc(edge)
+        item.set_bbox_to_anchor((0.5, y), figure.transFigure)
     else:
-        item.set_y(top)
+        item.set_y(y)
+
+
+def _in_engineering_units(figure: Figure) -> None:
+    """Write the ticks of very small and very large values with the prefixes of their unit: 250 µs instead of 0.00025 s."""
+    for axis in (axis for plot in figure.axes for axis in (plot.xaxis, plot.yaxis)):
+        text = axis.label.get_text()
+        found = re.fullmatch(r"(.*)\s\[(\w+)\]", text, re.DOTALL)
+        largest = float(np.abs(axis.get_view_interval()).max())
+        if found and found[2] in BASE and type(axis.get_major_formatter()) is ScalarFormatter and not 0.01 <= largest < 1e4:
+            axis.set_major_formatter(EngFormatter(found[2], sep="\N{NO-BREAK SPACE}"))
+            axis.label.set_text(found[1])
 
 
 def label(name: str, unit: str = "", *, given: str = "") -> str:
@@ -324,9 +398,9 @@ def point(axes: Sequence[Axis], cell: Mapping[str, Value]) -> str:
     """Return the title of a panel: its values of some variables."""
     words = []
     for axis in axes:
-        value = dict(zip(axis.values, names(axis.values, 16), strict=True))[cell[axis.name]]
+        value = dict(zip(axis.values, names(axis.values, 60), strict=True))[cell[axis.name]]
         words.append(f"{axis.label or axis.name.replace('_', ' ')} = {value}{f' {axis.unit}' if axis.unit else ''}")
-    return shortened(", ".join(words), 90)
+    return ", ".join(words)
 
 
 def value_label(drawing: Drawing) -> str:
@@ -375,10 +449,31 @@ def shortened(text: str, limit: int) -> str:
     return line if len(line) <= limit else f"{line[:half]}…{line[-half:]}"
 
 
-def wrapped(text: str, width: float, size: float) -> str:
-    """Return the text in at most four lines that fit a figure of `width` inches in letters of `size` points."""
-    line = shortened(text, 400)
-    return "\n".join(textwrap.wrap(line, max(20, int(width * 72 / (0.56 * size))), max_lines=4, placeholder=" …"))
+def inches(text: str, size: float) -> float:
+    """Return the width in inches of a line of text in letters of `size` points."""
+    wide, _, _ = text_to_path.get_text_width_height_descent(text, FontProperties(size=size), ismath=False)
+    return float(wide) / 72 * 1.02
+
+
+def wrapped(text: str, width: float, size: float, most: int = 4) -> str:
+    """Return the text in at most `most` lines of `width` inches, in letters of `size` points; long words are broken."""
+    lines = [""]
+    for word in re.findall(r"[^ ]+ *", shortened(text, 400)):
+        for part in _parts(word, width, size):
+            if lines[-1] and inches((lines[-1] + part).rstrip(" "), size) > width:
+                lines.append("")
+            lines[-1] += part
+    if len(lines) > most:
+        lines[most - 1 :] = [f"{lines[most - 1][:-2].rstrip()} …"]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _parts(word: str, width: float, size: float) -> list[str]:
+    """Return a word; one that is too wide for a line, in parts: at its no-break spaces, else in letters."""
+    if inches(word.rstrip(" "), size) <= width:
+        return [word]
+    parts = re.findall("[^\xa0]+\xa0*", word)
+    return [part for some in parts for part in _parts(some, width, size)] if len(parts) > 1 else list(word)
 
 
 def colours(axis: Axis) -> list[ColorType]:
@@ -449,16 +544,20 @@ def lines(looks: Sequence[Look]) -> list[Line2D]:
 
 
 def _entries(axis: Axis, handles: Sequence[Artist]) -> int:
-    """Return the largest number of entries of a legend. Lines of many names differ in colour and dashes."""
+    """Return the largest number of entries of a legend. Lines and marks of many names differ in colour and style."""
     if axis.numeric:
         return FEW
-    return STYLED if all(isinstance(handle, Line2D) and handle.get_linestyle() != "None" for handle in handles) else NAMES
+    return STYLED if all(isinstance(handle, Line2D) for handle in handles) else NAMES
 
 
 def _columns(figure: Figure, entries: Sequence[str]) -> int:
     """Return the number of columns of a legend that the width of the figure has room for."""
-    wide = max(len(entry) for entry in entries) * LETTER + 0.38
-    return max(1, min(len(entries), int(figure.get_figwidth() * 0.98 / wide)))
+    return max(1, min(len(entries), int(figure.get_figwidth() * 0.98 / _widest(entries))))
+
+
+def _widest(entries: Sequence[str]) -> float:
+    """Return the width of the widest entry of a legend, with its handle, in inches."""
+    return max(inches(entry, 7) for entry in entries) + 0.38
 
 
 def _has_room(figure: Figure, entries: Sequence[str]) -> bool:
@@ -470,14 +569,15 @@ def _has_room(figure: Figure, entries: Sequence[str]) -> bool:
 def place_legend(figure: Figure, handles: Sequence[Artist], entries: Sequence[str], title: str = "") -> None:
     """Add a legend in as few rows as possible, with its title before the first entry if there is room."""
     room = figure.get_figwidth() * 0.98
-    wide = max(len(entry) for entry in entries) * LETTER + 0.38
     columns = _columns(figure, entries)
-    if title and len(title) * LETTER + 0.1 + wide * len(entries) < room:
+    if title and chosen().legend != "right" and inches(title, 7) + 0.1 + _widest(entries) * len(entries) < room:
         handles, entries, title = [Line2D([], [], linestyle="none"), *handles], [title, *entries], ""
         columns = len(entries)
     rows = -(-len(entries) // columns)
-    legend = figure.legend(handles, entries, loc="upper center", ncols=-(-len(entries) // rows), title=title or None)
-    legend.set_in_layout(False)
+    beside = chosen().legend == "right"
+    place: Literal["outside right upper", "upper center"] = "outside right upper" if beside else "upper center"
+    legend = figure.legend(handles, entries, loc=place, ncols=1 if beside else -(-len(entries) // rows), title=title or None)
+    legend.set_in_layout(beside)
 
 
 def colour_bar(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Sequence[str]) -> None:
@@ -495,7 +595,8 @@ def colour_bar(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Seque
     bar.ax.yaxis.set_major_formatter(_table({values[k]: entries[k] for k in shown}))
     bar.ax.yaxis.set_minor_locator(NullLocator())
     bar.ax.tick_params(labelsize=6 if axis.numeric or len(values) <= 12 else 5, length=0 if not axis.numeric else 2)
-    bar.set_label(shortened(axis_label(axis), 48))
+    some = "" if axis.numeric or len(shown) == len(values) else f" ({len(shown)} of {len(values)} named)"
+    bar.set_label(shortened(axis_label(axis), 48) + some)
 
 
 def thinned(count: int, most: int) -> list[int]:
@@ -512,14 +613,14 @@ def geometric(values: Sequence[Value]) -> bool:
     return bool(ratios[0] > 1 and np.allclose(ratios, ratios[0], rtol=1e-9))
 
 
-def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> None:
+def scale_values(plot: Axes, axis: Axis, *, log: bool | None, margin: float = 0.04) -> None:
     """Set up the x axis of an independent variable: numbers at their positions, names side by side."""
     if not axis.numeric:
         side_by_side(plot, axis)
         return
     check_x(axis, log=log)
-    values = numbers(axis)
-    if log or geometric(axis.values):
+    values, grows = numbers(axis), is_log(axis, log)
+    if grows:
         plot.set_xscale("log", base=2)
     low, high = min(values), max(values)
     if low == high:
@@ -528,38 +629,78 @@ def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> 
         plot.set_xlim(low * (low / high) ** margin, high * (high / low) ** margin)
     else:
         plot.set_xlim(low - (high - low) * margin, high + (high - low) * margin)
-    if log or geometric(axis.values) or len(values) <= 6:
-        ticks = [values[k] for k in thinned(len(values), 11)]
+    if grows or len(values) <= 6:
+        ticks = _apart(plot, values)
         plot.xaxis.set_major_locator(FixedLocator(ticks))
         plot.xaxis.set_major_formatter(_table(dict(zip(ticks, names(ticks), strict=True))))
         plot.xaxis.set_minor_locator(NullLocator())
 
 
-def check_x(axis: Axis, *, log: bool) -> None:
+def is_log(axis: Axis, log: bool | None) -> bool:
+    """Return whether the x axis of a variable is logarithmic; if the figure does not say it, one of 1, 2, 4, … is."""
+    return geometric(axis.values) if log is None else log
+
+
+def _apart(plot: Axes, values: Sequence[float]) -> list[float]:
+    """Return the values whose names have room as ticks: all, or every second one, every third one, …"""
+    words, width = names(values), _room(plot)[0]
+    to_panel = plot.transScale + plot.transLimits
+    places = [float(to_panel.transform((value, 0))[0]) * width for value in values]
+    for every in range(-(-len(values) // 11), len(values)):
+        shown = range(0, len(values), every)
+        ends = [(places[k] - wide, places[k] + wide) for k in shown for wide in [inches(words[k], 7) / 2 + 0.02]]
+        if all(one[1] <= other[0] for one, other in pairwise(ends)):
+            return [values[k] for k in shown]
+    return list(values[:1])
+
+
+def check_x(axis: Axis, *, log: bool | None) -> None:
     """Raise UsageError if a logarithmic x axis cannot show the values of an independent variable."""
     if log and axis.numeric and (lowest := min(numbers(axis))) <= 0:
         raise UsageError(f"log_x needs values above 0, but {axis.name} has {number(lowest)}")
 
 
-def side_by_side(plot: Axes, axis: Axis, *, most: int = 20) -> None:
-    """Give each value one place, at 0, 1, 2, …; rotate long names."""
-    words = names(axis.values, 22)
-    shown = thinned(len(words), most)
+def side_by_side(plot: Axes, axis: Axis, beside: float = 0) -> None:
+    """Give each value one place, at 0, 1, 2, …, with its name below it: turned or smaller, if there is little room.
+
+    `beside` is the width in inches of a colour bar.
+    """
+    words, width = names(axis.values, 22), _room(plot)[0] - beside
     plot.set_xlim(-0.6, len(words) - 0.4)
-    turned = sum(len(words[k]) + 2 for k in shown) > 44
-    plot.set_xticks(
-        shown,
-        [words[k] for k in shown],
-        rotation=(90 if len(shown) > 12 else 35) if turned else 0,
-        ha=("center" if len(shown) > 12 else "right") if turned else "center",
-        rotation_mode="anchor" if turned and len(shown) <= 12 else "default",
-    )
+    shown, size = readable(len(words), width)
+    place, widest = width / len(words), max(inches(words[k], size) for k in shown)
+    turned = widest + 0.06 > place * (shown[1] if len(shown) > 1 else 1)
+    angle = (90 if place < 0.2 or plot.title.get_text() else 35) if turned else 0
+    plot.set_xticks(shown, [words[k] for k in shown], rotation=angle, fontsize=size)
+    if angle == 35:
+        for label in plot.get_xticklabels():
+            label.set(ha="right", rotation_mode="anchor")
     plot.grid(visible=False, axis="x")
-    if turned:
-        figure, _ = _panel(plot)
-        figure.set_figheight(
-            figure.get_figheight() + 0.045 * min(22, max(len(words[k]) for k in shown)) * (1 if len(shown) > 12 else 0.6)
-        )
+    figure, at = _panel(plot)
+    if angle and at.num1 == 0:
+        figure.set_figheight(figure.get_figheight() + widest * np.sin(np.radians(angle)) * 0.9)
+
+
+def is_crowded(plot: Axes, words: Sequence[str]) -> bool:
+    """Return whether some words are wider than their places side by side in a panel."""
+    return max(inches(word, 7) for word in words) + 0.06 > _room(plot)[0] / len(words)
+
+
+def readable(count: int, room: float) -> tuple[list[int], float]:
+    """Return which of `count` lines of text side by side are readable in this many inches, and their size in points."""
+    every = 1 + int(count * SMALLEST * 1.1 / 72 / room)
+    return list(range(0, count, every)), min(7.0, room * every / count * 72 / 1.1)
+
+
+def unnamed(plot: Axes, axis: Axis, beside: float = 0) -> list[str]:
+    """Return a note if not all names of a variable have room below a panel; `beside`: see `side_by_side`."""
+    return left_out("x", len(axis.values), _room(plot)[0] - beside)
+
+
+def left_out(axis: str, count: int, room: float) -> list[str]:
+    """Return a note if not all of `count` names have room on an axis of this many inches."""
+    shown, _ = readable(count, room)
+    return [f"{axis} axis: {len(shown)} of {count} names, at equal distances"] if len(shown) < count else []
 
 
 def scale_y(plot: Axes, drawing: Drawing, lowest: float, highest: float) -> None:

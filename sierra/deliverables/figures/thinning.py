@@ -24,7 +24,7 @@ PARTS = 1000
 Indices = npt.NDArray[np.int_]
 
 
-def kept(t: Floats, *lines: Floats, log: bool = False) -> slice | Indices:
+def kept(t: Floats, *lines: Floats, log: bool | None = False) -> slice | Indices:
     """Return the places of the points to draw. `t` ascends; `lines` have a value for each `t`. `log`: x is log t."""
     if len(t) <= LONG:
         return slice(None)

@@ -47,7 +47,7 @@ def confusion(drawing: Drawing) -> Figure:
         legible = len(names) <= (LEGIBLE if len(parts) == 1 else 4)
         seaborn_plots.cells(plot, center, _texts(center, half) if legible else None)
         shown, middles = style.names(names, 10), np.arange(len(names)) + 0.5
-        plot.set_xticks(middles, shown, rotation=90 if sum(map(len, shown)) > 24 else 0)
+        plot.set_xticks(middles, shown, rotation=90 if style.is_crowded(plot, shown) else 0)
         plot.set_yticks(middles, shown)
         plot.tick_params(length=0)
         plot.grid(visible=False)

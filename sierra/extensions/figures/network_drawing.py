@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from sierra.deliverables.figures import style
-from sierra.deliverables.figures.facets import MOST
+from sierra.deliverables.figures import facets, style
 from sierra.deliverables.figures.node_layout import NAMED, Places, layout
 from sierra.errors import UsageError
 from sierra.util.arrow_columns import numpy_of
@@ -87,12 +86,8 @@ def _times(drawing: Drawing, options: NetworkOptions) -> list[str]:
 
 def _panels(drawing: Drawing, ordinals: list[int]) -> tuple[Figure, list[Axes]]:
     """Return a panel for each of these experiments, with its values as title."""
-    if len(ordinals) > MOST:
-        raise UsageError(f"the figure needs {len(ordinals)} panels, but at most {MOST} are possible; use where")
-    figure, plots = style.panels(len(ordinals))
-    for plot, ordinal in zip(plots, ordinals, strict=True):
-        style.title(plot, style.point(drawing.axes, drawing.cells[ordinal]))
-    return figure, plots
+    figure, plots = facets.experiments(drawing, ordinals)
+    return figure, [plots[ordinal] for ordinal in ordinals]
 
 
 def _by_experiment(table: pa.Table) -> dict[int, pa.Table]:

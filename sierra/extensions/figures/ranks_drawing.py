@@ -24,6 +24,10 @@ MOST = 20
 """The largest number of groups."""
 LINE = 0.17
 """The height of a name in inches; the unit of the diagram's vertical axis."""
+FURTHER = 0.68
+"""The height of each further line of a name, in the height of its first one."""
+SIDE = 0.29
+"""The part of the width that names may take on each side."""
 BAR = 0.45
 """The distance of two bars, in the height of a name."""
 EXACT = 10
@@ -55,7 +59,7 @@ def blocks(drawing: Drawing, within: Literal["experiments", "seeds"]) -> Blocks:
 def ranked(drawing: Drawing, options: CriticalDifferenceOptions) -> Ranking:
     """Return the ranking over the blocks in which all groups have a value. Raises UsageError for fewer than two of them."""
     found, axis = blocks(drawing, options.within(drawing.axes)), drawing.axes[0]
-    names = dict(zip(axis.values, style.names(axis.values, 20), strict=True))
+    names = dict(zip(axis.values, style.names(axis.values, 60), strict=True))
     if len(names) > MOST:
         raise UsageError(f"ranks of {len(names)} groups cannot be read; at most {MOST} are possible; use where")
     if empty := [name for value, name in names.items() if not any(value in block for block in found.values())]:
@@ -94,16 +98,25 @@ def diagram(drawing: Drawing, options: CriticalDifferenceOptions) -> Figure:
     left = -(-count // 2)
     below = 0.7 + BAR * len(found.bars)
     top = 2.4 if found.critical is not None else 0.2
-    figure = style.blank(style.COLUMN, 0.55 + LINE * (top + below + left))
+    figure = style.blank(style.COLUMN)
+    names = [
+        style.wrapped(f"{name} ({rank:.2f})", SIDE * figure.get_figwidth(), 7, 5)
+        for name, rank in zip(found.groups, found.ranks, strict=True)
+    ]
+    rows = [*range(left), *reversed(range(count - left))]
+    high = [
+        1 + FURTHER * max(name.count("\n") for name, at in zip(names, rows, strict=True) if at == row) for row in range(left)
+    ]
+    if style.chosen().height is None:
+        figure.set_figheight(0.55 + LINE * (top + below + sum(high)))
     plot = figure.add_subplot()
     plot.set_xlim(1, count)
-    plot.set_ylim(-below - left, top)
+    plot.set_ylim(-below - sum(high), top)
     _axis(plot, drawing)
     if found.critical is not None:
         _critical(plot, found.critical, count)
-    for place, (name, rank) in enumerate(zip(found.groups, found.ranks, strict=True)):
-        row = place if place < left else count - 1 - place
-        _group(plot, f"{name} ({rank:.2f})", rank, -below - row, at=1 if place < left else count)
+    for place, (name, rank, row) in enumerate(zip(names, found.ranks, rows, strict=True)):
+        _group(plot, name, rank, -below - sum(high[:row]) - high[row] / 2, at=1 if place < left else count)
     for line, (start, end) in enumerate(found.bars, 1):
         ends = [found.ranks[start] - 0.012 * count, found.ranks[end] + 0.012 * count]
         plot.plot(ends, [-BAR * line] * 2, color="black", linewidth=2.4, solid_capstyle="butt", clip_on=False)

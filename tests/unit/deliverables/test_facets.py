@@ -60,7 +60,9 @@ def test_facet_is_the_variable_of_the_columns(kind: str) -> None:
 def test_panels_follow_the_order_of_the_values_and_not_that_of_experiments() -> None:
     drawing = made("density")
     turned = replace(drawing, axes=(SIZE, Axis("noise", ("windy", "calm"))))
-    assert list(titles(turned).values())[:2] == ["size = 1, noise = windy", "size = 1, noise = calm"]
+    found = titles(turned)
+    assert (found[0, 0], found[1, 0]) == ("size = 1, noise = windy", "size = 1, noise = calm")
+    assert (found[0, 1], found[0, 2]) == ("size = 2, noise = windy", "size = 4, noise = windy"), "rows and columns"
 
 
 def test_a_panel_shows_the_data_of_its_title() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from sierra.config.plugin_registry import NoOptions
@@ -31,9 +32,9 @@ class Summary(DrawnKind[NoOptions]):
         return bands.needs(request.figure, some="hollow")
 
     def drawn_by(self) -> DrawnBy:
-        from sierra.deliverables.figures import axis_limits, summary
+        from sierra.deliverables.figures import axis_limits, facets, summary
 
-        return DrawnBy(summary.summary, (axis_limits.notes,))
+        return DrawnBy(summary.summary, (axis_limits.notes, partial(facets.unnamed, numbers=False)))
 
     def charts(self, drawing: Drawing) -> Sequence[Chart]:
         from sierra.deliverables.figures.interactive import over_variable
@@ -51,9 +52,9 @@ class Box(DrawnKind[NoOptions]):
         return Needs(BOX, runs=True, shows="median, quartiles, whiskers to at most 1.5 IQR")
 
     def drawn_by(self) -> DrawnBy:
-        from sierra.deliverables.figures import axis_limits, sampled_runs, side_by_side
+        from sierra.deliverables.figures import axis_limits, facets, sampled_runs, side_by_side
 
-        return DrawnBy(side_by_side.box, (axis_limits.left_out_runs, sampled_runs.notes))
+        return DrawnBy(side_by_side.box, (axis_limits.left_out_runs, sampled_runs.notes, facets.unnamed))
 
 
 class Violin(Box):
@@ -92,9 +93,9 @@ class Bar(DrawnKind[NoOptions]):
         return bands.needs(request.figure)
 
     def drawn_by(self) -> DrawnBy:
-        from sierra.deliverables.figures.summary import bar
+        from sierra.deliverables.figures import facets, summary
 
-        return DrawnBy(bar)
+        return DrawnBy(summary.bar, (facets.unnamed,))
 
 
 class Heatmap(DrawnKind[NoOptions]):
@@ -114,4 +115,5 @@ class Heatmap(DrawnKind[NoOptions]):
     def drawn_by(self) -> DrawnBy:
         from sierra.deliverables.figures import axis_limits, heatmap
 
-        return DrawnBy(heatmap.heatmap, (axis_limits.left_out_centers, heatmap.without_models))
+        notes = (axis_limits.left_out_centers, heatmap.without_models, heatmap.unnamed)
+        return DrawnBy(heatmap.heatmap, notes)
