@@ -20,6 +20,8 @@ from sierra.util.json_types import JsonView
 from sierra.util.text import n_of
 
 if TYPE_CHECKING:
+    import matplotlib.figure
+
     from sierra.deliverables.figures.drawing import Drawing
 
 
@@ -33,7 +35,7 @@ def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[F
 
     if compared.packaged:
         raise UsageError(f"the runs of {', '.join(compared.packaged)} are not in the store, so the data could not be checked")
-    drawn = replace(_drawing(compared), formats=formats)
+    drawn = replace(drawing_of(compared), formats=formats)
     folder = marked_folder(paths.drawn(COMPARISONS), "Figures of comparisons, drawn by SIERRA.")
     files = drawing.save(rendered(compared, formats), drawn, folder)
     recorder = Recorder(store, paths.root, drawn.batch)
@@ -45,13 +47,23 @@ def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[F
 def rendered(compared: Compared, formats: tuple[Format, ...]) -> list[tuple[Format, bytes]]:
     """Return the content of the figure's files, by format. Raises UsageError if there is nothing to draw."""
     from sierra.deliverables.figures import drawing, style
+
+    drawn = replace(drawing_of(compared), formats=formats)
+    with style.applied(drawn.figure):
+        figure, drawn = painted(compared, drawn)
+        return drawing.files_of(figure, drawn, drawn.data)
+
+
+def painted(compared: Compared, drawn: Drawing) -> tuple[matplotlib.figure.Figure, Drawing]:
+    """Return the complete figure, and its content with all of its small print. To be called under `style.applied`."""
+    from sierra.deliverables.figures import style
     from sierra.deliverables.figures.forest import forest
 
-    drawn = replace(_drawing(compared), formats=formats)
-    with style.applied():
-        figure = forest(compared)
-        style.settle(figure, drawn)
-        return drawing.files_of(figure, drawn, drawn.data)
+    letters = style.choose_fonts(f"{compared.arrow().to_pydict()}{compared.asked.labels}{drawn.note}{compared.unit}")
+    drawn = replace(drawn, note="; ".join((drawn.note, *letters)))
+    figure = forest(compared)
+    style.settle(figure, drawn)
+    return figure, drawn
 
 
 def svg(compared: Compared) -> bytes:
@@ -67,7 +79,7 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Conten
 
 def content_of(compared: Compared) -> Content:
     """Return everything that the files of a comparison depend on."""
-    return _content(compared, _drawing(compared))
+    return _content(compared, drawing_of(compared))
 
 
 def _content(compared: Compared, drawn: Drawing) -> Content:
@@ -83,7 +95,7 @@ def _content(compared: Compared, drawn: Drawing) -> Content:
     return replace(content, kind=KIND, batches=tuple(compared.batches.values()), definition=definition, made_by=made_by)
 
 
-def _drawing(compared: Compared) -> Drawing:
+def drawing_of(compared: Compared) -> Drawing:
     """Return the data and the small print of the figure of a comparison."""
     import pyarrow as pa
 
@@ -92,7 +104,7 @@ def _drawing(compared: Compared) -> Drawing:
     bands = [{name: getattr(band, name) for name in ("times", "mean", "low", "high")} for band in compared.bands]
     return Drawing(
         name=compared.name,
-        figure=Figure(),
+        figure=Figure() if compared.asked.size is None else Figure(size=compared.asked.size),
         axes=(),
         cells={},
         tables={"": compared.arrow()},

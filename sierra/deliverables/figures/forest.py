@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
@@ -13,15 +12,19 @@ from matplotlib.ticker import NullLocator
 from sierra.deliverables.figures import style
 from sierra.deliverables.figures.facets import MOST
 from sierra.errors import UsageError
-from sierra.stats.comparison.model import Effect, Pair, Verdict
+from sierra.stats.comparison.model import Pair, Verdict
 from sierra.stats.words import of_run
 
 if TYPE_CHECKING:
     from sierra.deliverables.comparison import Compared
     from sierra.stats.comparison.over_time import Band
 
-ROW = 0.17
-"""The height of a row in inches."""
+ROW, LINE = 0.18, 0.115
+"""The height of a row, and of each further line of its label, in inches."""
+SIZE = 6.5
+"""The size of the labels in points."""
+LABELS = 0.33
+"""The part of the width that labels may take."""
 ROWS = 80
 """The largest number of rows of one figure."""
 FILLED = (Verdict.different, Verdict.both)
@@ -33,24 +36,40 @@ def forest(compared: Compared) -> Figure:
     Raises UsageError if there are too many rows, or no difference is known.
     """
     if compared.effects:
-        return _effects(compared.effects)
+        return _effects(compared)
     if compared.bands:
         return _over_time(compared)
     pairs = [pair for pair in compared.pairs if pair.difference is not None]
     if not pairs:
         raise UsageError("no difference of two groups is known, so there is nothing to draw")
-    figure, plot = _rows([_name(pair) for pair in pairs])
+    figure, plot, places = _rows(_labels(compared, pairs))
     plot.axvline(0, color="#333333", linewidth=0.8, linestyle=":")
     if (margin := compared.analysis.question.margin) is not None:
         plot.axvspan(-margin, margin, color=style.FAINT, alpha=0.15, linewidth=0)
-    for place, pair in enumerate(pairs):
+    for place, pair in zip(places, pairs, strict=True):
         _mark(plot, place, pair)
     unit = f" [{compared.unit}]" if compared.unit else ""
-    plot.set_xlabel(style.shortened(f"difference of {of_run(compared.measure, compared.column)}{unit}", 48), loc="right")
+    plot.set_xlabel(style.wrapped(f"difference of {of_run(compared.measure, compared.column)}{unit}", _width(), 8), loc="right")
     return figure
 
 
-def _mark(plot: Axes, place: int, pair: Pair) -> None:
+def _labels(compared: Compared, pairs: Sequence[Pair]) -> list[tuple[str, str]]:
+    """Return heading and label of each row: the variables' values and the groups; if all have the same groups, the reverse."""
+    labels = [_words(compared, pair) for pair in pairs]
+    if len({groups for _, groups in labels}) == 1 and all(point for point, _ in labels):
+        return [(groups, point) for point, groups in labels]
+    return labels
+
+
+def _words(compared: Compared, pair: Pair | Band) -> tuple[str, str]:
+    """Return the values of the variables of two groups, and the names of both."""
+    known = compared.asked.labels
+    values = {name: known.get(str(value)) or style.named(value, 200, 12) for name, value in pair.point.items()}
+    groups = f"{known.get(pair.second, pair.second)} − {known.get(pair.first, pair.first)}"
+    return ", ".join(f"{name.replace('_', ' ')} = {value}" for name, value in values.items()), groups
+
+
+def _mark(plot: Axes, place: float, pair: Pair) -> None:
     colour = style.NAMED[0]
     if pair.low is not None and pair.high is not None:
         plot.plot([pair.low, pair.high], [place, place], color=colour, linewidth=1.2)
@@ -67,34 +86,54 @@ def _over_time(compared: Compared) -> Figure:
         plot.axhline(0, color="#333333", linewidth=0.8, linestyle=":")
         plot.plot(band.times, band.mean, color=style.NAMED[0])
         plot.fill_between(band.times, band.low, band.high, color=style.NAMED[0], alpha=0.2, linewidth=0)
-        style.title(plot, _name(band))
+        style.title(plot, ": ".join(filter(None, _words(compared, band))))
     unit = f" [{compared.unit}]" if compared.unit else ""
     style.outer_labels(plots, compared.time, f"difference of {compared.column}{unit}")
     return figure
 
 
-def _effects(effects: Sequence[Effect]) -> Figure:
-    figure, plot = _rows([style.shortened(effect.name, 44) for effect in effects])
-    sizes = [effect.eta for effect in effects]
-    plot.barh(np.arange(len(effects)), sizes, height=0.6, color=style.NAMED[0])
+def _effects(compared: Compared) -> Figure:
+    figure, plot, places = _rows([("", compared.asked.labels.get(effect.name, effect.name)) for effect in compared.effects])
+    sizes = [effect.eta for effect in compared.effects]
+    plot.barh(places, sizes, height=ROW * 0.6, color=style.NAMED[0])
     plot.set_xlim(0, 1)
     plot.set_xlabel("partial η²")
     return figure
 
 
-def _rows(names: Sequence[str]) -> tuple[Figure, Axes]:
-    """Return a figure with a row for each name, the first one on top."""
-    if len(names) > ROWS:
-        raise UsageError(f"a figure of {len(names)} differences cannot be read; at most {ROWS} are possible")
-    figure = style.blank(style.COLUMN, 0.6 + ROW * len(names))
+def _rows(labels: Sequence[tuple[str, str]]) -> tuple[Figure, Axes, list[float]]:
+    """Return a figure with a row for each heading and label, the first one on top, and the places of the rows, in inches."""
+    if len(labels) > ROWS:
+        raise UsageError(f"a figure of {len(labels)} differences cannot be read; at most {ROWS} are possible")
+    figure = style.blank(style.COLUMN, 1)
     plot = figure.add_subplot()
-    plot.set_yticks(range(len(names)), list(names), fontsize=6.5)
+    places: list[float] = []
+    lines, before, y = [], "", 0.05
+    for heading, label in labels:
+        if heading != before:
+            y = _heading(plot, heading, y)
+            before = heading
+        lines.append(style.wrapped(label, LABELS * figure.get_figwidth(), SIZE, 9))
+        high = ROW + LINE * lines[-1].count("\n")
+        places.append(y + high / 2)
+        y += high
+    if style.chosen().height is None:
+        figure.set_figheight(0.75 + y)
+    plot.set_yticks(places, lines, fontsize=SIZE)
     plot.yaxis.set_minor_locator(NullLocator())
-    plot.set_ylim(len(names) - 0.4, -0.6)
+    plot.set_ylim(y + 0.05, 0)
     plot.grid(visible=False, axis="y")
-    return figure, plot
+    return figure, plot, places
 
 
-def _name(pair: Pair | Band) -> str:
-    where = ", ".join(f"{name}={style.named(value, 16)}" for name, value in pair.point.items())
-    return style.shortened(f"{where}: {pair.second} − {pair.first}" if where else f"{pair.second} − {pair.first}", 44)
+def _heading(plot: Axes, text: str, y: float) -> float:
+    """Write a heading above the rows that follow, beside their labels; return where they begin."""
+    words = style.wrapped(text, _width(), SIZE, 9)
+    behind = {"facecolor": "white", "linewidth": 0, "pad": 1}
+    plot.text(0.01, y + 0.03, words, va="top", fontsize=SIZE, transform=plot.get_yaxis_transform(), bbox=behind)
+    return y + ROW + LINE * words.count("\n")
+
+
+def _width() -> float:
+    """Return the width in inches that remains beside the labels."""
+    return (style.chosen().width or style.COLUMN) * (0.95 - LABELS)
