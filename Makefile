@@ -111,11 +111,12 @@ CALLED = git gcc unshare podman runc newuidmap catatonit mksquashfs squashfuse m
 PACKAGES = git gcc libc6-dev util-linux podman runc uidmap catatonit squashfs-tools squashfuse mmdebstrap busybox-static \
 	python3 mawk slurmctld slurmd slurm-client munge slurm-wlm-torque slurmdbd mariadb-server-core mariadb-client-core faketime \
 	strace xvfb ngspice libns3-dev chromium openssh-server openssh-client iproute2 \
-	ros-core python3-rosbag python3-geometry-msgs python3-nav-msgs python3-sensor-msgs
+	ros-core python3-rosbag python3-geometry-msgs python3-nav-msgs python3-sensor-msgs fonts-wqy-microhei
 
 system: ## install what SIERRA calls (git, podman), and what tests need (gcc, squashfs-tools, ...); as root, on Debian
 	@missing=; for program in $(CALLED); do \
 		PATH="$$PATH:/usr/sbin:/sbin" command -v "$$program" >/dev/null || missing="$$missing $$program"; done; \
+	test -e /usr/share/fonts/truetype/wqy/wqy-microhei.ttc || missing="$$missing fonts-wqy-microhei"; \
 	if test -z "$$missing"; then echo "$(CALLED) are there; nothing else is needed"; \
 	elif test "$$(id -u)" -eq 0 && command -v apt-get >/dev/null; then \
 		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends $(PACKAGES); \
