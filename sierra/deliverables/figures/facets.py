@@ -87,9 +87,8 @@ def unnamed(drawing: Drawing, *, numbers: bool = True, beside: float = 0) -> lis
 
     `numbers`: numbers are side by side too. `beside`: the width of a colour bar in inches.
     """
-    plot, *others = (within := panels(drawing)).plots
-    columns = plot.get_gridspec().ncols if others else 1
-    return style.unnamed(plot, within.first, beside / columns) if numbers or not within.first.numeric else []
+    within = panels(drawing)
+    return style.unnamed(within.plots[0], within.first, beside) if numbers or not within.first.numeric else []
 
 
 def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int] | None = None) -> list[tuple[Value, ...]]:

@@ -89,8 +89,7 @@ def _cells(drawing: Drawing, values: Mapping[int, float]) -> style.Floats:
 
 
 def _frame(plot: Axes, across: Axis, up: Axis) -> None:
-    columns = plot.get_subplotspec().get_gridspec().ncols  # type: ignore[union-attr]
-    style.side_by_side(plot, across, BAR / columns)
+    style.side_by_side(plot, across, BAR)
     shown, size = style.readable(len(up.values), _height(up) - 0.8)
     names = style.names(up.values, 18)
     plot.set_yticks(shown, [names[k] for k in shown], fontsize=size)

@@ -264,11 +264,11 @@ def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
         plot.set_xlabel(wrapped(xlabel, _room(plot)[0], 8, 2) if several else shortened(xlabel, 60))
 
 
-def _room(plot: Axes) -> tuple[float, float]:
-    """Return the width of a panel, and its height with its title and ticks, in inches."""
+def _room(plot: Axes, beside: float = 0) -> tuple[float, float]:
+    """Return the width of a panel, and its height with its title and ticks, in inches. `beside`: width of a colour bar."""
     figure, place = _panel(plot)
     grid = place.get_gridspec()
-    return (figure.get_figwidth() - MARGIN) / grid.ncols - 0.1, figure.get_figheight() / grid.nrows - 0.1
+    return (figure.get_figwidth() - MARGIN - beside) / grid.ncols - 0.1, figure.get_figheight() / grid.nrows - 0.1
 
 
 def _panel(plot: Axes) -> tuple[Figure, SubplotSpec]:
@@ -285,7 +285,7 @@ def title(plot: Axes, text: str) -> None:
     if grid.ncols * grid.nrows > 1:
         if chosen().titles == "letters":
             figure, _ = _panel(plot)
-            text = f"({_letter(sum(bool(other.get_title()) for other in figure.axes))}) {text}"
+            text = f"({_letter(figure.axes.index(plot))}) {text}"
         together = wrapped(text.replace(" = ", "\xa0=\xa0"), _room(plot)[0], 7, 8)
         plot.set_title(together.replace("\xa0", " "), fontsize=7)
 
@@ -311,8 +311,11 @@ def settle(figure: Figure, drawing: Drawing) -> None:
     _limit(figure, drawing)
     _in_engineering_units(figure)
     room = {item: item.get_window_extent().height / figure.dpi + GAP for item in [*above, *below]}
+    around = sum(room.values()) + 2 * GAP
+    beside = max((legend.get_window_extent().height / figure.dpi for legend in figure.legends if legend not in room), default=0)
     if chosen().height is None:
-        figure.set_figheight(figure.get_figheight() + _titles(figure) + sum(room[item] for item in above) + GAP)
+        plain = figure.get_figheight() + _titles(figure) + sum(room[item] for item in above) + GAP
+        figure.set_figheight(max(plain, beside + around))
     _lay_out(figure, above, below, room)
     fixed = [plot for plot in figure.axes if plot.get_aspect() != "auto"]
     for plot in fixed:  # panels may be narrower than their part of the width
@@ -320,7 +323,7 @@ def settle(figure: Figure, drawing: Drawing) -> None:
         plot.title.set_text(wrapped(text, plot.get_position().width * width, 7, 8).replace("\xa0", " "))
     if fixed and chosen().height is None:
         plots = Bbox.union([box for plot in fixed if (box := plot.get_tightbbox()) is not None])
-        figure.set_figheight(plots.height / figure.dpi + sum(room.values()) + 2 * GAP)
+        figure.set_figheight(max(plots.height / figure.dpi, beside) + around)
         _lay_out(figure, above, below, room)
 
 
@@ -379,7 +382,8 @@ def _in_engineering_units(figure: Figure) -> None:
         text = axis.label.get_text()
         found = re.fullmatch(r"(.*)\s\[(\w+)\]", text, re.DOTALL)
         largest = float(np.abs(axis.get_view_interval()).max())
-        if found and found[2] in BASE and type(axis.get_major_formatter()) is ScalarFormatter and not 0.01 <= largest < 1e4:
+        plain = type(axis.get_major_formatter()) in (ScalarFormatter, EngFormatter)  # panels may share theirs
+        if found and found[2] in BASE and plain and not 0.01 <= largest < 1e4:
             axis.set_major_formatter(EngFormatter(found[2], sep="\N{NO-BREAK SPACE}"))
             axis.label.set_text(found[1])
 
@@ -665,7 +669,7 @@ def side_by_side(plot: Axes, axis: Axis, beside: float = 0) -> None:
 
     `beside` is the width in inches of a colour bar.
     """
-    words, width = names(axis.values, 22), _room(plot)[0] - beside
+    words, width = names(axis.values, 22), _room(plot, beside)[0]
     plot.set_xlim(-0.6, len(words) - 0.4)
     shown, size = readable(len(words), width)
     place, widest = width / len(words), max(inches(words[k], size) for k in shown)
@@ -694,7 +698,7 @@ def readable(count: int, room: float) -> tuple[list[int], float]:
 
 def unnamed(plot: Axes, axis: Axis, beside: float = 0) -> list[str]:
     """Return a note if not all names of a variable have room below a panel; `beside`: see `side_by_side`."""
-    return left_out("x", len(axis.values), _room(plot)[0] - beside)
+    return left_out("x", len(axis.values), _room(plot, beside)[0])
 
 
 def left_out(axis: str, count: int, room: float) -> list[str]:

@@ -78,6 +78,13 @@ def test_a_legend_can_be_beside_or_below_the_data(place: str) -> None:
 def test_panels_can_have_letters() -> None:
     figure = painted("summary", (SIZES, NOISE), facet="noise", panel_titles="letters")
     assert [plot.get_title() for plot in figure.axes[:2]] == ["(a) noise = calm", "(b) noise = breeze"]
+    grid = painted("trajectories", (SIZES, Axis("noise", ("calm", "windy"))), panel_titles="letters")
+    titles = [" ".join(plot.get_title().split()) for plot in grid.axes]
+    assert titles[1::2] == [
+        "(b) size = 2 robots, noise = calm",
+        "(d) size = 1 robots, noise = windy",
+        "(f) size = 4 robots, noise = windy",
+    ]
 
 
 def test_small_print_can_be_left_to_the_caption() -> None:
@@ -85,6 +92,11 @@ def test_small_print_can_be_left_to_the_caption() -> None:
     files = dict(figures.rendered(shown))
     assert b"n = 5" not in files["svg"].partition(b"</metadata>")[2]
     assert b"n = 5" in files["txt"]
+
+
+def test_a_figure_of_one_run_says_which_one() -> None:
+    shown = gallery.drawing("trajectories", (SIZES,), "acm-column", run=1)
+    assert shown.note == "paths, ○ start, □ end, run 1 of 5"
 
 
 def test_small_values_have_a_prefix_and_their_unit() -> None:
