@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
+from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import MEASURES, MeasureOfRun, OneColumn, OneOutput, Threshold
+from sierra.cli.arguments import MEASURES, Long, MeasureOfRun, OneColumn, OneOutput, Threshold
 from sierra.cli.figures import from_here
-from sierra.cli.output import note, print_json
+from sierra.cli.output import note, print_json, terminal_width
+from sierra.cli.output import table as table_of
 from sierra.cli.sql import Format, Printable, write, write_text
 from sierra.cli.stats import PAPER, Shown
 from sierra.errors import Missing, UsageError
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.deliverables.comparison import Compared
     from sierra.stats.comparison.model import Pair
+
+
+WIDEST = 100
+"""The largest number of columns of what is printed on a terminal."""
 
 
 class Pairs(StrEnum):
@@ -104,12 +110,14 @@ def compare(
         typer.Option("--junit", metavar="FILE", help="With --margin: also write JUnit XML; groups that differ are failures."),
     ] = None,
     file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
+    long: Long = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object with everything instead of text.")] = False,
 ) -> None:
     """Compare groups of runs by tests, with sizes and intervals.
 
     The groups are batches, or the values of a variable in one batch, such as controllers. Prints a table with a row for each
-    test, and a paragraph that can be pasted into a paper; draws a figure of the differences.
+    test, and the conclusions in at most five sentences; draws a figure of the differences. With --long, the table has all
+    columns and digits, and the text is the paragraph that the formats for papers have.
 
     Runs with the same seed are pairs, if that helps. Each two groups are compared by Wilcoxon's signed-rank test (pairs) or by
     the Mann-Whitney test; rates by McNemar's exact test (pairs) or by Fisher's. The p values are corrected for all pairs of the
@@ -183,7 +191,7 @@ def compare(
         text = opened.paper_comparison(found, format.value, figures=drawn, folder=folder, caption=caption, label=label)
         write_text(text, file)
     else:
-        _show(found, Format(format.value), file, drawn, as_json=as_json)
+        _show(found, Format(format.value), file, drawn, as_json=as_json, long=long)
     if refused:
         note(f"no figure: {refused}")
 
@@ -217,15 +225,39 @@ def _numbers(pair: Pair) -> str:
     return f"{pair.test}: " + ", ".join(f"{name} = {value:.6g}" for name, value in parts.items() if value is not None)
 
 
-def _show(found: Compared, format: Format, file: Path | None, drawn: list[Path], *, as_json: bool) -> None:
+def _show(found: Compared, format: Format, file: Path | None, drawn: list[Path], *, as_json: bool, long: bool) -> None:
     if as_json and file is None:
         print_json(_answer(found, drawn))
+        return
+    if format is Format.table and file is None and not long:
+        _print_table(found)
     else:
         write(Printable.of_arrow(found.arrow()), format, file)
-        if format is Format.table or file is not None:
-            print(f"\n{found.text}")
-            for path in drawn:
-                print(from_here(path))
+    if format is Format.table or file is not None:
+        text = found.text if long else found.brief
+        width = min(terminal_width(), WIDEST)
+        print(f"\n{fill(text, width, break_long_words=False, break_on_hyphens=False) if width else text}")
+        for path in drawn:
+            print(from_here(path))
+        if not long:
+            note("--long shows all columns, digits and sentences")
+
+
+def _print_table(found: Compared) -> None:
+    """Print the table for papers, and the note below it."""
+    from sierra.deliverables.comparison_text import paper_table
+    from sierra.deliverables.paper_tables import as_text
+
+    shown = paper_table(found)
+    numbers = [header for place, header in enumerate(shown.headers) if place not in shown.texts]
+    width = min(terminal_width() or WIDEST, WIDEST)
+    table_of(
+        shown.headers,
+        [["" if cell is None else as_text(cell) for cell in row] for row in shown.rows],
+        right=numbers,
+        width=width,
+    )
+    print("\n".join(wrap(shown.note, width)))
 
 
 def _drawn(opened: Project, found: Compared) -> tuple[list[Path], str]:

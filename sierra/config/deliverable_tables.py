@@ -99,13 +99,15 @@ class Figure(Table):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    kind: Annotated[str, Field(min_length=1)] = Field(
-        "timeseries",
-        description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, "
-        "`heatmap`; "
-        "distributions of runs: `ecdf`, `histogram`, `ridge`, `survival`; ranks: `critical_difference`; several columns of "
-        "runs: `scatter`, `pareto`, `embedding`; rows: `trajectories`, `density`, `matrix`, `network`, `confusion`, `roc`, "
-        "`pr`, `risk_coverage`; or a plug-in",
+    kind: Annotated[str, Field(min_length=1), BeforeValidator(lambda kind: "trajectories" if kind == "poses" else kind)] = (
+        Field(
+            "timeseries",
+            description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, "
+            "`heatmap`; "
+            "distributions of runs: `ecdf`, `histogram`, `ridge`, `survival`; ranks: `critical_difference`; several columns of "
+            "runs: `scatter`, `pareto`, `embedding`; rows: `trajectories`, `density`, `matrix`, `network`, `confusion`, `roc`, "
+            "`pr`, `risk_coverage`; or a plug-in",
+        )
     )
     inherit: str = Field(
         "", description="name of another figure, or of `figure_defaults`, whose keys are taken unless this figure has its own"
@@ -255,6 +257,7 @@ class TableForPaper(Table):
     )
     headers: Mapping[str, str] = Field(default_factory=dict, description="headers of columns, by their name")
     caption: str = Field("", description="caption of the table")
+    latex: bool = Field(False, description="`caption` and `headers` are LaTeX, and are not escaped in this format")
     label: Annotated[str, Field(pattern=r"^[A-Za-z0-9:._-]*$")] = Field("", description="label, such as `tab:coverage`")
     footnote: str = Field("", description="text below the table, after what SIERRA writes there")
     formats: Annotated[tuple[Literal["latex", "markdown", "html", "csv"], ...], Field(min_length=1)] = Field(

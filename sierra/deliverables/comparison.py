@@ -56,6 +56,8 @@ class Compared:
     analysis: Analysis
     text: str
     """The conclusions as a paragraph, for a paper."""
+    brief: str
+    """The most important sentences of it."""
     asked: Comparison
     """The options of the comparison."""
     notes: tuple[str, ...] = ()
@@ -128,7 +130,7 @@ def compare(
     nothing to compare.
     """
     from sierra.stats.comparison.analyse import analyse
-    from sierra.stats.comparison.wording import paragraph
+    from sierra.stats.comparison.wording import brief, paragraph
 
     stores = {group: (packaged or {}).get(group, store) for group in batches}
     found, cells, factors, notes = gather_cells(project, stores, batches, asked)
@@ -155,6 +157,7 @@ def compare(
         first.unit,
         result,
         paragraph(result, subject),
+        brief(result, subject),
         asked,
         (
             *dict.fromkeys(note for one in found.values() for note in one.notes),

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sierra.deliverables.comparison import Compared
-from sierra.deliverables.comparison_figure import caption_of
+from sierra.deliverables.comparison_figure import caption_of, estimates_of
 from sierra.deliverables.paper_tables import FORMATS, Cell, PaperTable, as_markdown, check_format, escaped, plain
 from sierra.stats.comparison.model import Effect, Omnibus, Pair
 from sierra.stats.comparison.wording import number, p_value
@@ -35,25 +35,49 @@ def text(
     parts = [table, PARAGRAPHS[format](compared.text)]
     if shown := next((file for file in files if file.suffix == SUFFIXES[format]), None):
         path = Path(os.path.relpath(shown, folder or Path.cwd())).as_posix()
-        parts.append(PICTURES[format](path, _caption(compared), f"fig:{compared.name}"))
+        parts.append(PICTURES[format](path, f"{_subject(compared)}: {caption_of(compared)}", f"fig:{compared.name}"))
     return "\n".join(parts)
 
 
 def paper_table(compared: Compared, caption: str = "", label: str = "") -> PaperTable:
-    """Return the table of a comparison: a row for each test, the values of variables first."""
-    tests: list[Omnibus | Pair | Effect] = [*compared.omnibus, *compared.pairs, *compared.effects]
+    """Return the table of a comparison: a row for each test, the values of variables first.
+
+    To be narrow, it has no column for a number of runs or a test that is the same in all rows, and no row for a test of all
+    groups, if there is one such test: these are in the note.
+    """
+    alone = compared.omnibus if len(compared.omnibus) == 1 and compared.pairs else ()
+    tests: list[Omnibus | Pair | Effect] = [*(() if alone else compared.omnibus), *compared.pairs, *compared.effects]
     points = [one.point if not isinstance(one, Effect) else {} for one in tests]
     variables = list(dict.fromkeys(name for point in points for name in point))
     places = {name: plain([point.get(name, "") for point in points]) for name in variables}
     rows: list[dict[str, Cell]] = [
         {name: cells[k] for name, cells in places.items()} | _cells(one, compared) for k, one in enumerate(tests)
     ]
-    headers = [name for name in rows[0] if any(row[name] is not None for row in rows)]
+    first = {name: str(rows[0][name] or "") for name in ("n", "test")}
+    same = {name: text for name, text in first.items() if "," not in text and all(row[name] == text for row in rows)}
+    headers = [name for name in rows[0] if name not in same and any(row[name] is not None for row in rows)]
     texts = frozenset(place for place, name in enumerate(headers) if name in ("groups", "effect", "test", "verdict"))
     texts |= {place for place, name in enumerate(headers) if any(isinstance(point.get(name), str) for point in points)}
     cells = tuple(tuple(row[name] for name in headers) for row in rows)
-    shown = tuple(name.replace("_", " ") if name in variables else name for name in headers)
-    return PaperTable(shown, cells, _caption(compared), caption, label, texts)
+    called = {name: name.replace("_", " ") for name in variables} | {
+        "groups": _variable(compared).replace("_", " ") or "groups"
+    }
+    note = [f"{_subject(compared)}: {estimates_of(compared)}", same.get("test", ""), *map(_in_words, alone)]
+    note += ["p values corrected (Holm)"] if compared.analysis.tests > 1 else []
+    shown = tuple(called.get(name, name) for name in headers)
+    return PaperTable(shown, cells, "; ".join(filter(None, note)), caption, label, texts)
+
+
+def _variable(compared: Compared) -> str:
+    """Return the variable whose values the groups are, as in `size=1`; empty if their names are no such values."""
+    names = {group.partition("=")[0] if "=" in group else "" for pair in compared.pairs for group in (pair.first, pair.second)}
+    return names.pop() if len(names) == 1 else ""
+
+
+def _in_words(one: Omnibus) -> str:
+    """Return a test of all groups for the note below a table."""
+    statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}, "
+    return f"{one.test} of all groups: {statistic}n = {one.n}, {p_value(one.p_adjusted)}"
 
 
 def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
@@ -67,7 +91,9 @@ def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
             n = str(one.n_first) if one.n_first == one.n_second else f"{one.n_first}, {one.n_second}"
             difference = None if one.difference is None else rounded(one.difference, one.low, one.high)
             a12 = None if one.a12 is None else Rounded(f"{one.a12:.2f}")
-            cells |= {"groups": f"{one.second} − {one.first}", "n": n, "test": one.test, _difference(compared): difference}
+            named = _variable(compared)
+            groups = " − ".join(group.removeprefix(f"{named}=" if named else "") for group in (one.second, one.first))
+            cells |= {"groups": groups, "n": n, "test": one.test, _difference(compared): difference}
             cells |= {"A12": a12, "verdict": one.verdict.value}
             if one.p_equivalent_adjusted is not None:
                 cells["p (TOST)"] = _short(p_value(one.p_equivalent_adjusted))
@@ -76,7 +102,7 @@ def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
             cells |= {"groups": "all groups", "n": str(one.n), "test": one.test, "statistic": statistic}
         case Effect():
             statistic = f"F({one.df}, {one.df_error}) = {number(one.f)}"
-            cells |= {"effect": one.name, "statistic": statistic, "partial η²": Rounded(f"{one.eta:.2f}")}
+            cells |= {"effect": one.name.replace("_", " "), "statistic": statistic, "partial η²": Rounded(f"{one.eta:.2f}")}
     return cells
 
 
@@ -89,15 +115,12 @@ def _short(p: str) -> str:
     return p.removeprefix("p ").removeprefix("= ")
 
 
-def _caption(compared: Compared) -> str:
-    """Return the small print: what is compared, and how the numbers were computed."""
+def _subject(compared: Compared) -> str:
+    """Return what is compared."""
     threshold = compared.asked.threshold
-    what = (
-        of_run(compared.measure, compared.column)
-        if threshold is None
-        else f"time until {compared.column} reaches {threshold:g}"
-    )
-    return f"{what}: {caption_of(compared)}"
+    if threshold is None:
+        return of_run(compared.measure, compared.column)
+    return f"time until {compared.column} reaches {threshold:g}"
 
 
 def _latex_picture(path: str, caption: str, label: str) -> str:
@@ -117,7 +140,7 @@ def _html_picture(path: str, caption: str, label: str) -> str:
 
 
 PARAGRAPHS: Mapping[str, Callable[[str], str]] = {
-    "latex": lambda text: escaped(text) + "\n",
+    "latex": lambda text: escaped(text) + "\n{\\emergencystretch=3em\\par}\n",  # names do not stand out of a column
     "markdown": lambda text: as_markdown(text) + "\n",
     "html": lambda text: element("p", text) + "\n",
 }

@@ -97,14 +97,20 @@ def make(project: LoadedProject, store: Store, name: str, declared: TableForPape
         raise SierraError("the table has no row")
     if unknown := [one for one in declared.headers if one not in columns.headers]:
         raise NotFound(f"headers: the table has no column {unknown[0]!r}; {like(unknown[0], list(columns.headers))}")
-    columns = replace(columns, headers={**columns.headers, **declared.headers})
+    headers = {name: (_given(header, declared),) for name, header in declared.headers.items()}
+    columns = replace(columns, headers={**columns.headers, **headers})
     across = declared.across or (BATCH if len(batches) > 1 and not declared.sql else "")
     if across and across not in columns.keys:
         raise NotFound(f"across: the table has no variable {across!r}; {like(across, list(columns.keys))}")
     table = side_by_side(columns, across) if across else plain_table(columns)
     note = "; ".join(filter(None, (table.note, declared.footnote)))
-    table = replace(table, note=note, caption=declared.caption, label=declared.label)
+    table = replace(table, note=note, caption=_given(declared.caption, declared), label=declared.label)
     return Made(name, declared, batches, table, data, sql)
+
+
+def _given(text: str, declared: TableForPaper) -> str:
+    """Return a text of `sierra.toml`, which may be LaTeX."""
+    return paper_tables.Latex(text) if declared.latex else text
 
 
 def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:

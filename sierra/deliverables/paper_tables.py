@@ -9,7 +9,9 @@ from __future__ import annotations
 import csv as csv_module
 import io
 import re
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.config.project_file import LoadedProject, Project
@@ -61,7 +63,23 @@ OUTSIDE_TEXT = {
     **{chr(raised): f"$^{{{chr(plain)}}}$" for plain, raised in SUPERSCRIPTS.items()},
 }
 """Characters that LaTeX knows only as commands of mathematics."""
+MINUS = regex(r"(?<![\w.)\]-])-(?=[.]?\d)|(?<=\de)-(?=\d)")
+"""A hyphen that is the minus of a number."""
 Cell: TypeAlias = Rounded | str | None
+Heads: TypeAlias = tuple[str, ...]
+"""The heads of a column from the outermost, which may span several columns, to its own."""
+COLUMN = 240.0
+"""The width of a column of text, in points, that a table is made for: ACM has 241, IEEE 252."""
+CHARACTER, GAP = 3.75, 8.0
+"""The width of a character of a small font, and of the space between two columns, in points."""
+NARROWEST = 8
+"""The number of characters below which a head is not wrapped."""
+
+
+class Latex(str):
+    """A text that is LaTeX already, and is not escaped."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +93,8 @@ class PaperTable:
     label: str = ""
     texts: frozenset[int] = frozenset()
     """The places of the columns that hold text, and not numbers."""
+    heads: tuple[Heads, ...] = ()
+    """The heads of each column for LaTeX, where equal ones are one; by default its header."""
 
 
 def text(
@@ -88,11 +108,16 @@ def text(
         )
     config = targets.of_batch(project, store, found.batch).config
     axes = [f"axis {place}" for place in range(len(found.axes))]
-    headers = dict(zip(axes, axis_headers(config, found), strict=True))
-    headers |= {"t": _header(found.time, _unit(config, found, found.time))} | statistic_headers(config, found)
+    headers: dict[str, Heads] = {axis: (header,) for axis, header in zip(axes, axis_headers(config, found), strict=True)}
+    headers |= {"t": (_header(found.time, _unit(config, found, found.time)),)} | statistic_headers(config, found)
     table = found.with_axes(axes, labels=True)
     shown = {name: header for name, header in headers.items() if name in table.column_names}
     return FORMATS[format](paper_table(table, found.chosen, shown, "; ".join(found.notes), caption=caption, label=label))
+
+
+def flat(heads: Heads) -> str:
+    """Return the heads of a column in one line: `mean speed [m/s]`."""
+    return " ".join(reversed(heads)) if len(heads) > 1 else heads[0]
 
 
 def check_format(format: str, label: str) -> None:
@@ -112,14 +137,14 @@ def axis_headers(config: Project, found: Statistics) -> list[str]:
     return headers
 
 
-def statistic_headers(config: Project, found: Statistics) -> dict[str, str]:
-    """Return the headers of the chosen statistics, by name; one alone is named by its column only."""
+def statistic_headers(config: Project, found: Statistics) -> dict[str, Heads]:
+    """Return the heads of the chosen statistics, by name; one alone is named by its column only."""
     what, unit = found.column, _unit(config, found, found.column)
     if found.threshold is not None:
         reached = f"{found.column} ≥ {found.threshold:.12g}"
         what, unit = f"time until {reached}{f' {unit}' if unit else ''}", _unit(config, found, found.time)
-    alone = len(found.chosen) == 1
-    return {name: _header(what if alone and name in PLAIN else f"{name} {what}", unit) for name in found.chosen}
+    alone, head = len(found.chosen) == 1, _header(what, unit)
+    return {name: (head,) if alone and name in PLAIN else (head, name.replace("_", " ")) for name in found.chosen}
 
 
 Estimates: TypeAlias = dict[int, tuple[float | None, float | None, float | None, int]]
@@ -145,12 +170,12 @@ def _header(name: str, unit: str) -> str:
 
 
 def paper_table(
-    statistics: pa.Table, names: Sequence[str], headers: Mapping[str, str], notes: str, *, caption: str = "", label: str = ""
+    statistics: pa.Table, names: Sequence[str], headers: Mapping[str, Heads], notes: str, *, caption: str = "", label: str = ""
 ) -> PaperTable:
-    """Return the table of these statistics. `headers` has the header of each column; columns without one are not shown."""
+    """Return the table of these statistics. `headers` has the heads of each column; columns without one are not shown."""
     columns = {name: statistics.column(name).to_pylist() for name in statistics.column_names}
     counts = columns.get("n", [])
-    shown: dict[str, list[Cell]] = {}
+    shown: dict[Heads, list[Cell]] = {}
     for name, header in headers.items():
         if name in names:
             ends = zip(columns[name], columns[f"{name}_low"], columns[f"{name}_high"], strict=True)
@@ -159,14 +184,14 @@ def paper_table(
             shown[header] = plain(columns[name])
     n = f"n = {counts[0]}" if len(set(counts)) == 1 else ""
     if counts and not n:
-        shown["n"] = [str(count) for count in counts]
+        shown[("n",)] = [str(count) for count in counts]
     methods = {name: list(dict.fromkeys(filter(None, columns[f"{name}_interval"]))) for name in names}
     texts = [
         place for place, name in enumerate(headers) if name not in names and any(isinstance(v, str) for v in columns[name])
     ]
     note = "; ".join(filter(None, (n, intervals(methods), notes)))
     rows = tuple(zip(*shown.values(), strict=True))
-    return PaperTable(tuple(shown), rows, note, caption, label, frozenset(texts))
+    return PaperTable(tuple(map(flat, shown)), rows, note, caption, label, frozenset(texts), tuple(shown))
 
 
 def plain(values: Sequence[object]) -> list[Cell]:
@@ -188,30 +213,86 @@ def intervals(methods: Mapping[str, Iterable[str]]) -> str:
 
 
 def latex(table: PaperTable) -> str:
-    """Return the table as a `tabular` with the rules of the package booktabs, in a `table` if it has a caption or a label."""
-    alignment = "".join("l" if place in table.texts else "r" for place in range(len(table.headers)))
-    rows = [" & ".join(map(_latex_cell, row)) + r" \\" for row in table.rows]
+    """Return the table as a `tabular` with the rules of the package booktabs, in a `table` if it has a caption or a label.
+
+    It fits a column of text if it can: heads are wrapped if they would make it wider, and the note always is. A table that
+    is wider nevertheless is a `table*`, for both columns.
+    """
+    heads = table.heads or tuple((header,) for header in table.headers)
+    widths = [max(len(as_text(row[place])) for row in table.rows) for place in range(len(heads))]
+    own = [[head[-1]] for head in heads]
+    if _width(heads, own, widths) > COLUMN:
+        own = [_wrapped(lines[0], max(width, NARROWEST)) for lines, width in zip(own, widths, strict=True)]
+    star = "*" if _width(heads, own, widths) > COLUMN else ""
+    alignment = "".join("l" if place in table.texts else "r" for place in range(len(heads)))
     lines = [
-        rf"\begin{{tabular}}{{{alignment}}}",
+        r"\footnotesize\setlength{\tabcolsep}{4pt}%",
+        rf"\begin{{tabular}}{{@{{}}{alignment}@{{}}}}",
         r"\toprule",
-        " & ".join(map(escaped, table.headers)) + r" \\",
+        *_spanning(heads),
+        *(" & ".join(map(escaped, row)) + r" \\" for row in _below(own)),
         r"\midrule",
-        *rows,
+        *(" & ".join(map(_latex_cell, row)) + r" \\" for row in table.rows),
         r"\bottomrule",
-        rf"\multicolumn{{{len(table.headers)}}}{{l}}{{\footnotesize {escaped(table.note)}}} \\",
-        r"\end{tabular}",
+        r"\end{tabular}\par\smallskip",
+        rf"\noindent\parbox{{\linewidth}}{{\raggedright {escaped(table.note)}}}\par",
     ]
     if not (table.caption or table.label):
-        return "\n".join(lines) + "\n"
+        wide = ["% This table is wider than a column of text: put it into table*."] if star else []
+        return "\n".join([*wide, r"\begingroup\noindent", *lines, r"\endgroup"]) + "\n"
     caption = [rf"\caption{{{escaped(table.caption)}}}"] if table.caption else []
     label = [rf"\label{{{table.label}}}"] if table.label else []
-    return "\n".join([r"\begin{table}", r"\centering", *caption, *label, *lines, r"\end{table}"]) + "\n"
+    return "\n".join([rf"\begin{{table{star}}}", r"\centering", *caption, *label, *lines, rf"\end{{table{star}}}"]) + "\n"
+
+
+def _spans(heads: Sequence[Heads]) -> Iterator[list[tuple[str, int, int]]]:
+    """Yield for each line of spanning heads: each head, its first column, and that after its last."""
+    depth = max(map(len, heads))
+    padded = [("",) * (depth - len(head)) + head for head in heads]
+    for level in range(depth - 1):
+        spans, first = [], 0
+        for path, columns in groupby(head[: level + 1] for head in padded):
+            spans.append((path[-1], first, first := first + len(list(columns))))
+        yield spans
+
+
+def _spanning(heads: Sequence[Heads]) -> Iterator[str]:
+    """Yield the rows of the heads that span columns, each with the rules below it."""
+    for spans in _spans(heads):
+        cells = (
+            rf"\multicolumn{{{end - first}}}{{c}}{{{escaped(head)}}}" if head else " & " * (end - first - 1)
+            for head, first, end in spans
+        )
+        yield " & ".join(cells) + r" \\"
+        yield "".join(rf"\cmidrule(lr){{{first + 1}-{end}}}" for head, first, end in spans if head)
+
+
+def _wrapped(head: str, width: int) -> list[str]:
+    """Return the lines of a head; LaTeX has one, because it may end anywhere."""
+    return [head] if isinstance(head, Latex) else textwrap.wrap(head, width, break_long_words=False, break_on_hyphens=False)
+
+
+def _below(own: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+    """Return the rows of the columns' own heads, whose last lines are beside each other."""
+    high = max(map(len, own))
+    return list(zip(*([""] * (high - len(lines)) + list(lines) for lines in own), strict=True))
+
+
+def _width(heads: Sequence[Heads], own: Sequence[Sequence[str]], widths: Sequence[int]) -> float:
+    """Return about the width of a table in points; `widths` are the numbers of characters of the widest cells."""
+    found = [max(width, *map(len, lines)) * CHARACTER for width, lines in zip(widths, own, strict=True)]
+    for spans in reversed(list(_spans(heads))):
+        for head, first, end in spans:
+            found[end - 1] += max(0.0, len(head) * CHARACTER - sum(found[first:end]) - GAP * (end - first - 1))
+    return sum(found) + GAP * (len(found) - 1)
 
 
 def escaped(text: str) -> str:
-    """Return a text for LaTeX, in one line."""
+    """Return a text for LaTeX, in one line, with minus signs."""
+    if isinstance(text, Latex):
+        return str(text)
     known = {**SPECIAL, **OUTSIDE_TEXT}
-    return "".join(known.get(character, character) for character in " ".join(text.split()))
+    return "".join(known.get(character, character) for character in MINUS.sub("−", " ".join(text.split())))
 
 
 def _latex_cell(cell: Cell) -> str:

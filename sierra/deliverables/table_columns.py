@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from sierra.deliverables.paper_tables import Cell, PaperTable, plain
+from sierra.deliverables.paper_tables import Cell, Heads, PaperTable, flat, plain
 from sierra.errors import UsageError
 from sierra.model import Value
 from sierra.util.lazy_definitions import dataclass
@@ -14,7 +14,7 @@ from sierra.util.lazy_definitions import dataclass
 class Columns:
     """The columns of a table by name: those that say what a row is (`keys`), then those with numbers."""
 
-    headers: Mapping[str, str]
+    headers: Mapping[str, Heads]
     keys: Mapping[str, Sequence[Value | None]]
     cells: Mapping[str, Sequence[Cell]]
     note: str = ""
@@ -23,7 +23,8 @@ class Columns:
 def plain_table(columns: Columns) -> PaperTable:
     """Return the table of these columns."""
     cells = {**{key: plain(values) for key, values in columns.keys.items()}, **columns.cells}
-    return _table(columns, [columns.headers[name] for name in cells], list(cells.values()))
+    heads = [columns.headers[name] for name in cells]
+    return _table(columns, list(map(flat, heads)), heads, list(cells.values()))
 
 
 def side_by_side(columns: Columns, across: str) -> PaperTable:
@@ -32,24 +33,28 @@ def side_by_side(columns: Columns, across: str) -> PaperTable:
     rest = {key: values for key, values in columns.keys.items() if key != across}
     keys = list(zip(*rest.values(), strict=True)) if rest else [()] * count
     rows = {key: place for place, key in enumerate(dict.fromkeys(keys))}
-    headers = [columns.headers[key] for key in rest]
+    heads = [columns.headers[key] for key in rest]
+    headers = list(map(flat, heads))
     found: list[Sequence[Cell]] = [plain([key[place] for key in rows]) for place in range(len(rest))]
     groups = list(dict.fromkeys(columns.keys[across]))
     for group, shown in zip(groups, plain(groups), strict=True):
-        named = str(shown) if isinstance(group, str) else f"{columns.headers[across]} = {shown}"
+        above: Heads = (str(shown),) if isinstance(group, str) else (*columns.headers[across], str(shown))
+        named = " = ".join(above)
         places = {rows[keys[k]]: k for k in range(count) if columns.keys[across][k] == group}
         if len(places) < sum(one == group for one in columns.keys[across]):
             raise UsageError(f"across: two rows have the same {across!r} and other values; leave it out, or group the rows")
         for name, cells in columns.cells.items():
-            headers.append(f"{columns.headers[name]} ({named})")
+            own = columns.headers[name]
+            heads.append((*own, *above) if len(columns.cells) == 1 else (*above, *own))
+            headers.append(f"{flat(own)} ({named})")
             found.append([cells[places[row]] if row in places else None for row in range(len(rows))])
-    return _table(columns, headers, found)
+    return _table(columns, headers, heads, found)
 
 
-def _table(columns: Columns, headers: Sequence[str], cells: Sequence[Sequence[Cell]]) -> PaperTable:
+def _table(columns: Columns, headers: Sequence[str], heads: Sequence[Heads], cells: Sequence[Sequence[Cell]]) -> PaperTable:
     """Return the table; columns of texts that are no numbers are aligned to the left."""
     texts = frozenset(place for place, column in enumerate(cells) if any(map(_is_text, column)))
-    return PaperTable(tuple(headers), tuple(zip(*cells, strict=True)), columns.note, texts=texts)
+    return PaperTable(tuple(headers), tuple(zip(*cells, strict=True)), columns.note, texts=texts, heads=tuple(heads))
 
 
 def _is_text(cell: Cell) -> bool:

@@ -36,7 +36,7 @@ def columns(store: Store, declared: TableForPaper, batches: Mapping[str, str]) -
         digits = declared.digits if isinstance(declared.digits, int) else declared.digits.get(column)
         low, high = (every[end] for end in intervals[column]) if column in intervals else ([None] * found.table.num_rows,) * 2
         cells[column] = [_cell(*values, digits) for values in zip(every[column], low, high, strict=True)]
-    headers = {column: column.replace("_", " ") for column in shown}
+    headers = {column: (column.replace("_", " "),) for column in shown}
     return Columns(headers, {column: every[column] for column in shown[:split]}, cells), found.table, found.sql
 
 

@@ -9,7 +9,7 @@ from sierra.config.deliverable_tables import TableForPaper
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import overlay, paper_tables
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.paper_tables import Cell, Estimates
+from sierra.deliverables.paper_tables import Cell, Estimates, Heads
 from sierra.deliverables.run_statistics import of_tables, statistics
 from sierra.deliverables.table_columns import Columns
 from sierra.design.query import condition
@@ -38,7 +38,7 @@ class _Estimates:
     """The same, as a reader sees them: with the labels of controllers and scenarios."""
     values: Mapping[str, Estimates]
     """Value, low, high and n, by the name of the column in the table and the position of the experiment."""
-    headers: Mapping[str, str]
+    headers: Mapping[str, Heads]
     methods: Mapping[str, Sequence[str]]
     notes: tuple[str, ...]
     sql: tuple[str, ...]
@@ -74,8 +74,8 @@ def columns(
     note = "; ".join(filter(None, (n, paper_tables.intervals(methods), *overlay.together(_notes(found)))))
     parts = {f"{column} {part}": [one[k] for one in some] for column, some in numbers.items() for k, part in enumerate(PARTS)}
     data = pa.table({**{f"key {key}": pa.array(values) for key, values in keys.items()}, **parts})
-    headers = {BATCH: BATCH, **first.headers} if len(found) > 1 else dict(first.headers)
-    headers |= {column: column.replace("_", " ") for column in cells if column not in headers}
+    headers: dict[str, Heads] = {BATCH: (BATCH,), **first.headers} if len(found) > 1 else dict(first.headers)
+    headers |= {column: (column.replace("_", " "),) for column in cells if column not in headers}
     sql = "\n\n".join(dict.fromkeys(text for one in found.values() for text in one.sql))
     return Columns(headers, shown, cells, note), data, sql
 
@@ -105,7 +105,9 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
     first = next(iter(found.values()))
     cells = {ordinal: first.cells[ordinal] for ordinal in first.table.column("experiment").to_pylist()}
     chosen = condition.among(declared.experiments, first.axes, cells, first.labelled)
-    headers, values, methods = dict(zip(first.axes, paper_tables.axis_headers(config, first), strict=True)), {}, {}
+    axes = zip(first.axes, paper_tables.axis_headers(config, first), strict=True)
+    headers: dict[str, Heads] = {axis: (header,) for axis, header in axes}
+    values, methods = {}, {}
     for column, one in found.items():
         for statistic, header in paper_tables.statistic_headers(config, one).items():
             called = column if declared.statistics == paper_tables.PLAIN else f"{statistic} {column}"

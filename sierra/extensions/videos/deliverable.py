@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from sierra.deliverables.kinds import DeliverableKind, FilesOfPaper
+from sierra.extensions.videos.prepare import VERSION
 from sierra.extensions.videos.table import Video
 
 if TYPE_CHECKING:
@@ -30,4 +31,4 @@ def _paper(name: str, video: Video, galleries: Mapping[str, Gallery]) -> FilesOf
     return of_paper(name, video, galleries)
 
 
-VIDEOS = DeliverableKind("videos", Video, "make it again with: sierra video", _content, paper=_paper)
+VIDEOS = DeliverableKind("videos", Video, "make it again with: sierra video", _content, VERSION, paper=_paper)

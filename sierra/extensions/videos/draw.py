@@ -31,7 +31,7 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
 
     def make(one: Ready, format: Format) -> Path:
         path = folder / f"{fitting(one.film.name)}.{format}"
-        encode.encode(path, told.each(frames(prepared, one)), prepared.video.fps, format, origin)
+        encode.encode(path, told.each(frames(prepared, one)), prepared.video.rate(len(one.times), format), format, origin)
         return path
 
     with settings(), ThreadPoolExecutor(max(1, min(jobs, len(work)))) as pool:

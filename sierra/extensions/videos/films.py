@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ from sierra.errors import DamagedFile, NotFound, SierraError
 from sierra.extensions.videos.table import Video
 from sierra.model import Axis, Value
 from sierra.store.samples import ChosenRun
-from sierra.util.lazy_definitions import dataclass
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 MOST = 64
 """The largest number of panels."""
+UNFIT = regex(r"[^\w.+=-]+")
+"""Characters of values that names of files do not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +94,11 @@ def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[s
     if video.show == "difference":
         return [_difference(name, video, members)], []
     experiments = members.matching(video.experiments, "experiments")
-    alone = len(members.cells) == 1
+    called_by = file_names(name, members)
     made: list[Film] = []
     failed: list[str] = []
     for experiment in experiments:
-        called = name if alone else f"{name}_experiment{experiment}"
+        called = called_by[experiment]
         try:
             made.append(film_of(called, video, members, experiment))
         except DamagedFile:
@@ -105,6 +108,22 @@ def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[s
     if not made:
         raise SierraError("; ".join(failed).replace(f"video {name}: ", ""))
     return made, failed
+
+
+def file_names(name: str, members: Members) -> dict[int, str]:
+    """Return the names of files by experiment, with the values of the variables: `heat-population_size=8`.
+
+    A name that would be that of two experiments also has the number of the experiment.
+    """
+    if len(members.cells) == 1:
+        return dict.fromkeys(members.cells, name)
+    values = {
+        experiment: "-".join([name, *(f"{axis.name}={members.names[experiment][axis.name]}" for axis in members.axes)])
+        for experiment in members.cells
+    }
+    found = {experiment: UNFIT.sub("_", text) for experiment, text in values.items()}
+    counts = Counter(text.lower() for text in found.values())
+    return {k: text if counts[text.lower()] == 1 else f"{text}_experiment{k}" for k, text in found.items()}
 
 
 def film_of(name: str, video: Video, members: Members, experiment: int) -> Film:

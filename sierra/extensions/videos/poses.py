@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from sierra.errors import UsageError
 from sierra.extensions.videos.sql_tracks import Rows, Source, Stacked
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun
-from sierra.store.sql_names import identifier
+from sierra.store.sql_names import identifier, quote
+from sierra.util.text import natural
+
+if TYPE_CHECKING:
+    from sierra.extensions.videos.tracks import State
 
 
 class Poses:
@@ -19,12 +24,33 @@ class Poses:
         self.columns = video.columns
         if video.robot:
             source.check((video.robot,), numeric=False)
+        self.robots = _robots(source, video.robot, runs) if video.robot else []
+        """The names of robots in their natural order, if a column has them."""
         expressions = {f"c{place}": f"{identifier(name)}::DOUBLE" for place, name in enumerate(video.columns)}
+        if self.robots:
+            members = ", ".join(map(quote, self.robots))
+            expressions["robot"] = f"enum_code({identifier(video.robot)}::VARCHAR::ENUM({members}))::DOUBLE"
         self.rows = [Rows(source, run, expressions) for run in runs]
         if video.robot:
             for rows in self.rows:
                 _check_once(source, rows, video.robot)
-        self.tracks = [Stacked(rows) for rows in self.rows]
+        self.tracks = [_Poses(rows) if self.robots else Stacked(rows) for rows in self.rows]
+
+
+class _Poses(Stacked):
+    """The poses of a run, and the number of each robot, by the place of its name."""
+
+    def states(self) -> Iterator[State]:
+        for (columns,) in super().states():
+            yield columns[:, :-1], columns[:, -1]
+
+
+def _robots(source: Source, robot: str, runs: Sequence[ChosenRun]) -> list[str]:
+    found: set[str] = set()
+    for run in runs:
+        names = f"SELECT DISTINCT {identifier(robot)}::VARCHAR AS robot FROM {source.relation(run)}"
+        found.update(name for name in source.sql(names).column("robot").to_pylist() if name is not None)
+    return sorted(found, key=natural)
 
 
 def _check_once(source: Source, rows: Rows, robot: str) -> None:

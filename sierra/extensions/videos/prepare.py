@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 KIND = "video"
 """The kind of the records of videos, among deliverables."""
+VERSION = 2
+"""The version of how videos are made. Those of version 1 had other names of files, and robots without numbers and trails."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Prepared:
             for one in self.films
         }
         definition: dict[str, JsonView] = {
+            "version": VERSION,
             "video": self.video.model_dump(mode="json", exclude_unset=True, by_alias=True),
             "files": shown,
             **({"name": self.name, "batches": list(self.batches)} if len(self.batches) > 1 else {}),

@@ -114,7 +114,7 @@ class RobotSubject(Timed):
         super().__init__(source, gallery, video.columns)
         self._video = video
         self._poses = Poses(source, video, film.runs)
-        self.layout: Layout = {}
+        self.layout: Layout = {"robots": self._poses.robots}
         self.tracks = self._poses.tracks
         self.sql = source.shown((*filter(None, (video.robot,)), *video.columns), film.runs)
         x, y = (_labelled(name, self.units[name]) for name in video.columns[:2])
@@ -128,14 +128,26 @@ class RobotSubject(Timed):
         return [
             *([f"{survey.empty} missing values: robots without a place are not shown"] if survey.empty else []),
             *(["robots beyond the limits are not shown"] if cut else []),
+            *self._legend(),
         ]
+
+    def _legend(self) -> Iterator[str]:
+        """Yield what the numbers of robots stand for, unless they are the names."""
+        from sierra.extensions.videos.painting.pose_painter import marks
+
+        robots = self._poses.robots
+        if (shown := marks(robots)) and shown != robots:
+            yield f"numbers: {few([f'{mark} {name}' for mark, name in zip(shown, robots, strict=True)], 12)}"
 
     def painter(self, film: Film, survey: Survey, tracks: Sequence[Track]) -> Painter:
         from sierra.extensions.videos.painting.pose_painter import PosePainter
 
         del film, tracks
         x, y, *_ = survey.columns or (Range(), Range())
-        return PosePainter(_margin(x, self._video.xlim), _margin(y, self._video.ylim), self._labels)
+        wide, high = (ends[1] - ends[0] for ends in (_ends(x), _ends(y)))
+        room = MARGIN * max(wide, high)
+        limits = _margin(x, self._video.xlim, room), _margin(y, self._video.ylim, room)
+        return PosePainter(*limits, self._labels, self._poses.robots)
 
 
 class NetworkSubject(Timed):
@@ -189,12 +201,16 @@ LAYOUT = ((-1.25, 1.25), (-1.25, 1.25))
 """The limits of computed layouts, whose nodes are between -1 and 1."""
 
 
-def _margin(values: Range, given: tuple[float, float] | None) -> tuple[float, float]:
+MARGIN = 0.06
+"""The part of an axis that is left beside its values: robots and their headings fit into it."""
+
+
+def _margin(values: Range, given: tuple[float, float] | None, margin: float | None = None) -> tuple[float, float]:
     """Return the limits of an axis: the given ones, or those of the values with a margin."""
     if given:
         return given
     low, high = _ends(values)
-    margin = 0.05 * (high - low)
+    margin = MARGIN * (high - low) if margin is None else margin
     return low - margin, high + margin
 
 

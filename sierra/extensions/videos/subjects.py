@@ -57,7 +57,7 @@ def subjects(video: Video, gallery: Gallery) -> Callable[[Film], Subject]:
         return partial(PictureSubject, video, gallery)
     source = source_of(video, gallery)
     match video.kind:
-        case "poses":
+        case "trajectories":
             return partial(RobotSubject, video, gallery, source)
         case "network":
             return partial(NetworkSubject, video, gallery, source)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, NonNegativeInt, model_validator
 
 from sierra.config.deliverable_tables import Bound, LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Name, Positive, Table
@@ -13,9 +13,16 @@ from sierra.config.field_types import Finite, Name, Positive, Table
 if TYPE_CHECKING:
     from sierra.config.project_file import Project
 
-Kind = Literal["matrix", "grid", "poses", "network", "pictures", "capture"]
+Kind = Literal["matrix", "grid", "trajectories", "network", "pictures", "capture"]
 Format = Literal["mp4", "webm", "gif"]
-COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "network": (2, 3), "pictures": (0, 0), "capture": (0, 0)}
+COLUMNS = {
+    "matrix": (3, 3),
+    "grid": (0, 100_000),
+    "trajectories": (2, 3),
+    "network": (2, 3),
+    "pictures": (0, 0),
+    "capture": (0, 0),
+}
 """The smallest and the largest number of columns of each kind."""
 NUMERIC = ("matrix", "grid")
 """The kinds whose states are numbers, which have means and differences."""
@@ -24,9 +31,9 @@ OF_KINDS = {
     "palette": (*NUMERIC, "network"),
     "limits": (*NUMERIC, "network"),
     "label": (*NUMERIC, "network"),
-    "robot": ("poses",),
-    "xlim": ("poses", "network"),
-    "ylim": ("poses", "network"),
+    "robot": ("trajectories",),
+    "xlim": ("trajectories", "network"),
+    "ylim": ("trajectories", "network"),
     "place": ("network",),
     "layout": ("network",),
     "directed": ("network",),
@@ -35,6 +42,9 @@ OF_KINDS = {
 """The keys that only some kinds have."""
 FASTEST_GIF = 50
 """The most frames per second of a GIF: its times are in 1/100 s, and browsers show frames of 1/100 s for 1/10 s."""
+FASTEST, USUAL = 60.0, 25.0
+SHORTEST, LONGEST = 5.0, 20.0
+"""The seconds that a video lasts at least and at most if nothing says how fast it is."""
 Side = Annotated[int, Field(ge=160, le=4096)]
 
 
@@ -47,13 +57,13 @@ def _once(formats: tuple[Format, ...]) -> tuple[Format, ...]:
 class Video(Table):
     """One video of each experiment of a batch, or of several runs or experiments side by side, for `sierra video`."""
 
-    kind: Kind = Field(
+    kind: Annotated[Kind, BeforeValidator(lambda kind: "trajectories" if kind == "poses" else kind)] = Field(
         "matrix",
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
-        "each row of the table is a row of the matrix, and `columns` are its columns; `poses`: x, y and perhaps the heading "
-        "in radians, a row for each robot; `network`: source, target and perhaps a weight, a row for each edge; `pictures`: "
-        "images or videos that runs leave, in the files of the output that `table` names; `capture`: the frames "
-        "that `sierra capture` has recorded",
+        "each row of the table is a row of the matrix, and `columns` are its columns; `trajectories`, formerly `poses`: x, y "
+        "and perhaps the heading in radians, a row for each robot; `network`: source, target and perhaps a weight, a row for "
+        "each edge; `pictures`: images or videos that runs leave, in the files of the output that `table` names; `capture`: "
+        "the frames that `sierra capture` has recorded",
     )
     query: Bound = ()
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
@@ -88,7 +98,11 @@ class Video(Table):
         None, description="values at the ends of the colours; default: the smallest and the largest value of all frames"
     )
     palette: Literal["viridis", "cividis", "magma", "grey", "coolwarm"] = Field("viridis", description="scale of colours")
-    robot: str = Field("", description="column that tells robots apart; a robot has one row at a time; default: not checked")
+    robot: str = Field(
+        "",
+        description="column that tells robots apart, for their colours, numbers and trails; a robot has one row at a time; "
+        "default: all look the same, and this is not checked",
+    )
     xlim: LimitsOfAxis | None = Field(None, description="limits of x; default: those of all frames")
     ylim: LimitsOfAxis | None = Field(None, description="limits of y; default: those of all frames")
     place: ListOfWords = Field(
@@ -102,7 +116,11 @@ class Video(Table):
     title: str = Field("", description="title above the frames; default: none")
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
     size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
-    fps: Annotated[float, Field(ge=0.1, le=120)] = Field(25.0, description="frames per second; a `gif` has at most 50")
+    fps: Annotated[float, Field(ge=0.1, le=120)] | None = Field(
+        None,
+        description="frames per second; a `gif` has at most 50; default: 25, or what makes the video last 5 to 20 s, but at "
+        "most 60, or 50 in a `gif`",
+    )
     formats: Annotated[
         tuple[Format, ...], Field(min_length=1, json_schema_extra={"uniqueItems": True}), AfterValidator(_once)
     ] = Field(("mp4",), description="formats of the files: `mp4` (H.264), `webm` (VP9), `gif`")
@@ -124,7 +142,7 @@ class Video(Table):
             raise ValueError('"xlim" and "ylim" of a network need "place"')
         if self.kind == "network" and not self.node_value and {"palette", "limits", "label"} & self.model_fields_set:
             raise ValueError('"palette", "limits" and "label" of a network need "node_value"')
-        if "gif" in self.formats and self.fps > FASTEST_GIF:
+        if "gif" in self.formats and (self.fps or 0) > FASTEST_GIF:
             raise ValueError(f"a gif has at most {FASTEST_GIF} frames per second; browsers show faster ones slowly")
         least, most = COLUMNS[self.kind]
         if not least <= len(self.columns) <= most:
@@ -143,6 +161,11 @@ class Video(Table):
         if self.show == "difference" and self.experiments:
             raise ValueError('the experiments of a difference are its "groups"')
         return self
+
+    def rate(self, frames: int, format: Format) -> float:
+        """Return the frames per second of a file with this number of frames."""
+        fitting = max(frames / LONGEST, min(USUAL, frames / SHORTEST))
+        return self.fps or min(fitting, FASTEST_GIF if format == "gif" else FASTEST)
 
 
 TABLE: tuple[object, object] = (

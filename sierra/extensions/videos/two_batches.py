@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from sierra.deliverables.gallery import Gallery
 from sierra.errors import DamagedFile, SierraError, UsageError
-from sierra.extensions.videos.films import Film, Members, Panel, film_of
+from sierra.extensions.videos.films import Film, Members, Panel, file_names, film_of
 from sierra.extensions.videos.subjects import Subject, subjects
 from sierra.extensions.videos.survey import Survey
 from sierra.extensions.videos.table import NUMERIC, Video
@@ -72,8 +72,9 @@ def films_of_two(
     notes += [f"video {name}: {what} is only in {labels[side]}" for side, what in alone]
     if not pairs:
         raise SierraError(f"batches {labels[0]!r} and {labels[1]!r} have no experiment with the same values of variables")
+    called_by = file_names(name, a)
     for first, second in pairs:
-        called = name if len(a.cells) == 1 else f"{name}_experiment{first}"
+        called = called_by[first]
         try:
             sides = film_of(called, video, a, first), film_of(called, video, b, second)
         except DamagedFile:

@@ -9,6 +9,8 @@ from sierra.model import Value
 from sierra.stats.comparison.model import Analysis, Effect, Omnibus, Pair, Verdict
 from sierra.util.text import counted, verb
 
+BRIEF = 5
+"""The largest number of sentences of a brief text."""
 SENTENCES = 8
 """The largest number of pairs with a sentence each; more pairs are counted."""
 
@@ -16,6 +18,15 @@ SENTENCES = 8
 def paragraph(result: Analysis, subject: str) -> str:
     """Return the text: what was compared, how, and each conclusion. `subject` is the compared quantity, in words."""
     return " ".join((_opening(result, subject), *_findings(result), *_method(result), *_left_out(result)))
+
+
+def brief(result: Analysis, subject: str) -> str:
+    """Return the most important sentences of the paragraph: the conclusions, what is left out, and then the method."""
+    findings = [*map(_effect, result.effects), *(_pair(pair, result) for pair in result.pairs)]
+    if len(findings) > BRIEF - 3:
+        findings = [_effects(result)] if result.effects else [_verdicts(result)]
+    every = (_opening(result, subject), *findings, *_left_out(result), _pairing(result), *_method(result))
+    return " ".join(every[:BRIEF])
 
 
 def number(value: float) -> str:
@@ -85,9 +96,18 @@ def _findings(result: Analysis) -> Iterator[str]:
     if len(result.pairs) <= SENTENCES:
         yield from (_pair(pair, result) for pair in result.pairs)
         return
+    yield _verdicts(result)
+
+
+def _verdicts(result: Analysis) -> str:
     counts = Counter(pair.verdict for pair in result.pairs)
     shown = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict if counts[verdict])
-    yield f"The verdicts of the {len(result.pairs)} comparisons of two groups are: {shown}."
+    return f"The verdicts of the {len(result.pairs)} comparisons of two groups are: {shown}."
+
+
+def _effects(result: Analysis) -> str:
+    shown = [effect.name for effect in result.effects if effect.p_adjusted <= result.question.alpha]
+    return f"Of {len(result.effects)} effects and interactions, these were shown: {', '.join(shown) or 'none'}."
 
 
 def _pairing(result: Analysis) -> str:

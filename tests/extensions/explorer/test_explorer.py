@@ -24,7 +24,7 @@ from tests.tiers import needs_extension
 from tests.waiting import PATIENCE_S
 
 pytestmark = [pytest.mark.real, pytest.mark.integration]
-FILM = "heat_experiment0: <script>alert(1)</script>, population size = 1, run 0"
+FILM = "heat-population_size=1: <script>alert(1)</script>, population size = 1, run 0"
 DRAWN = "document.querySelector('#drawn canvas') !== null || document.getElementById('chart-error').textContent"
 READY = "document.getElementById('stop').disabled && document.querySelectorAll('#figures button').length > 0"
 TEXT = "document.getElementById({!r}).innerText"

@@ -292,7 +292,7 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
     assert captured(root)[0] == 0
     made = make_videos(project)
     paths, notes = made.files, made.notes
-    assert [path.name for path in paths] == ["seen_experiment0.mp4", "seen_experiment1.mp4"]
+    assert [path.name for path in paths] == ["seen-population_size=1.mp4", "seen-population_size=2.mp4"]
     assert [note for note in notes if "NOT what was measured" in note] == []
     assert "rendered apart from the measured runs, with the same results" in str(table(project, "FROM deliverables"))
     frames = video_files.decoded(paths[1])

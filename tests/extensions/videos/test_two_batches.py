@@ -77,7 +77,7 @@ def test_two_batches_are_drawn_side_by_side_and_recorded_for_both(root: Path, tm
     done = projects.quick(root, "video", f"calm={first[:10]}", f"noisy={second[:10]}", "--json")
     assert done.returncode == 0, done.stderr
     (path,) = map(Path, json.loads(done.stdout)["files"])
-    assert (path.parent.name, path.name) == (f"{first[:10]}-{second[:10]}", "heat_experiment0.mp4")
+    assert (path.parent.name, path.name) == (f"{first[:10]}-{second[:10]}", "heat-population_size=1.mp4")
     assert len(video_files.decoded(path)) == 3
     assert "video heat: population size = 2 is only in calm" in done.stderr
     assert "video heat: population size = 3 is only in noisy" in done.stderr
@@ -85,7 +85,7 @@ def test_two_batches_are_drawn_side_by_side_and_recorded_for_both(root: Path, tm
     assert (row["name"], row["batches"]) == ("heat_calm_noisy", [first, second])
     for batch in (first, second):
         assert "heat_calm_noisy: follows from the store" in projects.quick(root, "figures", batch, "--check").stdout
-        assert "Video. heat_experiment0" in sierra.open(root).report(batch, to=tmp_path / "page.html").file.read_text()
+        assert "Video. heat-population_size=1" in sierra.open(root).report(batch, to=tmp_path / "page.html").file.read_text()
     path.write_bytes(path.read_bytes()[:-1])
     for batch in (first, second):
         assert "is not the file that SIERRA made" in projects.quick(root, "figures", batch, "--check").stdout

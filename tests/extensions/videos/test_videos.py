@@ -118,7 +118,7 @@ def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path, monkey
     done = projects.quick(root, "video", "--json")
     assert done.returncode == 0, done.stderr
     heat, grid = map(Path, json.loads(done.stdout)["files"])
-    assert (heat.name, grid.name) == ("heat_experiment0.mp4", "grid_experiment0.mp4")
+    assert (heat.name, grid.name) == ("heat-population_size=1.mp4", "grid-population_size=1.mp4")
     frames = video_files.decoded(heat)
     assert [frame.shape for frame in frames] == [(242, 322, 3)] * 4
     for tick, frame in enumerate(frames):
@@ -166,14 +166,14 @@ def test_the_mean_has_only_good_runs_and_says_how_many(root: Path) -> None:
     assert one.found.values.low == pytest.approx(15), "the mean of 10 and 20"
     assert two.found.values.low == pytest.approx(20), "the second run has failed"
     assert two.film.notes == ("mean over 1 of 2 runs", "without a result: run 1")
-    assert "video film_experiment1: without a result: run 1" in made.notes
+    assert "video film-population_size=2: without a result: run 1" in made.notes
     assert "n = " not in draw._count(two.film, [(1,)]), "a single run is no mean"
 
 
 def test_a_run_without_a_result_is_reported_and_not_replaced(root: Path) -> None:
     made = prepared(root, run=1, experiments="population_size<=2")
-    assert [one.film.name for one in made.films] == ["film_experiment0"]
-    assert "video film_experiment1: run 1 has no successful execution, so there is nothing to show" in made.notes
+    assert [one.film.name for one in made.films] == ["film-population_size=1"]
+    assert "video film-population_size=2: run 1 has no successful execution, so there is nothing to show" in made.notes
 
 
 def test_a_run_without_rows_is_noted_beside_the_mean(root: Path) -> None:
@@ -359,11 +359,15 @@ def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
     ("keys", "made", "note"),
     [
         ('column = ["i", "j", "none"]\n', 0, "video heat: output 'floor' has no numeric column 'none'"),
-        ('column = ["i", "j", "heat"]\nrun = 7\n', 0, "video heat: video heat_experiment0: run 7 has no successful execution"),
+        (
+            'column = ["i", "j", "heat"]\nrun = 7\n',
+            0,
+            "video heat: video heat-population_size=1: run 7 has no successful execution",
+        ),
         (
             'column = ["i", "j", "heat"]\nrun = 1\nexperiments = "population_size<=2"\n',
             1,
-            "video heat_experiment1: run 1 has no successful execution, so there is nothing to show",
+            "video heat-population_size=2: run 1 has no successful execution, so there is nothing to show",
         ),
     ],
 )
@@ -410,7 +414,7 @@ def test_poses_share_their_limits_over_all_frames_and_files(root: Path) -> None:
     for one in made.films:
         painter = one.subject.painter(one.film, made.whole, one.subject.tracks)
         assert isinstance(painter, PosePainter)
-        assert (*painter.xlim, *painter.ylim) == pytest.approx((0.8, 5.2, 0.85, 4.15))
+        assert (*painter.xlim, *painter.ylim) == pytest.approx((0.76, 5.24, 0.76, 4.24))
 
 
 @pytest.mark.parametrize(
@@ -420,7 +424,7 @@ def test_poses_share_their_limits_over_all_frames_and_files(root: Path) -> None:
         ('column = ["i", "j", "v"]\nshow = "difference"', 'show = "difference" and two "groups"'),
         (
             'kind = "poses"\ncolumn = ["x", "y"]\nlimits = [0, 1]',
-            "\"limits\" needs kind 'matrix' or 'grid' or 'network', not 'poses'",
+            "\"limits\" needs kind 'matrix' or 'grid' or 'network', not 'trajectories'",
         ),
         ('kind = "poses"\ncolumn = ["x", "y"]\nshow = "mean"', 'show = "mean" needs numbers'),
         ('column = ["i", "j", "v"]\nsize = [9000, 480]', "4096"),

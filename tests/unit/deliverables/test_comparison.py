@@ -133,12 +133,19 @@ def test_a_variable_with_one_value_is_no_factor(tmp_path: Path) -> None:
 def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     root = stores.copy(compared[0], tmp_path / "project")
     done = projects.quick(root, "compare", f"a={compared[1][:8]}", f"b={compared[2][:8]}")
-    header, one, _, empty, text, *files = done.stdout.splitlines()
-    assert header.split()[:3] == ["population_size", "first", "second"]
+    *table, empty, text = done.stdout.split("figures/")[0].splitlines()
+    files = [line for line in done.stdout.splitlines() if line.startswith("figures/")]
+    header, one, _, *note = table
+    assert header.startswith("population size  groups  ")
     assert one.endswith("different")
+    assert max(map(len, table)) <= 100
+    assert "Wilcoxon signed-rank test" in " ".join(note)
     assert empty == ""
     assert text.startswith("The final value of coverage was compared between a and b in 2 experiments.")
-    assert "The p values are corrected for 2 tests (Holm)." in text
+    assert text.count(". ") < 5
+    long = projects.quick(root, "compare", f"a={compared[1][:8]}", f"b={compared[2][:8]}", "--no-figure", "--long").stdout
+    assert long.split()[:3] == ["population_size", "first", "second"]
+    assert "The p values are corrected for 2 tests (Holm)." in long
     assert [Path(file).suffix for file in files] == [".png", ".pdf", ".svg", ".txt", ".tex"]
     assert sierra.open(root).plan("population_size=1,2", runs=8).batch.id == compared[1], "figures are no source"
     before = [(root / file).read_bytes() for file in files]
@@ -156,8 +163,9 @@ def test_formats_for_papers_have_the_table_the_text_and_the_figure(compared: tup
     table, text, figure = latex.split("\n\n")
     assert [line for line in table.splitlines() if line.startswith(r"\caption")] == [r"\caption{50 \% more}"]
     rows = [line for line in table.splitlines() if line.startswith("1 &")]
-    groups, n, test, difference, a12, p, verdict = rows[0].removesuffix(r" \\").split(" & ", 1)[1].rsplit(" & ", 6)
-    assert (groups, n, test, p, verdict) == (r"b\& $-$ a\_1", "8", "Wilcoxon signed-rank test", "0.016", "different")
+    groups, difference, a12, p, verdict = rows[0].removesuffix(r" \\").split(" & ", 1)[1].rsplit(" & ", 4)
+    assert (groups, p, verdict) == (r"b\& $-$ a\_1", "0.016", "different")
+    assert "n = 8 pairs; Wilcoxon signed-rank test; p values corrected (Holm)" in table
     assert re.fullmatch(r"\$\d\.\d+( \\pm .*|\\ \[.*\])\$", difference)
     assert re.fullmatch(r"\$\d\.\d\d\$", a12)
     assert text.startswith(r"The final value of coverage was compared between a\_1 and b\&")
@@ -172,7 +180,7 @@ def test_formats_for_papers_have_the_table_the_text_and_the_figure(compared: tup
     (image,) = re.findall(r'<img src="([^"]+)"', html)
     assert (root / "tables" / image).resolve().suffix == ".svg"
     markdown = projects.quick(root, *words, "markdown", "--no-figure").stdout
-    assert markdown.startswith("| population size | groups | n |")
+    assert markdown.startswith("| population size | groups | difference | A12 |")
     assert "![" not in markdown
 
 

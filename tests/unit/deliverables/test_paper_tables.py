@@ -11,8 +11,9 @@ import pyarrow as pa
 import pytest
 
 import sierra
-from sierra.deliverables.paper_tables import escaped, latex, markdown, page, paper_table
+from sierra.deliverables.paper_tables import Latex, escaped, latex, markdown, page, paper_table
 from sierra.errors import UsageError
+from sierra.util.lazy_definitions import replace
 
 FOUND = pa.table(
     {
@@ -30,28 +31,38 @@ FOUND = pa.table(
         "median_interval": ["order statistics", "order statistics", None],
     }
 )
-HEADERS = {"axis 0": "population size", "axis 1": "controller", "mean": "mean speed [m/s]", "median": "median_speed [m/s]"}
+HEADERS = {
+    "axis 0": ("population size",),
+    "axis 1": ("controller",),
+    "mean": ("speed [m/s]", "mean"),
+    "median": ("speed [m/s]", "median"),
+}
+SHOWN = ("population size", "controller", "mean speed [m/s]", "median speed [m/s]")
 TABLE = paper_table(FOUND, ["mean", "median"], HEADERS, "1 run missing", caption="Speed & more", label="tab:speed")
 
 
 def test_a_table_in_latex() -> None:
     assert (
         latex(TABLE)
-        == r"""\begin{table}
+        == r"""\begin{table*}
 \centering
 \caption{Speed \& more}
 \label{tab:speed}
-\begin{tabular}{rlrr}
+\footnotesize\setlength{\tabcolsep}{4pt}%
+\begin{tabular}{@{}rlrr@{}}
 \toprule
-population size & controller & mean speed {[}m/s] & median\_speed {[}m/s] \\
+ &  & \multicolumn{2}{c}{speed {[}m/s]} \\
+\cmidrule(lr){3-4}
+population &  &  &  \\
+size & controller & mean & median \\
 \midrule
 $-$1 & a\_b & $0.714 \pm 0.021$ & $0.700\ [0.650, 0.780]$ \\
 2 & c \& d & $12.0 \pm 1.0$ & $1.50 \times 10^{-7}\ [1.20, 1.60] \times 10^{-7}$ \\
 40 & 50 \% & -- & $3$ \\
 \bottomrule
-\multicolumn{4}{l}{\footnotesize n = 5; 95 \% intervals: mean t, median order statistics; 1 run missing} \\
-\end{tabular}
-\end{table}
+\end{tabular}\par\smallskip
+\noindent\parbox{\linewidth}{\raggedright n = 5; 95 \% intervals: mean t, median order statistics; 1 run missing}\par
+\end{table*}
 """
     )
 
@@ -61,7 +72,7 @@ def test_a_table_in_markdown() -> None:
         markdown(TABLE)
         == r"""Speed & more
 
-| population size | controller | mean speed [m/s] | median\_speed [m/s] |
+| population size | controller | mean speed [m/s] | median speed [m/s] |
 | --: | :-- | --: | --: |
 | −1 | a\_b | 0.714 ± 0.021 | 0.700 [0.650, 0.780] |
 | 2 | c & d | 12.0 ± 1.0 | 1.50 × 10⁻⁷ [1.20, 1.60] × 10⁻⁷ |
@@ -95,14 +106,14 @@ def test_a_table_in_html_is_well_formed_and_has_the_same_texts() -> None:
     reader = Reader()
     reader.feed(page(TABLE))
     assert reader.open == []
-    assert reader.cells[:6] == ["Speed & more", *HEADERS.values(), "−1"]
+    assert reader.cells[:6] == ["Speed & more", *SHOWN, "−1"]
     assert reader.cells[9:13] == ["2", "c & d", "12.0 ± 1.0", "1.50 × 10⁻⁷ [1.20, 1.60] × 10⁻⁷"]
     assert reader.cells[-1].startswith("n = 5; 95 % intervals")
 
 
 @pytest.mark.parametrize("text", ["<b>", "a & b", '"quoted"'])
 def test_texts_do_not_become_html(text: str) -> None:
-    table = paper_table(FOUND, ["mean"], {"mean": text}, "", caption=text)
+    table = paper_table(FOUND, ["mean"], {"mean": (text,)}, "", caption=text)
     reader = Reader()
     reader.feed(page(table))
     assert reader.cells[:2] == [text, text]
@@ -114,9 +125,22 @@ def test_characters_with_a_meaning_in_latex_are_escaped() -> None:
     )
 
 
+def test_hyphens_before_numbers_are_minus_signs_and_others_stay() -> None:
+    assert escaped("[-0.5, -.1], 1e-7, noise=-2, 2026-05-01, Mann-Whitney, a-1") == (
+        r"{[}$-$0.5, $-$.1], 1e$-$7, noise=$-$2, 2026-05-01, Mann-Whitney, a-1"
+    )
+
+
+def test_latex_is_not_escaped_and_not_wrapped() -> None:
+    headers = {**HEADERS, "axis 0": (Latex(r"$\lambda_{max}$ of a long name"),)}
+    text = latex(replace(paper_table(FOUND, ["mean", "median"], headers, ""), caption=Latex(r"Speed $\pm$ more")))
+    assert r"\caption{Speed $\pm$ more}" in text
+    assert r"$\lambda_{max}$ of a long name & controller" in text
+
+
 def test_unequal_numbers_of_runs_are_a_column() -> None:
     found = FOUND.set_column(3, "n", pa.array([5, 4, 0]))
-    table = paper_table(found, ["mean"], {"axis 0": "size", "mean": "speed"}, "")
+    table = paper_table(found, ["mean"], {"axis 0": ("size",), "mean": ("speed",)}, "")
     assert table.headers == ("size", "speed", "n")
     assert [row[2] for row in table.rows] == ["5", "4", "0"]
     assert table.note == "95 % interval (t)"
@@ -124,7 +148,7 @@ def test_unequal_numbers_of_runs_are_a_column() -> None:
 
 def test_an_interval_without_an_upper_end_says_so() -> None:
     found = FOUND.slice(0, 1).set_column(6, "mean_high", pa.array([None], pa.float64()))
-    table = paper_table(found, ["mean"], {"mean": "time"}, "")
+    table = paper_table(found, ["mean"], {"mean": ("time",)}, "")
     assert r"$0.714\ [0.692, \infty]$" in latex(table)
 
 
@@ -148,7 +172,8 @@ def test_the_stats_command_writes_tables_for_papers(simulate: Callable[..., Any]
     several = project.quick(*words, "-f", "latex", "-s", "mean,range", "--times", "own", "--caption", "V", "-o", "table.tex")
     assert (several.returncode, several.stdout) == (0, "")
     written = (project.folder / "table.tex").read_text()
-    assert r"size & t & mean v x {[}m/s] & range v x {[}m/s] \\" in written
+    assert r" &  & \multicolumn{2}{c}{v x {[}m/s]} \\" in written
+    assert r"size & t & mean & range \\" in written
     assert r"\caption{V}" in written
     late = project.quick(*words, "-f", "html", "-m", "time_to", "--threshold", "0", "-s", "km_median").stdout
     assert "<th>km median time until v x ≥ 0 m/s</th>" in late

@@ -64,9 +64,8 @@ class NetworkPainter:
                 plot.set_xticks([])
                 plot.set_yticks([])
                 plot.spines[:].set_visible(False)
-        if self.look.labels and len(plots) == 1:
-            plots[0].set_xlabel(style.shortened(self.look.labels[0], 60))
-            plots[0].set_ylabel(style.shortened(self.look.labels[1], 40))
+        if self.look.labels:
+            style.outer_labels(plots, *self.look.labels)
         if self.look.scale:
             add_scale(figure, plots, self.look.scale)
 

@@ -229,9 +229,7 @@ class MatrixPainter:
             plot.tick_params(labelsize=7 if len(plots) == 1 else 5)
             if len(plots) > CROWDED:
                 plot.tick_params(bottom=False, left=False, labelbottom=False, labelleft=False)
-        if len(plots) == 1:
-            plots[0].set_xlabel(style.shortened(self._labels[1], 60))
-            plots[0].set_ylabel(style.shortened(self._labels[0], 40))
+        style.outer_labels(plots, self._labels[1], self._labels[0])
         for scale in self.scales:
             add_scale(figure, [plots[panel] for panel in scale.panels], scale)
 
