@@ -13,7 +13,7 @@ import sierra
 from sierra.config.project_file import load
 from sierra.deliverables.gallery import Gallery
 from sierra.extensions.videos import draw
-from sierra.extensions.videos.films import Members
+from sierra.extensions.videos.films import Members, file_names
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.table import Video
 from sierra.model import Axis, Value
@@ -161,3 +161,15 @@ def test_experiments_are_chosen_by_names_and_by_labels() -> None:
         assert members.matching(f"controller={word}", "experiments") == [0]
         assert members.matching(f"controller!={word}", "experiments") == [1]
     assert members.matching("", "experiments") == [0, 1]
+
+
+def test_names_of_files_have_the_values_and_differ() -> None:
+    axes = Axis("noise", (0.5, 1)), Axis("controller", ("a/b", "a b", "A_B", "c"))
+    names: dict[int, dict[str, Value]] = {
+        k: {"noise": 0.5, "controller": word} for k, word in enumerate(("a/b", "a b", "A_B", "c"))
+    }
+    found = file_names("heat", Members(axes, names, names, ()))
+    assert found[3] == "heat-noise=0.5-controller=c"
+    assert found[0] == "heat-noise=0.5-controller=a_b_experiment0"
+    assert len({name.lower() for name in found.values()}) == 4
+    assert file_names("heat", Members(axes, {0: names[0]}, {0: names[0]}, ())) == {0: "heat"}
