@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sierra.deliverables.record import origin_of
 from sierra.extensions.videos import encode
-from sierra.extensions.videos.films import Film
+from sierra.extensions.videos.films import UNFIT, Film
 from sierra.extensions.videos.prepare import Prepared, Ready, small_print
 from sierra.extensions.videos.progress import DRAWN, Counter, Progress
 from sierra.extensions.videos.table import Format
@@ -29,17 +29,25 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
     first, *others = prepared.batches.values()
     origin = origin_of(first, prepared.data, *others)
 
-    def make(one: Ready, format: Format) -> Path:
+    def make(one: Ready, format: Format) -> Sequence[Path]:
+        if format == "png":
+            return encode.stills(_of_times(one, folder), told.each(frames(prepared, one)), origin)
         path = folder / f"{fitting(one.film.name)}.{format}"
         encode.encode(path, told.each(frames(prepared, one)), prepared.video.rate(len(one.times), format), format, origin)
-        return path
+        return [path]
 
     with settings(), ThreadPoolExecutor(max(1, min(jobs, len(work)))) as pool:
         try:
-            return tuple(pool.map(make, *zip(*work, strict=True)))
+            return tuple(path for paths in pool.map(make, *zip(*work, strict=True)) for path in paths)
         except BaseException:
             told.stop = True
             raise
+
+
+def _of_times(one: Ready, folder: Path) -> list[Path]:
+    """Return a path for each frame of a film, with its time: `heat-population_size=8-tick=20.png`."""
+    precision, time = digits(one.times), UNFIT.sub("_", one.subject.time)
+    return [folder / f"{fitting(f'{one.film.name}-{time}={t:.{precision}g}')}.png" for t in one.times.tolist()]
 
 
 def frames(prepared: Prepared, one: Ready) -> Iterator[Image]:

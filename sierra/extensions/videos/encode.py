@@ -11,13 +11,16 @@ before, and the next video removes the folder.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from sierra.errors import Missing, NotInstalled, SierraError
+from sierra.errors import Missing, NotInstalled, SierraError, UsageError
 from sierra.extensions.videos.table import Format
+from sierra.store.segments import disk_errors
+from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.scratch import scratch
 
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 
 UNFINISHED = ".video-"
 """The beginning of the names of folders with unfinished videos."""
+MOST = 1000
+"""The largest number of PNG files of one video."""
 EXTRA = "pip install 'sierra-experiments[video]'"
 
 
@@ -63,10 +68,9 @@ def library() -> Any:
 
 
 def check(formats: Iterable[Format]) -> None:
-    """Raise NotInstalled if PyAV, or its encoder for one of the formats, is missing."""
-    av = library()
-    for format in formats:
-        name = ENCODERS[format].name
+    """Raise NotInstalled if PyAV, or its encoder for one of the formats, is missing. PNG files do not need it."""
+    for format in set(formats) - {"png"}:
+        av, name = library(), ENCODERS[format].name
         if name not in av.codecs_available:
             raise NotInstalled(f"this PyAV {av.__version__} has no encoder {name} for {format}; {EXTRA} has all")
 
@@ -81,6 +85,23 @@ def encode(path: Path, frames: Iterable[Image], fps: float, format: Format, comm
         unfinished = folder / path.name
         _write(unfinished, frames, Fraction(fps).limit_denominator(1000), format, comment)
         unfinished.replace(path)
+
+
+def stills(paths: Sequence[Path], frames: Iterable[Image], comment: str) -> Sequence[Path]:
+    """Write each frame as a PNG file, which appears whole or not at all; return the paths. Raises SierraError, Missing."""
+    from PIL import Image as Pillow
+    from PIL.PngImagePlugin import PngInfo
+
+    if len(paths) > MOST:
+        raise UsageError(f"png: {len(paths)} frames are too many files; at most {MOST} are possible (use a larger step)")
+    info = PngInfo()
+    info.add_text("Comment", comment)
+    for path, image in zip(paths, frames, strict=True):
+        data = io.BytesIO()
+        Pillow.fromarray(image).save(data, "PNG", pnginfo=info)
+        with disk_errors(path):
+            write_whole(path, data.getvalue())
+    return paths
 
 
 def _write(path: Path, frames: Iterable[Image], rate: Fraction, format: Format, comment: str) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sierra.config.project_file import Project
 
 Kind = Literal["matrix", "grid", "trajectories", "network", "pictures", "capture"]
-Format = Literal["mp4", "webm", "gif"]
+Format = Literal["mp4", "webm", "gif", "png"]
 COLUMNS = {
     "matrix": (3, 3),
     "grid": (0, 100_000),
@@ -123,7 +123,7 @@ class Video(Table):
     )
     formats: Annotated[
         tuple[Format, ...], Field(min_length=1, json_schema_extra={"uniqueItems": True}), AfterValidator(_once)
-    ] = Field(("mp4",), description="formats of the files: `mp4` (H.264), `webm` (VP9), `gif`")
+    ] = Field(("mp4",), description="formats of the files: `mp4` (H.264), `webm` (VP9), `gif`; `png`: a file for each frame")
 
     @model_validator(mode="after")
     def _fitting(self) -> Video:

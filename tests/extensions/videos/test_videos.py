@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import sierra
 from sierra.config.project_file import load, parse
@@ -386,6 +387,21 @@ def test_only_tables_without_a_video_need_a_default_figure(root: Path) -> None:
     with Frame(opened.store, opened.batch()) as frame:
         _, notes = Gallery(load(root), opened.store, frame).wanted(None)
     assert ["'floor'" in " ".join(notes), "'poses'" in " ".join(notes)] == [False, True]
+
+
+@pytest.mark.integration
+def test_png_files_have_a_frame_each_and_their_times_in_their_names(root: Path) -> None:
+    keys = 'table = "floor"\ncolumn = ["i", "j", "heat"]\nexperiments = "population_size=1"\nsize = [320, 240]\n'
+    write(root, f'[videos.heat]\n{keys}formats = ["png"]\n')
+    done = projects.quick(root, "video", "--json")
+    assert done.returncode == 0, done.stderr
+    files = list(map(Path, json.loads(done.stdout)["files"]))
+    assert len(files) > 1
+    assert all(path.name.startswith("heat-population_size=1-tick=") for path in files)
+    frames = [np.asarray(Image.open(path)) for path in files]
+    assert {frame.shape for frame in frames} == {(240, 320, 3)}
+    assert not np.array_equal(frames[0], frames[1])
+    assert "follows from the store" in projects.quick(root, "show", str(files[0])).stdout
 
 
 POSES: dict[str, Any] = {"kind": "poses", "table": "poses", "column": ["x", "y", "heading"], "robot": "robot"}
