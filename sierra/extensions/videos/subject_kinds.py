@@ -59,6 +59,9 @@ class CellSubject(Timed):
         self._video = video
         self.tracks = self._grid.tracks
         self._names = self._grid.columns[:2] if video.kind == "matrix" else ("row", "column")
+        of_axes = [gallery.unit(source.output, name) if video.kind == "matrix" else "" for name in self._names]
+        up, across = map(_labelled, self._names, of_axes)
+        self._labels = up, across
         self.layout: Layout = dict(zip(self._names, (self._grid.up.tolist(), self._grid.across.tolist()), strict=True))
         self.sql = self.source.shown(self._grid.columns, film.runs)
         value = self._grid.columns[-1] if video.kind == "matrix" else self.source.output.name
@@ -88,8 +91,7 @@ class CellSubject(Timed):
         from sierra.extensions.videos.painting.scene import MatrixPainter
 
         del tracks
-        labels = (self._names[0].replace("_", " "), self._names[1].replace("_", " "))
-        return MatrixPainter(self._grid.up, self._grid.across, labels, self._scales(film, survey))
+        return MatrixPainter(self._grid.up, self._grid.across, self._labels, self._scales(film, survey))
 
     def _scales(self, film: Film, survey: Survey) -> list[Scale]:
         from sierra.extensions.videos.painting.scene import Scale

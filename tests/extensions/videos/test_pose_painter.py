@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sierra.config.deliverable_tables import Figure
 from sierra.extensions.videos.painting.pose_painter import PosePainter, marks
 from sierra.extensions.videos.painting.text_strip import Box
 from sierra.extensions.videos.table import Video
@@ -46,6 +47,12 @@ def test_numbers_are_names_if_these_are_short_and_are_not_cut_off() -> None:
     assert marks([str(k) for k in range(31)]) == []
     with_number, without = (painted(painter(*names), [(10, 10, 0)]) for names in (("8",), ()))
     assert (with_number != without)[:20, -20:].any()
+
+
+def test_trajectories_and_poses_are_one_kind_in_figures_and_videos() -> None:
+    for kind in ("trajectories", "poses"):
+        assert Video.model_validate({"kind": kind, "column": ["x", "y"]}).kind == "trajectories"
+        assert Figure.model_validate({"kind": kind, "column": ["x", "y"]}).kind == "trajectories"
 
 
 @pytest.mark.parametrize(("frames", "format", "seconds"), [(1, "mp4", 5), (60, "mp4", 5), (300, "webm", 12), (1000, "gif", 20)])
