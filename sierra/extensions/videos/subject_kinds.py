@@ -204,7 +204,7 @@ LAYOUT = ((-1.25, 1.25), (-1.25, 1.25))
 
 
 MARGIN = 0.06
-"""The part of an axis that is left beside its values: robots and their headings fit into it."""
+"""The part of the longer axis that is left beside robots: they and their headings fit into it."""
 
 
 def _margin(values: Range, given: tuple[float, float] | None, margin: float | None = None) -> tuple[float, float]:
@@ -212,7 +212,7 @@ def _margin(values: Range, given: tuple[float, float] | None, margin: float | No
     if given:
         return given
     low, high = _ends(values)
-    margin = MARGIN * (high - low) if margin is None else margin
+    margin = 0.05 * (high - low) if margin is None else margin
     return low - margin, high + margin
 
 
