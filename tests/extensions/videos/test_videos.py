@@ -445,7 +445,7 @@ def test_poses_share_their_limits_over_all_frames_and_files(root: Path) -> None:
         ('kind = "poses"\ncolumn = ["x", "y"]\nshow = "mean"', 'show = "mean" needs numbers'),
         ('column = ["i", "j", "v"]\nsize = [9000, 480]', "4096"),
         ('column = ["i", "j", "v"]\nformats = ["gif"]\nfps = 60', "a gif has at most 50 frames per second"),
-        ('column = ["i", "j", "v"]\nformats = ["avi"]', "'mp4', 'webm' or 'gif'"),
+        ('column = ["i", "j", "v"]\nformats = ["avi"]', "'mp4', 'webm', 'gif' or 'png'"),
     ],
 )
 def test_keys_that_do_not_fit_are_refused(text: str, message: str) -> None:
