@@ -82,8 +82,8 @@ def _most(drawing: Drawing) -> float | None:
     return usual if not drawing.figure.log_y and parts.max() > FAR * usual else None
 
 
-def matrix(drawing: Drawing, aspect: float) -> Figure:
-    """Draw the cells of a matrix, with row 0 above."""
+def matrix(drawing: Drawing, aspect: float, *, upwards: bool) -> Figure:
+    """Draw the cells of a matrix, with row 0 above, or `upwards` with the second column of the figure as y."""
     drawing = _over_times(drawing)
     table = drawing.rows["cells"]
     rows, places = (np.unique(style.column(table, name)) for name in ("i", "j"))
@@ -96,9 +96,9 @@ def matrix(drawing: Drawing, aspect: float) -> Figure:
     edges = np.arange(len(places) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
     column = drawing.figure.columns[2]
     named = style.label(column, drawing.units.get(column, ""))
-    figure, plots = _maps(drawing, maps, edges, drawing.figure.ylabel or named, aspect=aspect)
+    figure, plots = _maps(drawing, maps, edges, drawing.figure.ylabel or named, aspect=aspect, turned=not upwards)
     for plot in plots:
-        plot.set_ylim(len(rows) - 0.5, -0.5)
+        plot.set_ylim(*((-0.5, len(rows) - 0.5) if upwards else (len(rows) - 0.5, -0.5)))
         _ticks(plot, places, rows)
     return figure
 
@@ -154,6 +154,7 @@ def _maps(
     label: str,
     aspect: float,
     most: float | None = None,
+    turned: bool = False,
 ) -> tuple[Figure, list[Axes]]:
     figure, panels = facets.experiments(drawing, maps)
     plots = list(panels.values())
@@ -177,7 +178,7 @@ def _maps(
     if drawing.figure.log_y:
         style.log_ticks(bar.ax.yaxis, low, high)
     bar.set_label(style.shortened(label, 40))
-    _label(drawing, plots)
+    _label(drawing, plots, turned=turned)
     return figure, plots
 
 
@@ -210,13 +211,13 @@ def _ticks(plot: Axes, places: style.Floats, rows: style.Floats) -> None:
         set_ticks(shown, [style.number(float(values[k])) for k in shown])
 
 
-def _label(drawing: Drawing, plots: list[Axes]) -> None:
+def _label(drawing: Drawing, plots: list[Axes], *, turned: bool = False) -> None:
+    """Name the axes by the first two columns: x and y, or if `turned`, y and x."""
     first, second, *_ = drawing.figure.columns
     names = [style.label(name, drawing.units.get(name, "")) for name in (first, second)]
-    if drawing.figure.kind == "matrix":
-        style.outer_labels(plots, drawing.figure.xlabel or names[1], names[0])
-        return
-    style.outer_labels(plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
+    across, up = reversed(names) if turned else names
+    of_values = drawing.figure.kind == "matrix"  # whose `ylabel` is that of its colours
+    style.outer_labels(plots, drawing.figure.xlabel or across, up if of_values else drawing.figure.ylabel or up)
 
 
 def _by_experiment(table: pa.Table) -> dict[int, pa.Table]:

@@ -31,6 +31,13 @@ class NetworkOptions(Table):
     layout: Literal["spring", "kamada_kawai", "circular"] = Field(
         "spring", description="layout if `place` is not given: the same places in all panels, and each time"
     )
+    node_size: str = Field(
+        "", description="column whose mean over the rows of which a node is the source is the area of its mark"
+    )
+    node_label: str = Field(
+        "", description="column with the text at a node, in rows of which it is the source; default: its name"
+    )
+    edge_color: str = Field("", description="column whose mean over the rows of an edge is its colour")
 
     @model_validator(mode="after")
     def _fitting(self) -> NetworkOptions:
@@ -52,15 +59,21 @@ class Network(DrawnKind[NetworkOptions]):
         source, target, *_ = map(node_name, request.columns)
         weight = f"{identifier(request.columns[2])}::DOUBLE" if len(request.columns) == 3 else "1.0"
         x, y = (f"{identifier(name)}::DOUBLE" for name in self.options.place) if self.options.place else ("NULL", "NULL")
+        looks = {"size": self.options.node_size, "colour": self.options.edge_color, "label": self.options.node_label}
+        kinds = {"size": "DOUBLE", "colour": "DOUBLE", "label": "VARCHAR"}
+        more = "".join(f", {identifier(name)}::{kinds[look]} AS {look}" for look, name in looks.items() if name)
         rows = f"""\
 WITH rows AS (
-  SELECT "# experiment" AS experiment, run, {source} AS source, {target} AS target, {weight} AS weight, {x} AS x, {y} AS y
+  SELECT "# experiment" AS experiment, run, {source} AS source, {target} AS target, {weight} AS weight, {x} AS x, {y} AS y{more}
   FROM {self._chosen()}
 )"""
+        tables = {"edges": rows + self._edges(), "nodes": rows + NODES, "counts": rows + COUNTS}
+        ends = "source, target" if self.options.directed else "least(source, target), greatest(source, target)"
+        tables |= {look: rows + LOOKS[look].format(ends=ends) for look, name in looks.items() if name}
         return Needs(
-            rows={"edges": rows + self._edges(), "nodes": rows + NODES, "counts": rows + COUNTS},
+            rows=tables,
             columns=None,
-            others=self.options.place,
+            others=(*self.options.place, *filter(None, looks.values())),
             numeric=False,
             shows=self._shows(weighted=len(request.columns) == 3),
             run=self.options.run,
@@ -109,6 +122,19 @@ SELECT experiment, node, list_avg(list_sort(list(x) FILTER (isfinite(x)))) AS x,
 FROM (SELECT experiment, source AS node, x, y FROM rows UNION ALL SELECT experiment, target, NULL, NULL FROM rows)
 WHERE node IS NOT NULL GROUP BY ALL ORDER BY experiment, node"""
 """The nodes: all sources and targets. The position of a node is the mean over the rows of which it is the source."""
+LOOKS = {
+    "size": """
+SELECT experiment, source AS node, list_avg(list_sort(list(size))) AS value
+FROM rows WHERE source IS NOT NULL AND isfinite(size) GROUP BY ALL ORDER BY ALL""",
+    "label": """
+SELECT experiment, source AS node, min(label) AS value, count(DISTINCT label) AS labels
+FROM rows WHERE source IS NOT NULL AND label IS NOT NULL GROUP BY ALL ORDER BY ALL""",
+    "colour": """, joined(experiment, source, target, colour) AS (
+  SELECT experiment, {ends}, colour FROM rows WHERE source <> target AND isfinite(weight) AND isfinite(colour)
+)
+SELECT experiment, source, target, list_avg(list_sort(list(colour))) AS value FROM joined GROUP BY ALL ORDER BY ALL""",
+}
+"""The looks of nodes and edges: means over the rows of all chosen runs; a node has one label."""
 COUNTS = """
 SELECT count(*) FILTER (source = target) AS loops, count(*) FILTER (source IS NULL) AS lost,
   count(*) FILTER (source <> target AND NOT coalesce(isfinite(weight), false)) AS weightless

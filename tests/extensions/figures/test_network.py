@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sierra.deliverables.figures import node_layout
+from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing, noted
 from sierra.errors import UsageError
 from sierra.extensions.figures import network_drawing
@@ -51,6 +52,46 @@ def test_positions_come_from_the_data_or_from_a_layout_that_is_always_the_same()
     for layout in ("spring", "kamada_kawai", "circular"):
         first = network_drawing._layout(edges, nodes, layout)
         assert first == network_drawing._layout(edges.slice(0).take([1, 0]), nodes.take([3, 2, 1, 0]), layout)
+
+
+def looking(**keys: object) -> Trial:
+    """Return a figure of three nodes: a has the areas 1 and 3, b 8, c none; the edge a-b the colours 1, 1 and 4, b-c none."""
+
+    def row(experiment: int, run: int, row: int) -> Row:
+        source, target, area, colour = [
+            ("a", "b", 1.0, 1.0),
+            ("a", "b", 3.0, 1.0),
+            ("b", "a", 8.0, 4.0),
+            ("c", "b", None, None),
+        ][row % 4]
+        return {"from": source, "to": target, "area": area, "delay": colour, "name": f"robot {source}"}
+
+    looks = {"node_size": "area", "edge_color": "delay", "node_label": "name"}
+    return Trial("network", {"column": ("from", "to"), **looks, **keys}, row, ())
+
+
+@pytest.mark.parametrize(("directed", "colours"), [(False, {2.0}), (True, {1.0, 4.0})])
+def test_areas_colours_and_texts_are_those_of_the_data(directed: bool, colours: set[float]) -> None:
+    trial = looking(directed=directed)
+    drawing = trial.drawing()
+    assert {row["node"]: row["value"] for row in drawing.rows["size"].to_pylist()} == {"a": 2.0, "b": 8.0}
+    assert {row["value"] for row in drawing.rows["colour"].to_pylist()} == colours
+    note = noted(drawing).note
+    assert "area: mean area, at most 8; 1 without a value are dots" in note
+    assert "grey: 1 of " in note
+    plot, bar = kind_of(drawing.figure).draw(drawing).axes
+    assert bar.get_ylabel() == "delay"
+    assert {text.get_text() for text in plot.texts if text.get_text()} == {"robot a", "robot b", "robot c"}
+    sizes = {round(line.get_markersize(), 3) for line in plot.lines}
+    assert sizes == {10.0, 5.0, 1.0}, "the area of b is four times that of a"
+
+
+def test_an_area_below_0_is_refused() -> None:
+    def below(experiment: int, run: int, row: int) -> Row:
+        return {"from": "a", "to": "b", "area": -1.0}
+
+    drawing = Trial("network", {"column": ("from", "to"), "node_size": "area"}, below, ()).drawing()
+    assert "node_size: the area of a mark cannot be below 0, but a node has -1" in refusal(drawing)
 
 
 @pytest.mark.integration

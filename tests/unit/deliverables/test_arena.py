@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sierra.deliverables.figures.base import kind_of
 from sierra.model import Axis
 from sierra.testing.figures import ROWS, Row, Trial
 
@@ -48,3 +49,15 @@ def test_long_paths_are_thinned_by_a_rule_that_the_small_print_states(monkeypatc
     drawing = Trial("trajectories", {"column": ("x", "y")}, wave, SIZE).drawing()
     assert drawing.rows["paths"].column("t").to_pylist() == [0.0, 4.0, 7.0] * 2
     assert "each 4th point and the last" in noted(drawing).note
+
+
+def test_a_matrix_over_x_and_y_has_y_upwards() -> None:
+    def cell(experiment: int, run: int, row: int) -> Row:
+        return {"x": float(row % 3), "y": float(row // 3), "heat": float(row)}
+
+    drawing = Trial("matrix", {"column": ("x", "y", "heat"), "axes": "xy"}, cell, ()).drawing()
+    plot, _ = kind_of(drawing.figure).draw(drawing).axes
+    [mesh] = plot.collections
+    low, high = plot.get_ylim()
+    assert (plot.get_xlabel(), plot.get_ylabel(), low < high) == ("x", "y", True)
+    assert mesh.get_array().filled(-1).tolist() == [[0, 1, 2], [3, 4, 5], [6, 7, -1]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, NonNegativeInt
 
@@ -98,6 +98,11 @@ class MatrixOptions(Table):
     ] = Field((), description="time of the matrix, or times with a column of panels each; default: the mean over all times")
     run: NonNegativeInt | None = Field(None, description="number of the run that is shown; default: the mean of all runs")
     aspect: Positive = Field(1.0, description="height of a cell as a multiple of its width")
+    axes: Literal["rows", "xy"] = Field(
+        "rows",
+        description="`rows`: the first two columns are the number of the row, from the top, and of the column; `xy`: they are "
+        "x, to the right, and y, upwards",
+    )
 
 
 class Matrix(DrawnKind[MatrixOptions]):
@@ -110,6 +115,7 @@ class Matrix(DrawnKind[MatrixOptions]):
         if len(request.columns) != 3:
             raise UsageError("a matrix needs three columns: of the number of the row, of the column, and of the value")
         row, place, value = (f"{identifier(name)}::DOUBLE" for name in request.columns)
+        row, place = (place, row) if self.options.axes == "xy" else (row, place)
         chosen = ["true"]
         if self.options.run is not None:
             chosen.append(f'"# number" = {self.options.run}')
@@ -133,7 +139,8 @@ FROM cells GROUP BY ALL ORDER BY ALL"""
         from sierra.deliverables.figures import arena
 
         notes = partial(arena.notes_on_matrix, times=self.options.at)
-        return DrawnBy(partial(arena.matrix, aspect=self.options.aspect), (notes,))
+        drawn = partial(arena.matrix, aspect=self.options.aspect, upwards=self.options.axes == "xy")
+        return DrawnBy(drawn, (notes,))
 
 
 def _ends(name: str, limits: tuple[float, float] | None) -> str:
