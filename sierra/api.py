@@ -1130,8 +1130,12 @@ class Project:
         from sierra.deliverables.paper.bound_files import named
         from sierra.packages import archive
 
+        if not (name := self.config.paper.package):
+            return ""
+        if not (self.root / name).exists():
+            raise Missing(f"[paper] package: {name} does not exist; make it by sierra package, or remove the key")
         with named("[paper]", "package"):
-            return archive.identity(self.root / self.config.paper.package) if self.config.paper.package else ""
+            return archive.identity(self.root / name)
 
     def paper(self) -> PaperWritten:
         """Write the folder of the paper from the last batches of its queries: see `sierra.deliverables.paper`.
@@ -1161,7 +1165,12 @@ class Project:
         from sierra.deliverables.paper import make
 
         stored = self.stored()
-        return list(make.faults(self._loaded, stored, self._paper_package() if stored else ""))
+        try:
+            return list(make.faults(self._loaded, stored, self._paper_package() if stored else ""))
+        except Missing as error:
+            if (self.root / self.config.paper.package).exists():
+                raise
+            return [str(error), *make.faults(self._loaded, None, "")]
 
     def model_errors(self, prefix: str | None = None, name: str | None = None) -> ModelErrors:
         """Return how far `[models.NAME]` are from the data of a batch: all, or the one called `name`.

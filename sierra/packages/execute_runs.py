@@ -468,12 +468,30 @@ class Container:
                 return (word.replace(VARIABLE, name).replace(VALUE, text) for name, text in environment.items())
             return [MOST.sub(allowed, str(filled(word, own)))]
 
-        inherited = {name: text for name, text in os.environ.items() if re.fullmatch(recorded.inherits, name)}
+        given = self.inherited()
         for name, text in recorded.environment.items():
             every = environment if VARIABLE in name else {"": ""}
-            inherited.update({name.replace(VARIABLE, one): text.replace(VALUE, value) for one, value in every.items()})
+            given.update({name.replace(VARIABLE, one): text.replace(VALUE, value) for one, value in every.items()})
         argv = list(itertools.chain.from_iterable(map(words, recorded.argv)))
-        return {"argv": argv, "environment": inherited, "stop": recorded.stop}
+        return {"argv": argv, "environment": given, "stop": recorded.stop}
+
+    def inherited(self) -> dict[str, str]:
+        """Return the variables of this program that the engine also gets."""
+        pattern = self.batch.clients[self.name].inherits
+        return {name: text for name, text in os.environ.items() if re.fullmatch(pattern, name)}
+
+    def called(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Execute a command of the engine, which may fail; its output is text."""
+        return subprocess.run(
+            [self.name, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=self.inherited(),
+            encoding="utf-8",
+            errors="replace",
+            check=False,
+        )
 
     def way(self) -> Sequence[str]:
         """Return the options with which the engine starts containers here."""
@@ -501,7 +519,7 @@ class Podman(Container):
         self.reference = self.image.get("id", "")
         file = self.packed()
         if not self.is_there() and file:
-            said = called("podman", "load", "--quiet", "--input", str(file))
+            said = self.called("load", "--quiet", "--input", str(file)).stdout
             if not self.is_there():
                 yield f"podman cannot load {file.name}, or it is another image: {last_line(said)}"
         elif not file and not self.is_there():
@@ -510,7 +528,7 @@ class Podman(Container):
             yield f"podman has no image {clean(self.reference)}; {hint}"
 
     def is_there(self) -> bool:
-        return subprocess.call(["podman", "image", "exists", self.reference], stderr=subprocess.DEVNULL) == 0
+        return self.called("image", "exists", self.reference).returncode == 0
 
     def way(self) -> Sequence[str]:
         if not hasattr(self, "_way"):
@@ -521,7 +539,7 @@ class Podman(Container):
     def is_refused(self, options: Sequence[str]) -> bool:
         """Check whether a container fails before its program, which does not exist, is looked for."""
         words = ["run", "--rm", "--pull=never", "--network=none", "--entrypoint=", self.reference, "/@nothing@"]
-        return re.search(r"cgroup|controller|limit|permission denied", called("podman", *options, *words)) is not None
+        return re.search(r"cgroup|controller|limit|permission denied", self.called(*options, *words).stdout) is not None
 
 
 class Apptainer(Container):
@@ -540,12 +558,6 @@ class Apptainer(Container):
 
     def way(self) -> Sequence[str]:
         return ["unshare", "--map-root-user", "--"] if os.geteuid() and shutil.which("unshare") else []
-
-
-def called(*words: str) -> str:
-    """Return the output of a command, which may fail."""
-    done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
-    return done.stdout.decode("utf-8", "replace")
 
 
 def last_line(output: str) -> str:

@@ -39,6 +39,10 @@ class Needs:
     """Further columns that `rows` uses, besides those of the key `column`."""
     numeric: bool = True
     """False if the columns may hold text."""
+    numbers: tuple[str, ...] = ()
+    """Columns that must hold numbers, of those that may otherwise hold text."""
+    sample: str = ""
+    """The statement of `rows` whose runs are the sample, because it leaves rows out; empty: all runs with a row."""
     shows: str = ""
     """The meaning of the marks, for the small print; empty: the center and its interval."""
     run: int | None = None

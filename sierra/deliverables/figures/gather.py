@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,6 +20,10 @@ from sierra.util.text import few, like, n_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+KEYS = ("experiment", "run")
+"""The columns of results of `Needs.rows` that tell runs apart."""
 
 
 class Source(Protocol):
@@ -88,12 +93,15 @@ def gather(
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
     source.check(columns, numeric=needs.numeric)
     source.check(needs.others, numeric=False)
+    source.check(needs.numbers, numeric=True)
     computed = stats.Computed({}, None, "", "")
     if needs.statistics or needs.chosen or needs.runs or needs.single:
         stats.check_times(seen)
     if needs.statistics or needs.chosen or needs.runs:
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates, options=options)
+    rows = {key: source.rows(statement) for key, statement in needs.rows.items()}
+    seen = _with_rows(rows[needs.sample], seen) if needs.sample else seen
     only = "; ".join((*_fixed(whole, batch.axes), *_only(figure)))
     return Drawing(
         name=name,
@@ -102,7 +110,7 @@ def gather(
         cells=batch.cells,
         tables={column: bands.with_ends(table, figure) for column, table in computed.tables.items()},
         runs=_seeded(computed.runs, source) if needs.seeds else computed.runs,
-        rows={key: source.rows(statement) for key, statement in needs.rows.items()},
+        rows=rows,
         note=f"{computed.note or _note(needs, seen, batch.planned)}{only and f'; {only}'}",
         sql="\n\n".join(filter(None, (only and f"-- {only}", computed.sql, *needs.rows.values()))),
         batch=batch.id,
@@ -169,6 +177,12 @@ def labelled(batch: Batch, labels: Mapping[str, str]) -> Batch:
 
 def _label(value: Value, labels: Mapping[str, str]) -> Value:
     return labels.get(str(value), value)
+
+
+def _with_rows(table: pa.Table, seen: stats.Coverage) -> stats.Coverage:
+    """Return the coverage of the runs that have a row in a table."""
+    runs = Counter(experiment for experiment, _ in set(zip(*(table.column(key).to_pylist() for key in KEYS), strict=True)))
+    return replace(seen, runs=runs or {0: 0}, selected=True)
 
 
 def _note(needs: Needs, seen: stats.Coverage, planned: Mapping[int, int]) -> str:

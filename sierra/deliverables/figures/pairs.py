@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3, "log": 1, "exp": 1, "power": 1}
 LOG_X, LOG_Y = ("log", "power"), ("exp", "power")
 POWERS = ("", "²", "³")
+DIGITS = (4, 5, 6, 7)
+"""The numbers of digits of an equation, until it is exact enough."""
 EQUATIONS = 4
 """The largest number of equations in the small print."""
 
@@ -41,6 +43,8 @@ class Fit:
     low: Floats
     high: Floats
     r2: float
+    freedom: int
+    """The number of points beyond those that the curve needs."""
     equation: str
 
 
@@ -65,18 +69,40 @@ def fitted(x: Floats, y: Floats, kind: str) -> Fit | None:
         spread = np.einsum("ij,jk,ik->i", places, np.linalg.inv(basis.T @ basis), places)
         half = t * np.sqrt(float((rest**2).sum()) / freedom * spread)
     back = np.exp if kind in LOG_Y else np.asarray
-    polynomial = np.polynomial.Polynomial(weights[::-1])(np.polynomial.Polynomial([-middle / scale, 1 / scale]))
     ends = back(center - half), back(center + half)
-    return Fit(np.exp(at) if kind in LOG_X else at, back(center), *ends, r2, _equation(kind, polynomial.coef.tolist()))
+    curve = np.polynomial.Polynomial(weights[::-1])(np.polynomial.Polynomial([-middle / scale, 1 / scale]))
+    return Fit(np.exp(at) if kind in LOG_X else at, back(center), *ends, r2, freedom, _equation(kind, curve, u, center))
 
 
-def _equation(kind: str, factors: Sequence[float]) -> str:
-    """Return the equation of a curve: `y = 2 + 0.5 x − 0.1 x²`; `factors` are those of the powers from 0 on."""
+def _equation(kind: str, curve: np.polynomial.Polynomial, u: Floats, center: Floats) -> str:
+    """Return the equation of a curve at places u, with values from `center`: `y = 2 + 0.5 x − 0.1 x²`.
+
+    It has as many digits as the printed curve needs to be the drawn one, to 1 % of its height. If x is far from 0, its powers
+    nearly cancel each other; the equation is then one of x minus a number.
+    """
+    height = float(np.ptp(center)) or float(np.abs(center).max()) or 1.0
+    for offset in (0.0, float(f"{u.mean():.6g}")):
+        moved, places = curve(np.polynomial.Polynomial([offset, 1.0])), u - offset
+        sizes = np.abs(moved.coef) * np.abs(places).max() ** np.arange(len(moved.coef))
+        factors = np.where(sizes > 1e-9 * np.abs(center).max(), moved.coef, 0.0)
+        for digits in DIGITS:
+            words = [style.number(factor, digits) for factor in factors.tolist()]
+            printed = np.polynomial.Polynomial([float(word.replace("−", "-")) for word in words])
+            if float(np.abs(printed(places) - moved(places)).max()) <= 0.01 * height:
+                return _written(kind, words, offset)
+    return _written(kind, words, offset)
+
+
+def _written(kind: str, factors: Sequence[str], offset: float) -> str:
+    """Return the equation with these factors of the powers, from 0 on, of x minus an offset."""
     place = "ln x" if kind in LOG_X else "x"
-    first, *others = (style.number(factor, 4) for factor in factors)
+    if offset:
+        place = f"({place} {'−' if offset > 0 else '+'} {style.number(abs(offset))})"
+    first, *others = factors
     terms = (
         f" {'−' if word[0] == '−' else '+'} {word.lstrip('−')} {place}{power}"
         for word, power in zip(others, POWERS, strict=False)
+        if word != "0"
     )
     return f"{'ln y' if kind in LOG_Y else 'y'} = {first}{''.join(terms)}"
 
@@ -86,7 +112,7 @@ def scatter(drawing: Drawing, fit: str) -> Figure:
     within = facets.panels(drawing, over_first=False)
     looks, every = style.looks(within.groups), sampled_runs.step(drawing)
     if not any(_series(panel, within, drawing, fit) for panel in within.panels):
-        raise UsageError("logarithms need values above 0, but no run has them in both columns")
+        raise UsageError(f"logarithms need values above 0, but no {sampled_runs.noun(drawing)} has them in both columns")
     for panel in within.panels:
         series = _series(panel, within, drawing, fit)
         _marks(panel, series, looks, every)
@@ -132,9 +158,16 @@ def notes(drawing: Drawing, fit: str) -> list[str]:
     curves = _fits(drawing, fit)
     without = sum(curve is None for _, curve in curves)
     few = [f"no curve for {without} series with too few different values"] if without else []
-    said = [f"{name and f'{name}: '}{curve.equation}, R² = {curve.r2:.3f}" for name, curve in curves if curve is not None]
+    said = [f"{name and f'{name}: '}{curve.equation}{_goodness(curve)}" for name, curve in curves if curve is not None]
     more = [f"{len(said) - EQUATIONS} more equations"] if len(said) > EQUATIONS else []
     return [*within_log, *few, *said[:EQUATIONS], *more]
+
+
+def _goodness(curve: Fit) -> str:
+    """Return how well a curve fits; "" for values that are all the same, of which nothing is to be explained."""
+    if not curve.freedom:
+        return " (through all points)"
+    return f", R² = {curve.r2:.3f}" if np.isfinite(curve.r2) else ""
 
 
 def _left_out(drawing: Drawing, fit: str) -> list[str]:

@@ -36,6 +36,7 @@ class PaperFile(Table):
     batches: tuple[str, ...] = Field(description="the batches that it shows")
     data: str = Field(description="hash of the values that it shows")
     definition: str = Field(description="hash of how it is made: labels, units, notes and keys of `sierra.toml`")
+    made_by: tuple[str, ...] = Field((), description="SIERRA and the libraries that made it, as name==version")
 
 
 class PaperQuery(Table):

@@ -79,21 +79,25 @@ def make(project: LoadedProject, store: Store, package: str = "") -> Written:
     return written
 
 
-def _recorded(found: BatchesOfQueries, item: PaperItem) -> dict[str, str]:
-    """Return the SHA-256 of the files that the store has recorded for what a deliverable shows now, by path."""
+Recorded = Mapping[tuple[str, tuple[str, ...]], str]
+"""The SHA-256 of files, by their paths and the libraries that made them."""
+
+
+def _recorded(found: BatchesOfQueries, item: PaperItem) -> Recorded:
+    """Return the files that the store has recorded for what a deliverable shows now. Other libraries may make other bytes."""
     if not item.same_bytes:
         return {}
     content, place = item.content, path(found.project).relative_to(found.project.root).as_posix()
     same = content.kind, content.name, content.data, defined(content)
     return {
-        file.removeprefix(f"{place}/"): digest
+        (file.removeprefix(f"{place}/"), tuple(row.made_by)): digest
         for row in deliverable_records.latest(found.store, content.batches[0])
         if (row.kind, row.name, row.data, row.definition) == same
         for file, digest in zip(row.files, row.sha256s, strict=True)
     }
 
 
-def _kept(item: PaperItem, before: Provenance, place: Path, recorded: Mapping[str, str]) -> dict[str, PaperFile] | None:
+def _kept(item: PaperItem, before: Provenance, place: Path, recorded: Recorded) -> dict[str, PaperFile] | None:
     """Return the files of a deliverable if they exist and show the same data in the same way; else None.
 
     Files that the store has recorded with other hashes do not count: somebody edited them together with `provenance.json`.
@@ -101,9 +105,14 @@ def _kept(item: PaperItem, before: Provenance, place: Path, recorded: Mapping[st
     known = {name: file for name, file in before.files.items() if (file.kind, file.name) == (item.content.kind, item.name)}
     present = item.data, _definition(item)
     same = all((file.data, file.definition) == present for file in known.values())
-    own = all(recorded.get(name, file.sha256) == file.sha256 for name, file in known.items())
+    own = all(_is_recorded(name, file, recorded) for name, file in known.items())
     whole = same and own and known.keys() == {*item.paths}
     return known if whole and not any(folder.faults(place, Provenance(files=known))) else None
+
+
+def _is_recorded(name: str, file: PaperFile, recorded: Recorded) -> bool:
+    """Check whether a file has the bytes that the store has recorded, if it has recorded any by the same libraries."""
+    return recorded.get((name, file.made_by), file.sha256) == file.sha256
 
 
 def _described(item: PaperItem, data: bytes) -> PaperFile:
@@ -115,6 +124,7 @@ def _described(item: PaperItem, data: bytes) -> PaperFile:
         batches=item.content.batches,
         data=item.data,
         definition=_definition(item),
+        made_by=item.content.made_by,
     )
 
 
@@ -216,7 +226,7 @@ def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
 def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance, package: str) -> Iterator[str]:
     """Yield a line for each file of a deliverable that shows other data now, and for those that are no longer made."""
     known: dict[str, tuple[str, str]] = {}
-    recorded: dict[str, str] = {}
+    recorded: dict[tuple[str, tuple[str, ...]], str] = {}
     paths: list[str] = []
     try:
         claims = _claims(found)
@@ -238,7 +248,7 @@ def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance, p
             yield f"{shown / name} shows other data than the store has now"
         elif definition != file.definition:
             yield f"{shown / name} is made otherwise now: sierra.toml or SIERRA has changed"
-        elif recorded.get(name, file.sha256) != file.sha256:
+        elif not _is_recorded(name, file, recorded):
             yield f"{shown / name} is not the file that the store has recorded: {PROVENANCE} has the hash of another one"
     yield from (f"{shown / name} was not made yet" for name in paths if name not in provenance.files)
     for name in sorted({*claims, *provenance.claims}):

@@ -70,12 +70,14 @@ class Roc(DrawnKind[CurveOptions]):
     def needs(self, request: Request) -> Needs:
         shows = "mean of the curves of the runs, 95 % CI of the mean at each place"
         if self.options.classes:
-            rows = _scores_of_classes(request, self.options.classes)
-            return Needs(rows=rows, columns=len(request.columns), numeric=False, shows=shows)
+            if request.figure.series:
+                raise UsageError("classes have a line each, so that series has no effect; use facet, or leave it out")
+            rows, columns = _scores_of_classes(request, self.options.classes), request.columns
+            return Needs(rows=rows, sample="scores", columns=len(columns), numeric=False, numbers=columns[1:], shows=shows)
         truth, score = _two(request, "the truth and the score")
         positive = ("1", "true") if self.options.positive is None else (self.options.positive,)
         is_positive = f"{identifier(truth)}::VARCHAR IN ({', '.join(map(quote, positive))})"
-        return Needs(rows=_scores(is_positive, score), columns=2, numeric=False, shows=shows)
+        return Needs(rows=_scores(is_positive, score), columns=2, numeric=False, numbers=(score,), shows=shows)
 
     def drawn_by(self) -> DrawnBy:
         from sierra.extensions.figures import classifiers_drawing as drawn

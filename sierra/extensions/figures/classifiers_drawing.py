@@ -169,8 +169,12 @@ def notes_on_classes(drawing: Drawing, classes: Sequence[str]) -> list[str]:
     rows = {row["truth"]: row["count"] for row in drawing.rows["truths"].to_pylist()}
     column, scores = drawing.figure.columns[0], drawing.rows["scores"]
     if unknown := next((name for name in classes if not rows.get(name)), None):
+        if unknown in rows:
+            raise SierraError(
+                f"classes: no row whose {column} is {unknown!r} has all scores; leave the class out, or see where"
+            )
         known = like(unknown, [name for name in rows if name is not None], "there are")
-        raise SierraError(f"classes: {unknown!r} is no value of {column} in a row with all scores; {known}")
+        raise SierraError(f"classes: {unknown!r} is no value of {column}; {known}")
     others = sum(count for name, count in rows.items() if name is not None and name not in classes)
     runs = _runs(scores)
     lacking = sum(len(_of_classes(run, roc_of, len(classes))) < len(classes) for run in runs)

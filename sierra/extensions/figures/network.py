@@ -73,7 +73,8 @@ WITH rows AS (
         return Needs(
             rows=tables,
             columns=None,
-            others=(*self.options.place, *filter(None, looks.values())),
+            others=tuple(filter(None, [self.options.node_label])),
+            numbers=(*self.options.place, *filter(None, (self.options.node_size, self.options.edge_color))),
             numeric=False,
             shows=self._shows(weighted=len(request.columns) == 3),
             run=self.options.run,

@@ -142,7 +142,7 @@ def test_curves_of_classes_are_those_of_scikit_learn() -> None:
 def test_runs_without_a_class_and_wrong_classes_are_said() -> None:
     note = noted(classified(absent="owl").drawing(runs=lambda experiment: 2)).note
     assert "1 of 2 runs lack rows of a class, and are not in the macro-average" in note
-    with pytest.raises(SierraError, match="classes: 'ct' is no value of truth in a row with all scores; did you mean 'cat'"):
+    with pytest.raises(SierraError, match="classes: 'ct' is no value of truth; did you mean 'cat'"):
         noted(classified(("ct", "dog", "owl")).drawing())
     with pytest.raises(SierraError, match="there are 2 classes, but 3 columns after the truth"):
         classified(("cat", "dog")).drawing()

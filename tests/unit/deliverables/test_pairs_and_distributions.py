@@ -126,6 +126,30 @@ def test_a_histogram_of_rows_counts_rows() -> None:
     assert plot(drawing).get_ylabel() == "number of rows"
 
 
+def test_runs_whose_rows_have_no_value_are_not_in_n() -> None:
+    def lost(experiment: int, run: int, row: int) -> Row:
+        return {"x": float("nan") if run else float(row)}
+
+    drawing = Trial("histogram", {"column": ("x",), "rows": True}, lost, ()).drawing()
+    assert f"n = 1; {RUNS - 1} of {RUNS} runs missing or without such rows; {ROWS} rows" in noted(drawing).note
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "kind", "note"),
+    [
+        ((1.7e9, 1.7e9 + 5, 1.7e9 + 10), (0.1, 5.0, 9.8), "linear", "y = 0.1167 + 0.97 (x − 1.7e9), R² = 1.000"),
+        ((0.0, 1.0, 2.0), (5.0, 5.0, 5.0), "linear", "y = 5"),
+        ((0.0, 1.0), (1.0, 3.0), "linear", "y = 1 + 2 x (through all points)"),
+    ],
+)
+def test_an_equation_has_the_digits_that_it_needs(x: tuple[float, ...], y: tuple[float, ...], kind: str, note: str) -> None:
+    def row(experiment: int, run: int, row: int) -> Row:
+        return {"x": x[run], "y": y[run]}
+
+    drawing = Trial("scatter", {"column": ("x", "y"), "fit": kind}, row, ()).drawing(runs=lambda experiment: len(x))
+    assert noted(drawing).note.endswith(f"; {note}")
+
+
 def test_rows_and_a_measure_of_runs_exclude_each_other() -> None:
     with pytest.raises(UsageError, match="measure reduces the rows of a run to one value, but rows = true shows all rows"):
         Trial("histogram", {"column": ("x",), "rows": True, "measure": "mean"}, of_rows, ()).drawing()

@@ -224,6 +224,13 @@ def test_a_file_that_was_edited_together_with_its_hash_is_named_and_made_again(p
     assert (done.returncode, table.read_bytes()) == (0, before), done.stderr
     assert (folder / "provenance.json").read_text() == provenance
     assert checked(paper)[0] == 0
+    others = json.loads(provenance)  # of a clone with other libraries
+    table.write_bytes(before + b"% other bytes\n")
+    file = others["files"]["tables/noise.tex"]
+    file.update(sha256=hashlib.sha256(table.read_bytes()).hexdigest(), made_by=["matplotlib==3.0"])
+    (folder / "provenance.json").write_text(json.dumps(others))
+    assert checked(paper)[0] == 0
+    assert "0 files written" in projects.quick(paper, "paper").stdout
 
 
 @pytest.mark.integration

@@ -178,10 +178,19 @@ def test_the_id_of_the_package_is_a_macro(folder: Path, tmp_path: Path) -> None:
         if text == "../y":
             shutil.copytree(tmp_path / "x", tmp_path / "y")
             (tmp_path / "y" / "README.md").write_text("damaged")
-        for words in (("paper",), ("paper", "--check")):
+        for words in (("paper",), ("paper", "--check")) if text == "../y" else (("paper",),):
             done = projects.quick(here, *words)
             assert (done.returncode, message in done.stderr, done.stderr.count("\n")) == (status, True, 1), done.stderr
         assert numbers.read_bytes() == before
+        if text == "../nope.zip":  # all else is checked
+            numbers.write_text("edited")
+            done = projects.quick(here, "paper", "--check")
+            assert (done.returncode, "was edited" in done.stdout, "nope.zip does not exist; make it" in done.stdout) == (
+                1,
+                True,
+                True,
+            )
+            numbers.write_bytes(before)
         config.write_text(config.read_text().replace(text, "../x.zip"))
     for place in ("../x.zip", "../x"):
         config.write_text(config.read_text().replace("../x.zip", place))

@@ -58,7 +58,7 @@ class Histogram(DrawnKind[HistogramOptions]):
 
     def needs(self, request: Request) -> Needs:
         if self.options.rows:
-            return Needs(rows=of_rows(request, 1), shows="histogram of the rows")
+            return Needs(rows=of_rows(request, 1), sample="rows", shows="histogram of the rows")
         return Needs(("median",), runs=True, shows="histogram of the runs")
 
     def drawn_by(self) -> DrawnBy:

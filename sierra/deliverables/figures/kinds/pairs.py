@@ -34,9 +34,8 @@ class Scatter(DrawnKind[ScatterOptions]):
     def needs(self, request: Request) -> Needs:
         fit = self.options.fit
         if self.options.rows:
-            return Needs(
-                rows=of_rows(request, 2), columns=2, shows="each mark a row" + (f", {fit} fit" if fit != "none" else "")
-            )
+            shows = "each mark a row" + (f", {fit} fit" if fit != "none" else "")
+            return Needs(rows=of_rows(request, 2), sample="rows", columns=2, shows=shows)
         shows = "each mark a run" + (f", {fit} fit with the 95 % interval of its mean" if fit != "none" else "")
         return Needs(("median",), runs=True, columns=2, shows=shows)
 
