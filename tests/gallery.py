@@ -132,7 +132,7 @@ def comparison(groups: tuple[str, ...], size: str) -> Iterator[Figure]:
     )
     analysis = Analysis(groups, Question(), Pairing(paired=True, reason=""), pairs)
     asked = Comparison.model_validate({"size": size})
-    compared = Compared("compared", {"0": "0"}, "swarm", "coverage", "mean", "m", analysis, "", asked)
+    compared = Compared("compared", {"0": "0"}, "swarm", "coverage", "mean", "m", analysis, text="", brief="", asked=asked)
     shown = comparison_figure.drawing_of(compared)
     with style.applied(shown.figure):
         yield comparison_figure.painted(compared, shown)[0]
