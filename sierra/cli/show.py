@@ -43,6 +43,8 @@ APART = (
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
 AT_MOST = {"attempts": 20, "channels": 20, "captures": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
+SQL_LINES = 20
+"""The largest number of lines of SQL that are printed without `--long`."""
 
 
 def show(
@@ -118,12 +120,15 @@ def _print_deliverable(shown: ShownDeliverable, *, long: bool, as_json: bool) ->
         return
     for name in ("sql", "problem"):
         record.pop(name)
+    print(f"state: {readable(shown.problem or 'follows from the store')}\n")
     _print_record(record, long=long)
+    lines = shown.row.sql.splitlines()
+    if len(lines) > SQL_LINES and not long:
+        print(f"\nsql: {len(lines)} lines, which --long prints")
+        return
     print("\nsql:")
-    for line in shown.row.sql.splitlines():
+    for line in lines:
         print(f"  {readable(line)}")
-    print()
-    print(f"state: {readable(shown.problem or 'follows from the store')}")
 
 
 def _without_parts(record: Mapping[str, object]) -> dict[str, object]:
