@@ -1590,7 +1590,7 @@ class Project:
 
         >>> compared = project.compare(summary.batch, by=["population_size"])
         >>> print(project.paper_comparison(compared, "markdown").splitlines()[0])
-        | groups | n | test | difference | A12 | p | verdict |
+        | population size | difference | A12 | p | verdict |
         """
         from sierra.deliverables import comparison_text
 

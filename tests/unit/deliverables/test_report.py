@@ -325,7 +325,7 @@ def test_the_report_of_a_package_executes_nothing_of_it(tmp_path: Path, monkeypa
     found = Page((tmp_path / "results-report.html").read_bytes())
     assert "Models are left out, because commands of the package would have to be executed: bad." in found.text
     assert "comparisons of several batches are not made from the declarations of a package: both" in found.text
-    assert "population_size=2 − population_size=1" in found.text
+    assert "2 − 1" in found.text
     assert "sierra reproduce results.zip" in found.text
     assert "A B (" in found.text
     assert not ran.exists()
