@@ -383,7 +383,8 @@ def _in_engineering_units(figure: Figure) -> None:
         found = re.fullmatch(r"(.*)\s\[(\w+)\]", text, re.DOTALL)
         largest = float(np.abs(axis.get_view_interval()).max())
         plain = type(axis.get_major_formatter()) in (ScalarFormatter, EngFormatter)  # panels may share theirs
-        if found and found[2] in BASE and plain and not 0.01 <= largest < 1e4:
+        is_far = largest < 0.01 or (largest >= 1e4 and found is not None and found[2] != "s")  # nobody says kiloseconds
+        if found and found[2] in BASE and plain and is_far:
             axis.set_major_formatter(EngFormatter(found[2], sep="\N{NO-BREAK SPACE}"))
             axis.label.set_text(found[1])
 
