@@ -91,6 +91,10 @@ class SqlLimits(Table):
     )
 
 
+FORMERLY_POSES = BeforeValidator(lambda kind: "trajectories" if kind == "poses" else kind)
+"""Reads the former name of a kind of figures and videos."""
+
+
 class Figure(Table):
     """One figure. If there are none, each numeric column of each output gets a time series and a summary.
 
@@ -99,15 +103,13 @@ class Figure(Table):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    kind: Annotated[str, Field(min_length=1), BeforeValidator(lambda kind: "trajectories" if kind == "poses" else kind)] = (
-        Field(
-            "timeseries",
-            description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, "
-            "`heatmap`; "
-            "distributions of runs: `ecdf`, `histogram`, `ridge`, `survival`; ranks: `critical_difference`; several columns of "
-            "runs: `scatter`, `pareto`, `embedding`; rows: `trajectories`, `density`, `matrix`, `network`, `confusion`, `roc`, "
-            "`pr`, `risk_coverage`; or a plug-in",
-        )
+    kind: Annotated[str, Field(min_length=1), FORMERLY_POSES] = Field(
+        "timeseries",
+        description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, "
+        "`heatmap`; "
+        "distributions of runs: `ecdf`, `histogram`, `ridge`, `survival`; ranks: `critical_difference`; several columns of "
+        "runs: `scatter`, `pareto`, `embedding`; rows: `trajectories`, `density`, `matrix`, `network`, `confusion`, `roc`, "
+        "`pr`, `risk_coverage`; or a plug-in",
     )
     inherit: str = Field(
         "", description="name of another figure, or of `figure_defaults`, whose keys are taken unless this figure has its own"

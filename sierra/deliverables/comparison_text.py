@@ -74,10 +74,10 @@ def _variable(compared: Compared) -> str:
     return names.pop() if len(names) == 1 else ""
 
 
-def _in_words(one: Omnibus) -> str:
+def _in_words(omnibus: Omnibus) -> str:
     """Return a test of all groups for the note below a table."""
-    statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}, "
-    return f"{one.test} of all groups: {statistic}n = {one.n}, {p_value(one.p_adjusted)}"
+    statistic = "" if omnibus.statistic is None else f"χ²({omnibus.df}) = {number(omnibus.statistic)}, "
+    return f"{omnibus.test} of all groups: {statistic}n = {omnibus.n}, {p_value(omnibus.p_adjusted)}"
 
 
 def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:

@@ -89,7 +89,7 @@ class Apptainer(WithoutOptions):
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         way = apptainer_ways_to_start.way(self._host)
-        given = apptainer_ways_to_start.environment(self._host) | variables(way, box, process)
+        given = apptainer_ways_to_start.environment(self._host) | dict(variables(way, box, process))
         return Client(words(way, box, process), given)
 
     def sweep(self, sessions: Sequence[str]) -> None:
@@ -133,11 +133,6 @@ def words(way: Way, box: ContainerSpec, process: Process) -> tuple[str, ...]:
     return (*way.words(network=box.network, files=box.files), *_options(way, box, process), box.reference, *process.argv)
 
 
-def variables(way: Way, box: ContainerSpec, process: Process) -> dict[str, str]:
-    """Return the variables that a client needs for its process. Raises Missing for a name that apptainer does not accept."""
-    return dict(_given(way, box, process))
-
-
 def _options(way: Way, box: ContainerSpec, process: Process) -> Iterator[str]:
     yield from map(mounted, (Mount(_script(way.host, box.files), SOURCED), *box.mounts, *process.mounts))
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
@@ -150,8 +145,11 @@ def _options(way: Way, box: ContainerSpec, process: Process) -> Iterator[str]:
     yield f"--pwd={process.folder}"
 
 
-def _given(way: Way, box: ContainerSpec, process: Process) -> Iterator[tuple[str, str]]:
-    """Yield the environment of a process, under names that have no meaning for any other program."""
+def variables(way: Way, box: ContainerSpec, process: Process) -> Iterator[tuple[str, str]]:
+    """Yield the environment of a process, under names that have no meaning for any other program.
+
+    Raises Missing for a name that apptainer does not accept.
+    """
     yield f"{way.prefix}{MARK}", box.session
     for name, value in process.environment.items():
         if not NAME.fullmatch(name):

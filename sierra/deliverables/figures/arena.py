@@ -171,13 +171,7 @@ def _maps(
         mesh = plot.pcolormesh(*edges, shown, norm=norm, cmap=colormaps["viridis"], linewidth=0, rasterized=True)
         plot.set_aspect(aspect)
         plot.grid(visible=False)
-    extend = "neither" if most is None else "max"
-    bar = figure.colorbar(mesh, ax=plots, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False, extend=extend)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(labelsize=6, length=2)
-    if drawing.figure.log_y:
-        style.log_ticks(bar.ax.yaxis, low, high)
-    bar.set_label(style.shortened(label, 40))
+    style.value_bar(figure, plots, mesh, label, "neither" if most is None else "max")
     _label(drawing, plots, turned=turned)
     return figure, plots
 

@@ -110,12 +110,7 @@ def _paint(figure: Figure, plots: Sequence[Axes], maps: Sequence[style.Floats], 
         edge = {"edgecolors": "white", "linewidth": 0.5} if max(cells.shape) <= 12 else {"linewidth": 0, "rasterized": True}
         mesh = plot.pcolormesh(*edges, np.ma.masked_invalid(cells), norm=norm, cmap=colormaps["viridis"], **edge)
         _numbers(plot, cells, norm, fits=len(columns) * cells.shape[1] <= LEGIBLE * (1 if len(columns) < 2 else 2))
-    bar = figure.colorbar(mesh, ax=list(plots), pad=0.02, aspect=24, fraction=0.06, use_gridspec=False)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(labelsize=6, length=2)
-    if drawing.figure.log_y:
-        style.log_ticks(bar.ax.yaxis, *norm_limits)
-    bar.set_label(style.shortened(style.value_label(drawing), 40))
+    style.value_bar(figure, plots, mesh, style.value_label(drawing))
 
 
 def _numbers(plot: Axes, cells: style.Floats, norm: Normalize, *, fits: bool) -> None:

@@ -604,6 +604,18 @@ def colour_bar(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Seque
     bar.set_label(shortened(axis_label(axis), 48) + some)
 
 
+def value_bar(
+    figure: Figure, plots: Sequence[Axes], colours: ScalarMappable, text: str, extend: Literal["neither", "max"] = "neither"
+) -> None:
+    """Show numbers as a scale of colours, which is logarithmic if these colours are; an arrow ends it if it may `extend`."""
+    bar = figure.colorbar(colours, ax=list(plots), pad=0.02, aspect=24, fraction=0.06, use_gridspec=False, extend=extend)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=6, length=2)
+    if isinstance(colours.norm, LogNorm):
+        log_ticks(bar.ax.yaxis, *colours.get_clim())
+    bar.set_label(shortened(text, 40))
+
+
 def thinned(count: int, most: int) -> list[int]:
     """Return at most about `most` of `count` indices, at equal distances."""
     return list(range(0, count, -(-count // most)))
@@ -654,7 +666,7 @@ def _apart(plot: Axes, values: Sequence[float]) -> list[float]:
     for every in range(-(-len(values) // 11), len(values)):
         shown = range(0, len(values), every)
         ends = [(places[k] - wide, places[k] + wide) for k in shown for wide in [inches(words[k], 7) / 2 + 0.02]]
-        if all(one[1] <= other[0] for one, other in pairwise(ends)):
+        if all(left[1] <= right[0] for left, right in pairwise(ends)):
             return [values[k] for k in shown]
     return list(values[:1])
 

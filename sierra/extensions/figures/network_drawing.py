@@ -79,10 +79,8 @@ def network(drawing: Drawing, options: NetworkOptions) -> Figure:
         names = [style.label(name, drawing.units.get(name, "")) for name in options.place]
         style.outer_labels(plots, names[0], names[1])
     if looks.colours is not None:
-        bar = figure.colorbar(looks.colours, ax=plots, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False)
-        bar.outline.set_visible(False)
-        bar.ax.tick_params(labelsize=6, length=2)
-        bar.set_label(style.label(options.edge_color, drawing.units.get(options.edge_color, "")))
+        column = options.edge_color
+        style.value_bar(figure, plots, looks.colours, style.label(column, drawing.units.get(column, "")))
     return figure
 
 

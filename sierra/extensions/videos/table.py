@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, NonNegativeInt, model_validator
+from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 
-from sierra.config.deliverable_tables import Bound, LimitsOfAxis, ListOfWords
+from sierra.config.deliverable_tables import FORMERLY_POSES, Bound, LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Name, Positive, Table
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def _once(formats: tuple[Format, ...]) -> tuple[Format, ...]:
 class Video(Table):
     """One video of each experiment of a batch, or of several runs or experiments side by side, for `sierra video`."""
 
-    kind: Annotated[Kind, BeforeValidator(lambda kind: "trajectories" if kind == "poses" else kind)] = Field(
+    kind: Annotated[Kind, FORMERLY_POSES] = Field(
         "matrix",
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
         "each row of the table is a row of the matrix, and `columns` are its columns; `trajectories`, formerly `poses`: x, y "

@@ -220,7 +220,7 @@ def _clients(recalled: Recalled, image: Image) -> dict[str, dict[str, Any]]:
         },
         Apptainer.name: {
             "argv": (execute_runs.WAY, *(word.replace(str(SCRIPT), packed) for word in apptainer.words(way, box, process))),
-            "environment": apptainer.variables(way, box, process),
+            "environment": dict(apptainer.variables(way, box, process)),
             "inherits": apptainer_ways_to_start.HANDED_ON.pattern,
             "stop": (),
             "ways": (),

@@ -1,4 +1,4 @@
-"""What the loader's cache finds is unknown, and so may have changed, if `ldconfig` does not print it."""
+"""If `ldconfig` does not print the loader's cache, libraries count as changed."""
 
 from __future__ import annotations
 
