@@ -67,7 +67,6 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
             f'second = {{ host = "{other}", battery = ["echo", "85 %"], firmware = ["echo", "1.4"], '
             f'variables = {{ TZ = "NPT-5:45" }} }}\n'
             f'third = {{ host = "{third}", setup = "source /opt/ros/none.bash" }}\n'
-            f'base = {{ host = "{fleet.through(one, jump=other)}", {NOTHING} }}\n'
         )
     found = checks(project, code=3)
     assert (found["first: battery"]["state"], found["first: battery"]["found"]) == ("missing", "12 %")
@@ -81,8 +80,20 @@ def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) 
     assert found["second: time zone"]["found"] == "UTC+5.75 h now"
     assert "/opt/ros/none.bash: No such file" in found["third: setup"]["found"]
     assert found["second: disk"]["remedy"] == "free some space: 1000 MB are needed"
-    assert not {"base: battery", "base: firmware", "base: calibration", "base: setup"} & found.keys()
     assert {name.partition(":")[0] for name in checks(project, "second", code=3)} == {"second"}
+
+
+def test_a_member_of_a_fleet_that_is_no_robot_has_nothing_to_read(project: Path, fleet: Fleet) -> None:
+    one, other, _ = fleet.names
+    with (project / "sierra.toml").open("a") as file:
+        file.write(
+            f'[runners.robots]\nstop = []\nsetup = "export LANG=C"\ndisk_min = "1 MB"\nbattery = "~/charge"\nfirmware = ["false"]\n'
+            f'calibration = "~/charge"\n[runners.robots.fleet]\n'
+            f'base = {{ host = "{fleet.through(one, jump=other)}", {NOTHING} }}\n'
+        )
+    found = checks(project)
+    assert found["base: runs"]["state"] == "ok"
+    assert not {"base: battery", "base: firmware", "base: calibration", "base: setup"} & found.keys()
 
 
 def test_a_robot_is_checked_as_runs_use_it(project: Path, fleet: Fleet) -> None:
