@@ -173,7 +173,7 @@ class Figure(Table):
     )
     legend: Literal["above", "right", "below"] = Field("above", description="place of the legend, never on the data")
     panel_titles: Literal["values", "letters"] = Field(
-        "values", description="titles of panels: `values` of their variables; `letters`: (a), (b), … before these"
+        "values", description="titles of panels: values of their variables, after (a), (b), … with `letters`"
     )
     small_print: bool = Field(
         True, description="write notes such as n and the interval below the figure; the caption (`txt`, `tex`) always has them"

@@ -102,14 +102,20 @@ def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int]
 
 
 def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a titled panel for each of these combinations of values; see `check_multiples` for its columns."""
+    """Return a figure with a panel for each of these combinations of values, and the panels; see `check_multiples`.
+
+    Columns of panels have their value above them and rows have theirs beside them; other panels have a title each.
+    """
     columns = check_multiples(drawing, axes, shown)
+    cells = [dict(zip((axis.name for axis in axes), values, strict=True)) for values in shown]
     if columns is None:
         figure, plots = style.panels(len(shown))
-    else:
-        figure, plots = _in_columns(axes, columns, shown)
-    for plot, values in zip(plots, shown, strict=True):
-        style.title(plot, style.point(axes, dict(zip((axis.name for axis in axes), values, strict=True))))
+        for plot, cell in zip(plots, cells, strict=True):
+            style.title(plot, style.point(axes, cell))
+        return figure, plots
+    figure, plots = _in_columns(axes, columns, shown)
+    others = [axis for axis in axes if axis is not columns]
+    style.strips(plots, [style.point([columns], cell) for cell in cells], [style.point(others, cell) for cell in cells])
     return figure, plots
 
 

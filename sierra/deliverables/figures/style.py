@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import matplotlib as mpl
 import numpy as np
@@ -104,6 +104,10 @@ class Look(TypedDict, total=False):
 COLUMN = 3.5
 PAGE = 7.16
 HEIGHT = 2.4
+STRIP = "strip"
+"""The mark of the texts beside rows of panels."""
+UPRIGHT = 0.75
+"""The width of such a text in inches, if the row is too low for a turned one."""
 GAP = 0.05
 """The space around texts and legends above and below the plots, in inches."""
 MARGIN = 0.55
@@ -285,9 +289,26 @@ def title(plot: Axes, text: str) -> None:
     if grid.ncols * grid.nrows > 1:
         if chosen().titles == "letters":
             figure, _ = _panel(plot)
-            text = f"({_letter(figure.axes.index(plot))}) {text}"
-        together = wrapped(text.replace(" = ", "\xa0=\xa0"), _room(plot)[0], 7, 8)
-        plot.set_title(together.replace("\xa0", " "), fontsize=7)
+            text = f"({_letter(figure.axes.index(plot))}) {text}".rstrip()
+        plot.set_title(_unbroken(text, _room(plot)[0]), fontsize=7)
+
+
+def strips(plots: Sequence[Axes], above: Sequence[str], beside: Sequence[str]) -> None:
+    """Write above each column of panels, and beside each row, what its panels share. The texts are given for each panel."""
+    places = list(enumerate(_panel(plot)[1] for plot in plots))
+    tops = {place.colspan.start: k for k, place in sorted(places, key=lambda of: -of[1].rowspan.start)}
+    ends = {place.rowspan.start: k for k, place in sorted(places, key=lambda of: of[1].colspan.start)}
+    for k, plot in enumerate(plots):
+        title(plot, above[k] if k in tops.values() else "")
+    for k in ends.values():
+        text = _unbroken(beside[k], _room(plots[k])[1])
+        at: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "center", "rotation": 270}
+        plots[k].annotate(text, (1, 0.5), (3, 0), fontsize=7, gid=STRIP, **at)
+
+
+def _unbroken(text: str, width: float) -> str:
+    """Return a title in lines of this many inches. No line ends beside a =, if that can be."""
+    return wrapped(text.replace(" = ", "\xa0=\xa0"), width, 7, 8).replace("\xa0", " ")
 
 
 def _letter(place: int) -> str:
@@ -317,14 +338,32 @@ def settle(figure: Figure, drawing: Drawing) -> None:
         plain = figure.get_figheight() + _titles(figure) + sum(room[item] for item in above) + GAP
         figure.set_figheight(max(plain, beside + around))
     _lay_out(figure, above, below, room)
+    if any(plot.get_aspect() != "auto" for plot in figure.axes):
+        _fit(figure, lambda: _lay_out(figure, above, below, room), around, beside)
+
+
+def _fit(figure: Figure, lay_out: Callable[[], None], around: float, beside: float) -> None:
+    """Fit texts and height to panels whose shape is fixed: they may be narrower than their part of the width."""
     fixed = [plot for plot in figure.axes if plot.get_aspect() != "auto"]
-    for plot in fixed:  # panels may be narrower than their part of the width
-        text = plot.get_title().replace("\n", " ").replace(" = ", "\xa0=\xa0")
-        plot.title.set_text(wrapped(text, plot.get_position().width * width, 7, 8).replace("\xa0", " "))
-    if fixed and chosen().height is None:
-        plots = Bbox.union([box for plot in fixed if (box := plot.get_tightbbox()) is not None])
-        figure.set_figheight(max(plots.height / figure.dpi, beside) + around)
-        _lay_out(figure, above, below, room)
+    strips = {text: plot for plot in fixed for text in plot.texts if text.get_gid() == STRIP}
+    for plot in fixed:
+        width = plot.get_position().width * figure.get_figwidth()
+        plot.title.set_text(_unbroken(plot.get_title().replace("\n", " "), width))
+    for strip, plot in strips.items():
+        text, height = strip.get_text().replace("\n", " "), plot.get_position().height * figure.get_figheight()
+        upright = inches(text, 7) > 2 * height  # more than two lines that are turned take too much of the width
+        strip.set(text=_unbroken(text, UPRIGHT if upright else height), rotation=0 if upright else 270)
+    if chosen().height is not None:
+        return
+    if strips:  # they kept the rows apart
+        lay_out()
+    needed = Bbox.union([box for plot in fixed if (box := plot.get_tightbbox()) is not None]).height / figure.dpi
+    widest = fixed[0].get_position().width
+    for spare in (1.0, 1.1, 1.2, 1.4):  # a figure that is too low has narrower panels
+        figure.set_figheight(max(needed * spare, beside) + around)
+        lay_out()
+        if fixed[0].get_position().width > 0.98 * widest:
+            break
 
 
 def _lay_out(

@@ -87,8 +87,8 @@ def test_a_member_of_a_fleet_that_is_no_robot_has_nothing_to_read(project: Path,
     one, other, _ = fleet.names
     with (project / "sierra.toml").open("a") as file:
         file.write(
-            f'[runners.robots]\nstop = []\nsetup = "export LANG=C"\ndisk_min = "1 MB"\nbattery = "~/charge"\nfirmware = ["false"]\n'
-            f'calibration = "~/charge"\n[runners.robots.fleet]\n'
+            f'[runners.robots]\nstop = []\nsetup = "export LANG=C"\ndisk_min = "1 MB"\nbattery = "~/charge"\n'
+            f'firmware = ["false"]\ncalibration = "~/charge"\n[runners.robots.fleet]\n'
             f'base = {{ host = "{fleet.through(one, jump=other)}", {NOTHING} }}\n'
         )
     found = checks(project)

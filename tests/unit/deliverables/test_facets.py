@@ -42,33 +42,45 @@ def panels(drawing: Drawing) -> list[Any]:
 
 
 def titles(drawing: Drawing) -> dict[tuple[int, int], str]:
-    """Return the titles of the panels by their row and column."""
+    """Return the titles of the panels and the texts beside them, by their row and column."""
     places = {plot: plot.get_subplotspec() for plot in panels(drawing)}
-    return {(at.rowspan.start, at.colspan.start): " ".join(plot.get_title().split()) for plot, at in places.items()}
+    return {
+        (at.rowspan.start, at.colspan.start): " ".join(
+            " ".join((plot.get_title(), *(text.get_text() for text in plot.texts if text.get_gid() == style.STRIP))).split()
+        )
+        for plot, at in places.items()
+    }
 
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", ["trajectories", "density", "matrix", *of_extension("figures", "confusion"), "stacked"])
 def test_facet_is_the_variable_of_the_columns(kind: str) -> None:
-    names = dict(enumerate(NOISE.values)), dict(enumerate(SIZE.values))
-    by_noise = {(k, j): f"size = {names[1][k]}, noise = {names[0][j]}" for k in range(3) for j in range(2)}
-    assert titles(made(kind, facet="noise")) == by_noise
-    by_size = {(j, k): f"noise = {names[0][j]}, size = {names[1][k]}" for k in range(3) for j in range(2)}
-    assert titles(made(kind, facet="size")) == by_size
+    noises, sizes = [f"noise = {value}" for value in NOISE.values], [f"size = {value}" for value in SIZE.values]
+    assert titles(made(kind, facet="noise")) == grid(noises, sizes)
+    assert titles(made(kind, facet="size")) == grid(sizes, noises)
+
+
+def grid(columns: list[str], rows: list[str]) -> dict[tuple[int, int], str]:
+    """Return the texts of the panels of a grid: those of columns above the first row, those of rows beside the last column."""
+    last = len(columns) - 1
+    return {
+        (i, j): " ".join(filter(None, (column if i == 0 else "", row if j == last else "")))
+        for i, row in enumerate(rows)
+        for j, column in enumerate(columns)
+    }
 
 
 def test_panels_follow_the_order_of_the_values_and_not_that_of_experiments() -> None:
     drawing = made("density")
     turned = replace(drawing, axes=(SIZE, Axis("noise", ("windy", "calm"))))
     found = titles(turned)
-    assert (found[0, 0], found[1, 0]) == ("size = 1, noise = windy", "size = 1, noise = calm")
-    assert (found[0, 1], found[0, 2]) == ("size = 2, noise = windy", "size = 4, noise = windy"), "rows and columns"
+    assert found == grid(["size = 1", "size = 2", "size = 4"], ["noise = windy", "noise = calm"])
 
 
 def test_a_panel_shows_the_data_of_its_title() -> None:
-    (only,) = [
-        plot for plot in panels(made("trajectories", facet="noise")) if "4" in plot.get_title() and "calm" in plot.get_title()
-    ]
+    drawing = made("trajectories", facet="noise")
+    calm, size = (list(axis.values).index(value) for axis, value in ((NOISE, "calm"), (SIZE, 4)))
+    (only,) = [plot for plot in panels(drawing) if plot.get_subplotspec() == plot.get_gridspec()[size, calm]]
     assert min(float(np.min(line.get_xdata())) for line in only.lines) == 40.0
 
 
@@ -76,7 +88,13 @@ def test_experiments_that_are_missing_leave_a_place_free() -> None:
     drawing = made("density", facet="noise")
     cells = drawing.rows["cells"]
     lacking = replace(drawing, rows={**drawing.rows, "cells": cells.filter(cells.column("experiment").to_numpy() != 2)})
-    assert set(titles(lacking)) == {(0, 0), (0, 1), (1, 1), (2, 0), (2, 1)}
+    assert titles(lacking) == {
+        (0, 0): "noise = calm",
+        (0, 1): "noise = windy size = 1",
+        (1, 1): "size = 2",
+        (2, 0): "",
+        (2, 1): "size = 4",
+    }
 
 
 def test_a_heat_map_has_a_panel_for_each_value_of_a_third_variable() -> None:
@@ -90,7 +108,7 @@ def test_a_heat_map_has_a_panel_for_each_value_of_a_third_variable() -> None:
 
 def test_matrices_at_several_times_have_a_column_for_each_time() -> None:
     drawing = made("matrix", (SIZE,), at=[0, 3.0, 99])
-    assert titles(drawing)[1, 1] == "size = 2, time = 3"
+    assert (titles(drawing)[0, 1], titles(drawing)[1, 1]) == ("time = 3 size = 1", "size = 2")
     assert np.nanmax(panels(drawing)[3].collections[0].get_array()) == 10 + 3 + 2.5
     assert noted(drawing).note == "mean of the runs, at 0, 3, 99, n = 6; 1 of 3 times without a row"
 

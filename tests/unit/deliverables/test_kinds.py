@@ -212,7 +212,8 @@ def test_large_whole_numbers_have_all_digits(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project")
     assert projects.quick(root, "run", "population_size=1000001,1000002,2000000", "--runs", "2", "--no-figures").returncode == 0
     assert {"1000001", "1000002", "2e6"} <= set(words(draw(root, *COVERAGE, 'kind = "bar"')))
-    assert {"1000001", "1000002", "2e6"} <= set(words(draw(root, *COVERAGE, 'kind = "summary"')))
+    ticks = set(words(draw(root, *COVERAGE, 'kind = "summary"')))
+    assert {"1000001", "2e6"} <= ticks, "1000002 has no room beside 1000001"
 
 
 @pytest.mark.integration
@@ -265,7 +266,7 @@ POSES = ('table = "poses"', 'column = ["x", "y"]')
 def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path) -> None:
     where = 'where = "population_size = 4 AND noise = 0.1"'
     png = draw(batch, *POSES, 'kind = "trajectories"', 'robot = "robot"', "run = 1", where)
-    assert said(png).startswith("paths in run 1, ○ start, □ end, n = 3; noise = 0.1; only rows where")
+    assert said(png).startswith("paths, ○ start, □ end, run 1 of 3; noise = 0.1; only rows where")
     assert {"x", "y", "0", "1", "2", "3"} <= set(words(png)), "the legend has each robot"
     assert "no row is what the keys of the figure ask for" in refusal(batch, *POSES, 'kind = "trajectories"', "run = 7")
     assert "two columns, x and y" in refusal(batch, 'table = "poses"', 'column = "x"', 'kind = "trajectories"')
