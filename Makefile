@@ -22,7 +22,7 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test integration nightly soak check format bench schemas pictures docs lock system dist clean
+.PHONY: help install demo test integration nightly soak check format bench schemas pictures docs lock system dist release clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' Makefile | expand -t 14
@@ -41,9 +41,18 @@ install: .venv/installed ## make .venv: the locked packages, and this project, e
 	$(PIP) install --no-index --no-deps --no-build-isolation --editable .
 	@touch $@
 
-demo: install ## copy the example to ./demo, unless it is there, and run a query in it
-	test -e demo || $(BIN)/sierra init --example swarm demo
-	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
+# What users need, in an environment of its own: a third of what developers need.
+.venv-demo/installed: requirements-demo.lock pyproject.toml
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer, with venv, is needed; name it: make PYTHON=..." >&2; exit 3; }
+	"$(PYTHON)" -m venv --clear .venv-demo
+	.venv-demo/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --only-binary :all: --require-hashes \
+		--requirement requirements-demo.lock
+	.venv-demo/bin/python -m pip --disable-pip-version-check --quiet install --no-index --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: .venv-demo/installed ## copy the example to ./demo, unless it is there, and run a query in it
+	test -e demo || .venv-demo/bin/sierra init --example swarm demo
+	cd demo && ../.venv-demo/bin/sierra run population_size.Log8 --runs 10
 
 test: install ## run the tests that need no cluster, container or network; more at once with WORKERS=8
 	$(PYTEST) -m "not integration and not nightly" --ignore tests/integration --ignore tests/nightly
@@ -92,13 +101,16 @@ docs: install ## build the documentation as a site, in build/site
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/site
 
 # An existing lock's versions stay unless pyproject.toml rules them out; UPGRADE=--upgrade takes the newest.
-lock: ## write requirements.lock from pyproject.toml
+lock: ## write requirements.lock and requirements-demo.lock from pyproject.toml
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer, with venv, is needed; name it: make PYTHON=..." >&2; exit 3; }
 	"$(PYTHON)" -m venv --clear .venv-lock
 	.venv-lock/bin/python -m pip --disable-pip-version-check --quiet install $(UV)
 	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --extra all \
 		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(UPGRADE) \
 		--output-file requirements.lock pyproject.toml
+	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --extra demo \
+		--constraint requirements.lock --generate-hashes --no-header --no-emit-index-url --no-emit-find-links \
+		--no-annotate --output-file requirements-demo.lock pyproject.toml
 	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 \
 		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(UPGRADE) \
 		--output-file tests/system/validators.lock tests/system/validators.in
@@ -122,8 +134,13 @@ system: ## install what SIERRA calls (git, podman), and what tests need (gcc, sq
 		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends $(PACKAGES); \
 	else echo "these are missing:$$missing; install them, or run make system as root on Debian" >&2; exit 3; fi
 
-dist: install ## build the sdist and the wheel into dist/
+dist: install ## build the sdist and the wheel into dist/, and run the demo from them with each supported Python that is there
+	rm -rf dist
 	$(BIN)/python -m build --no-isolation
+	$(BIN)/python -m tests.system.try_dist dist
+
+release: install ## check everything, build, and make the tag of the version in sierra/util/version.py
+	tests/system/release.sh
 
 clean: ## remove what make made, except ./demo
-	rm -rf .venv .venv-lock .venv-validators .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
+	rm -rf .venv .venv-demo .venv-lock .venv-validators .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist

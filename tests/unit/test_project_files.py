@@ -18,6 +18,7 @@ import sierra
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 LOCK = (ROOT / "requirements.lock").read_text("utf-8")
+DEMO_LOCK = (ROOT / "requirements-demo.lock").read_text("utf-8")
 WORKER = (ROOT / "sierra" / "worker" / "worker.py").read_text("utf-8")
 AGENT = (ROOT / "sierra" / "worker" / "robot_agent.py").read_text("utf-8")
 CLOCK_WATCH = (ROOT / "sierra" / "worker" / "clock_watch.py").read_text("utf-8")
@@ -123,6 +124,24 @@ def test_every_entry_of_the_lock_file_has_a_hash() -> None:
     entries = re.split(r"^(?=[\w.-]+==)", LOCK, flags=re.MULTILINE)[1:]
     assert entries
     assert [entry.split()[0] for entry in entries if "--hash=sha256:" not in entry] == []
+
+
+def test_the_demo_has_the_locked_versions_of_what_users_need() -> None:
+    every, demo = (set(re.findall(r"^[\w.-]+==\S+|--hash=\S+", lock, re.MULTILINE)) for lock in (LOCK, DEMO_LOCK))
+    assert demo < every
+    project = PYPROJECT["project"]
+    wanted = requirements(project["dependencies"], project["optional-dependencies"]["example"])
+    assert wanted <= {normal(name) for name in re.findall(r"^([\w.-]+)==", DEMO_LOCK, re.MULTILINE)}
+    assert not {"mypy", "pytest", "sphinx", "scikit-learn"} & {
+        normal(name) for name in re.findall(r"^([\w.-]+)==", DEMO_LOCK, re.MULTILINE)
+    }
+
+
+def test_a_fork_executes_the_steps_of_ci() -> None:
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8"))
+    steps = [step.get("run") for job in workflow["jobs"].values() for step in job["steps"]]
+    assert ".ci/run" in steps
+    assert all("@" in step.get("uses", "@") for job in workflow["jobs"].values() for step in job["steps"])
 
 
 def test_lock_file_contains_no_host_and_no_path() -> None:
