@@ -31,7 +31,7 @@ def commands() -> Iterator[str]:
     """Yield the help of each command, in the order of `sierra --help`."""
     import typer.main
 
-    from sierra.cli.app import app
+    from sierra.cli.app import FORMER, app
 
     yield "# Commands"
     yield (
@@ -48,6 +48,9 @@ def commands() -> Iterator[str]:
             ("130", "interrupted"),
         ],
     )
+    yield "## Former names"
+    yield "These names still work, and go in version 0.2. Arguments are as before; `sierra NAME --help` prints them."
+    yield _table(("former", "now"), [(f"`{name}`", f"`{now}`") for name, (_, now) in FORMER.items()])
     for words, text in _help(typer.main.get_command(app), ("sierra",), None):
         yield f"{'#' * min(len(words) + 1, 3)} {' '.join(words)}"
         yield f"```text\n{text}\n```"

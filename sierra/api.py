@@ -1448,7 +1448,7 @@ class Project:
         >>> project.claims_against("v1")
         Traceback (most recent call last):
             ...
-        sierra.errors.NotFound: sierra.baselines.json has no baseline 'v1'; set it by: sierra baseline set v1
+        sierra.errors.NotFound: sierra.baselines.json has no baseline 'v1'; set it by: sierra claims --keep v1
         """
         from sierra.deliverables.claims import baseline as baselines
         from sierra.deliverables.claims import regression

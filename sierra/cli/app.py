@@ -10,53 +10,68 @@ from sierra.cli import lazy_parameters
 from sierra.cli.lazy_commands import Commands
 
 if TYPE_CHECKING:
-    from typer._click.core import Command
+    from typer._click.core import Command, Context
+    from typer._click.formatting import HelpFormatter
 
 EXIT_CODES = (
     "Exit codes: 0 success; 1 a run failed, results differ, or the store is damaged; "
     "2 usage error; 3 something required is missing; 130 interrupted."
 )
 
-COMMANDS = {
-    "init": "sierra.cli.init:init",
-    "try": "sierra.cli.try_run:try_",
-    "run": "sierra.cli.run:run",
-    "inputs": "sierra.cli.inputs:inputs",
-    "status": "sierra.cli.status:status",
-    "attach": "sierra.cli.attach:attach",
-    "cancel": "sierra.cli.cancel:cancel",
-    "replay": "sierra.cli.replay:replay",
-    "diff": "sierra.cli.diff:diff",
-    "compare": "sierra.cli.compare:compare",
-    "plan-n": "sierra.cli.plan_n:plan_n",
-    "why": "sierra.cli.why:why",
-    "ls": "sierra.cli.ls:ls",
-    "show": "sierra.cli.show:show",
-    "files": "sierra.cli.files:files",
-    "outputs": "sierra.cli.outputs:outputs",
-    "trial": "sierra.cli.trial:app",
-    "sql": "sierra.cli.sql:sql",
-    "stats": "sierra.cli.stats:stats",
-    "figures": "sierra.cli.figures:figures",
-    "paper": "sierra.cli.paper:paper",
-    "report": "sierra.cli.report:report",
-    "models": "sierra.cli.models:models",
-    "claims": "sierra.cli.claims:claims",
-    "baseline": "sierra.cli.baseline:app",
-    "cite": "sierra.cli.cite:cite",
-    "package": "sierra.cli.package:package",
-    "open": "sierra.cli.open:app",
-    "reproduce": "sierra.cli.reproduce:reproduce",
-    "import": "sierra.cli.import_package:import_",
-    "fsck": "sierra.cli.fsck:fsck",
-    "gc": "sierra.cli.gc:gc",
-    "rm": "sierra.cli.rm:rm",
-    "doctor": "sierra.cli.doctor:doctor",
-    "schema": "sierra.cli.schema:schema",
-    "image": "sierra.cli.image:app",
-    "source": "sierra.cli.source:app",
+GROUPS = {
+    "Run": {
+        "init": "sierra.cli.init:init",
+        "try": "sierra.cli.try_run:try_",
+        "run": "sierra.cli.run:run",
+        "attach": "sierra.cli.attach:attach",
+        "cancel": "sierra.cli.cancel:cancel",
+        "trial": "sierra.cli.trial:app",
+        "replay": "sierra.cli.replay:replay",
+        "image": "sierra.cli.image:app",
+        "doctor": "sierra.cli.doctor:doctor",
+    },
+    "Look": {
+        "ls": "sierra.cli.ls:ls",
+        "show": "sierra.cli.show:show",
+        "why": "sierra.cli.why:why",
+        "diff": "sierra.cli.diff:diff",
+        "sql": "sierra.cli.sql:sql",
+        "stats": "sierra.cli.stats:stats",
+        "compare": "sierra.cli.compare:compare",
+        "plan-n": "sierra.cli.plan_n:plan_n",
+        "outputs": "sierra.cli.outputs:outputs",
+        "schema": "sierra.cli.schema:schema",
+    },
+    "Deliver": {
+        "figures": "sierra.cli.figures:figures",
+        "report": "sierra.cli.report:report",
+        "claims": "sierra.cli.claims:claims",
+        "paper": "sierra.cli.paper:paper",
+    },
+    "Share": {
+        "package": "sierra.cli.package:package",
+        "open": "sierra.cli.open:app",
+        "reproduce": "sierra.cli.reproduce:reproduce",
+        "source": "sierra.cli.source:app",
+    },
+    "Keep": {
+        "fsck": "sierra.cli.fsck:fsck",
+        "gc": "sierra.cli.gc:gc",
+        "rm": "sierra.cli.rm:rm",
+    },
 }
-"""The functions and groups of all commands, in the order of `sierra --help`."""
+"""The functions and groups of all commands, by what they are for, in the order of `sierra --help`."""
+COMMANDS = {name: place for commands in GROUPS.values() for name, place in commands.items()}
+FORMER = {
+    "status": ("sierra.cli.status:status", "ls --jobs"),
+    "files": ("sierra.cli.files:files", "show --files"),
+    "inputs": ("sierra.cli.inputs:inputs", "run --inputs"),
+    "models": ("sierra.cli.models:models", "stats --models"),
+    "baseline": ("sierra.cli.baseline:app", "claims --keep"),
+    "cite": ("sierra.cli.cite:cite", "package --cite"),
+    "import": ("sierra.cli.import_package:import_", "open FILE.zip import"),
+}
+"""Former names of commands, which no help shows: the function, and what has replaced it. They go in version 0.2."""
 
 
 class All(lazy_parameters.Group):
@@ -64,7 +79,18 @@ class All(lazy_parameters.Group):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = cast("dict[str, Command]", Commands(COMMANDS))  # typer only reads it
+        self.commands = cast("dict[str, Command]", Commands(COMMANDS, former=FORMER))  # typer only reads it
+
+    def format_commands(self, ctx: Context, formatter: HelpFormatter) -> None:
+        """Write a section for each group of commands."""
+        from sierra.config.extensions import sections
+
+        added = sections()
+        for title, own in GROUPS.items():
+            names = [*own, *(name for name, section in added.items() if section == title and name in self.commands)]
+            rows = [(name, self.commands[name].get_short_help_str(formatter.width)) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
 
 app = typer.Typer(

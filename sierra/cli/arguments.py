@@ -42,7 +42,7 @@ ClusterId = Annotated[
     typer.Argument(
         metavar="HASH",
         autocompletion=complete.sessions,
-        help="Batch id, or session id from `sierra status`; a prefix is enough.",
+        help="Batch id, or session id from `sierra ls --jobs`; a prefix is enough.",
     ),
 ]
 Criteria = Annotated[

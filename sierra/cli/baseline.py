@@ -1,4 +1,4 @@
-"""`sierra baseline`: keep the results of claims, for later comparisons."""
+"""`sierra claims --keep`: keep the results of claims, for later comparisons."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def set_(
 
     \b
     Examples:
-      sierra baseline set v1
-      sierra baseline set v1 9e1c
-      sierra baseline set published results.zip
+      sierra claims --keep v1
+      sierra claims --keep v1 9e1c
+      sierra claims --keep published results.zip
     """
     from sierra.cli.open_project import project
 

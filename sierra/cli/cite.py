@@ -1,4 +1,4 @@
-"""`sierra cite`: the file by which archives and people cite a project."""
+"""`sierra package --cite`: the file by which archives and people cite a project."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def _lines(found: Metadata) -> Iterator[str]:
     yield from (f"{name}: written" for name in found.written)
     yield from (f"{name}: agrees with [package]" for name in found.equal)
-    yield from (f"{name}: does not exist; sierra cite --write writes it" for name in found.absent)
+    yield from (f"{name}: does not exist; sierra package --cite writes it" for name in found.absent)
     yield from found.differences
 
 
@@ -34,8 +34,8 @@ def cite(
 
     \b
     Examples:
-      sierra cite
-      sierra cite --write
+      sierra package --cite
+      sierra package --cite
     """
     from sierra.cli.open_project import project
 

@@ -35,11 +35,19 @@ OUTCOMES: dict[str, Outcome] = {
 def claims(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="NAME", autocompletion=complete.claims, help="Claims in sierra.toml (default: all)."),
+        typer.Argument(
+            metavar="NAME",
+            autocompletion=complete.claims,
+            help="Claims in sierra.toml (default: all). With --keep: batches, or a package (default: the project now).",
+        ),
     ] = None,
     against: Annotated[
         str | None,
-        typer.Option("--against", metavar="BASELINE", help="Compare with this baseline: see sierra baseline set."),
+        typer.Option("--against", metavar="BASELINE", help="Compare with this baseline, which --keep has written."),
+    ] = None,
+    keep: Annotated[
+        str | None,
+        typer.Option("--keep", metavar="BASELINE", help="Keep the results under this name, in sierra.baselines.json."),
     ] = None,
     junit: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML, for CI.")
@@ -62,6 +70,10 @@ def claims(
     beyond the margin that the claim declares (regression), and none if it is within. Other claims are regressions if they held
     and do not hold now.
 
+    With --keep, the values, intervals and numbers of runs that --against needs are written to sierra.baselines.json, which can
+    be committed and used without the store; it does not count as source. A baseline of the same name is replaced. With batches
+    or a package, each claim is evaluated on the batch with its query, whatever the code of that batch was.
+
     Exit status 0 means that all these claims hold, or with --against that none is a regression. It is 1 otherwise, also if one
     can't be told.
 
@@ -70,11 +82,20 @@ def claims(
       sierra claims
       sierra claims faster eight_robots
       sierra claims --json
+      sierra claims --keep v1
+      sierra claims --keep published results.zip
       sierra claims --against v1 --junit claims.xml
       sierra claims --register
     """
     from sierra.cli.open_project import project
 
+    if keep is not None:
+        if against is not None or junit is not None or register or as_json:
+            raise UsageError("--keep only writes a baseline; leave out --against, --junit, --register and --json")
+        from sierra.cli.baseline import set_
+
+        set_(keep, names)
+        return
     opened = project()
     if register:
         if names or against is not None or junit is not None:

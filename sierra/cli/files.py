@@ -1,4 +1,4 @@
-"""`sierra files`: list recorded files, or write them out."""
+"""`sierra show --files`: list recorded files, or write them out."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ def files(
 
     \b
     Examples:
-      sierra files 4fc1
-      sierra files 4fc1 swarm.csv
-      sierra files 9e1c --to recorded
-      sierra files 9e1c "*.csv" stderr --to recorded
+      sierra show 4fc1 --files
+      sierra show 4fc1 swarm.csv
+      sierra show 9e1c --to recorded
+      sierra show 9e1c "*.csv" stderr --to recorded
     """
     from sierra.cli.open_project import project
     from sierra.store.export_recorded_files import extract, listing

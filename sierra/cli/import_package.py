@@ -1,4 +1,4 @@
-"""`sierra import`: add the records of a package to the store."""
+"""`sierra open FILE.zip import`: add the records of a package to the store."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def import_(
 
     \b
     Examples:
-      sierra import results.zip
+      sierra open results.zip import
     """
     from sierra.cli.open_project import project
     from sierra.cli.progress import Display

@@ -1,4 +1,4 @@
-"""`sierra inputs`: write the inputs and commands of a query's runs, and execute nothing."""
+"""`sierra run --inputs`: write the inputs and commands of a query's runs, and execute nothing."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def inputs(
 
     \b
     Examples:
-      sierra inputs population_size.Log8 --runs 10 --to ../inputs
-      sierra inputs population_size.Log8 --only "population_size=8" --to ../inputs
-      sierra inputs population_size.Log8 --target sim,robots --to ../inputs
+      sierra run population_size.Log8 --runs 10 --inputs ../inputs
+      sierra run population_size.Log8 --only "population_size=8" --inputs ../inputs
+      sierra run population_size.Log8 --target sim,robots --inputs ../inputs
     """
     from sierra.cli import open_project, render_summary
     from sierra.cli.progress import Planning

@@ -33,17 +33,18 @@ class Commands(Mapping[str, "Command"]):
     """The commands by name, made from functions and groups that are named as `module:attribute`.
 
     Extensions add commands: they are asked when a name is not known, and when all names are wanted. `group` begins the names of
-    those that belong here, as in `open video`.
+    those that belong here, as in `open video`. `former` are names that work and are listed nowhere, see `app.FORMER`.
     """
 
-    def __init__(self, places: Mapping[str, str], group: str = "") -> None:
+    def __init__(self, places: Mapping[str, str], group: str = "", former: Mapping[str, tuple[str, str]] | None = None) -> None:
         self._places = places
+        self._former = former or {}
         self._group = group
         self._made: dict[str, Command] = {}
 
     def __getitem__(self, name: str) -> Command:
         if name not in self._made:
-            place = self._places.get(name) or self._added()[name]
+            place = self._places.get(name) or self._former.get(name, ("",))[0] or self._added(former=True)[name]
             self._made[name] = _with_options(_command(name, place), f"{self._group}{name} ")
         return self._made[name]
 
@@ -53,10 +54,10 @@ class Commands(Mapping[str, "Command"]):
     def __len__(self) -> int:
         return len(self._places) + len(self._added())
 
-    def _added(self) -> Mapping[str, str]:
+    def _added(self, *, former: bool = False) -> Mapping[str, str]:
         from sierra.config.extensions import added
 
-        every = added("commands").items()
+        every = ({**added("commands"), **added("former")} if former else added("commands")).items()
         own = {name.removeprefix(self._group): place for name, place in every if name.startswith(self._group)}
         return {name: place for name, place in own.items() if " " not in name}
 

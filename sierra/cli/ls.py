@@ -3,25 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from sierra.cli import complete
 from sierra.cli.arguments import AsJsonList, Long
 from sierra.cli.output import print_json, table
+from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.execution.list_batches import ListedBatch
 
 
 def ls(
+    prefix: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=complete.sessions,
+            help="With --jobs: batch id or session id; a prefix is enough (default: all).",
+        ),
+    ] = None,
+    jobs: Annotated[bool, typer.Option("--jobs", help="List cluster jobs instead.")] = False,
     long: Long = False,
     as_json: AsJsonList = False,
 ) -> None:
-    """List batches, most recent last.
+    """List batches, most recent last, or cluster jobs.
+
+    With --jobs, first records finished runs of sessions that no other process follows. Queries the scheduler once for each
+    session: how many array tasks are queued (with the scheduler's reason), and how many are running. State "gone": the jobs
+    ended with runs missing; sierra attach submits these runs again.
 
     \b
-    Example:
+    Examples:
       sierra ls
+      sierra ls --jobs
+      sierra ls --jobs 9e1c --json
     """
+    if jobs:
+        from sierra.cli.status import status
+
+        status(prefix, long, as_json)
+        return
+    if prefix is not None:
+        raise UsageError(f"without --jobs, all batches are listed; sierra show {prefix} shows one")
     from sierra.cli.open_project import project
     from sierra.util.hashing import short
 

@@ -1,4 +1,4 @@
-"""`sierra models`: how far models are from the data."""
+"""`sierra stats --models`: how far models are from the data."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def models(
 
     \b
     Examples:
-      sierra models
-      sierra models 722b00 mean_field
-      sierra models 722b00 --format csv -o models.csv
+      sierra stats --models
+      sierra stats --models mean_field -b 722b00
+      sierra stats --models -b 722b00 --format csv -o models.csv
     """
     from sierra.cli.open_project import project
 

@@ -10,6 +10,7 @@ import typer
 
 from sierra.cli import lazy_parameters
 from sierra.cli.app import COMMANDS
+from sierra.cli.app import FORMER as NAMES
 from sierra.cli.lazy_commands import Commands
 from sierra.util.text import counted, one_line
 
@@ -18,9 +19,12 @@ if TYPE_CHECKING:
 
     from sierra.packages.reading.received import Received
 
-READING = ("ls", "show", "sql", "stats", "outputs", "files", "compare", "diff", "why", "fsck")
+READING = ("ls", "show", "sql", "stats", "outputs", "compare", "diff", "why", "fsck")
 """Commands that read records, and execute nothing of the package."""
-OF_PACKAGES = {name: f"sierra.cli.open_results:{name}" for name in ("figures", "report", "claims")}
+FORMER = {"files": NAMES["files"]}
+OF_PACKAGES = {name: f"sierra.cli.open_results:{name}" for name in ("figures", "report", "claims")} | {
+    "import": "sierra.cli.open_results:import_"
+}
 """Commands that differ from those of projects: they read the package, which their context has."""
 
 
@@ -29,7 +33,9 @@ class Reading(lazy_parameters.Group):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = cast("dict[str, Command]", Commands({name: COMMANDS[name] for name in READING} | OF_PACKAGES, "open "))
+        self.commands = cast(
+            "dict[str, Command]", Commands({name: COMMANDS[name] for name in READING} | OF_PACKAGES, "open ", FORMER)
+        )
 
 
 app = typer.Typer(name="open", cls=Reading, invoke_without_command=True, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -52,7 +58,11 @@ def open_(
       sierra open results.zip claims
       sierra open results.zip figures --to figures
       sierra open results.zip report
+      sierra open results.zip import
     """
+    if context.invoked_subcommand == "import":  # it writes to the store of the project here
+        context.obj = package
+        return
     from sierra.cli import open_project
     from sierra.packages.reading import received
 

@@ -101,3 +101,20 @@ def claims(
     package: received.Received = context.obj
     among = received.batches(package.store)
     print_verdicts(evaluate.evaluate(package.project, package.store, names or (), among=among), junit, as_json=as_json)
+
+
+def import_(context: typer.Context, as_json: AsJson = False) -> None:
+    """Add the batches of the package to the store here.
+
+    Their runs come with executions and outputs. All files and records are checked first; nothing of the package is executed.
+    Imported executions are never reused. They do not count in batches that were executed here, or that came in an earlier
+    package: there, they stand beside the others.
+
+    \b
+    Examples:
+      sierra open results.zip import
+    """
+    from sierra.cli.import_package import import_ as add
+
+    package: Path = context.obj
+    add(package, as_json)

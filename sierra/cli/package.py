@@ -23,11 +23,11 @@ SHOWN = 200
 
 
 def package(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.zip", help="The file to write.")],
     batches: Annotated[
         list[str] | None,
         typer.Argument(metavar="BATCH", autocompletion=complete.ids, help="Ids of batches; prefixes are enough."),
     ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE.zip", help="The file to write.")] = None,
     claims: Annotated[bool, typer.Option("--claims", help="Also pack the batches that the claims rest on.")] = False,
     image: Annotated[
         Literal["oci", "sif", "both", "none"],
@@ -59,12 +59,21 @@ def package(
     ] = None,
     yes: Yes = False,
     as_json: AsJson = False,
+    cite: Annotated[
+        bool,
+        typer.Option(
+            "--cite", help="Only make CITATION.cff from [package], by which others cite the project, or compare it with that."
+        ),
+    ] = False,
 ) -> None:
     """Write batches with their code and results to one file.
 
     The file contains the records and outputs of the batches, their source, sierra.toml with the files that it names, the
     figures and other files that were made, a report, and metadata made from [package] in sierra.toml. Things that are left
     out are listed first, and must be confirmed.
+
+    With --cite, a CITATION.cff is written if the project has none; one that is there is never replaced. The exit code is 1 if
+    it says something else than [package].
 
     With --anonymous, records are rewritten, and all files are searched for names. If one is found, nothing is written, and
     the exit code is 2.
@@ -76,6 +85,7 @@ def package(
       sierra package 9e1c -o results.zip --image both
       sierra package 9e1c -o results.zip --wheels --python 3.12,3.13
       sierra package 9e1c -o review.zip --anonymous
+      sierra package --cite
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.lazy_commands import given
@@ -87,6 +97,15 @@ def package(
         lines = [f"{output}: {preview.members:,} files, {size(preview.bytes)}", *preview.notes]
         return not preview.notes or agreed(lines, yes, as_json, "to be packed")
 
+    if cite:
+        if output is not None or batches or claims or wheels or anonymous:
+            raise UsageError("--cite packs nothing; leave out batches and other options")
+        from sierra.cli.cite import cite as make
+
+        make(True, as_json)
+        return
+    if output is None:
+        raise UsageError("name the file to write, as in: sierra package 9e1c -o results.zip")
     if (pythons or machines) and not wheels:
         raise UsageError("--python and --arch choose wheels; add --wheels")
     chosen = {"pythons": _listed(pythons), "machines": _listed(machines)}

@@ -53,7 +53,7 @@ def lines(found: Sequence[ClusterSession]) -> list[str]:
     for one in found:
         follower = f", followed by {one.attended}" if one.attended else ""
         stuck = f": {readable(one.stuck)}" if one.stuck else ""
-        how = "the jobs are gone; sierra status records the finished runs" if one.is_gone else state(one)
+        how = "the jobs are gone; sierra ls --jobs records the finished runs" if one.is_gone else state(one)
         texts.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
     return texts
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -80,11 +81,23 @@ def run(
     max_runs: Annotated[
         int | None, typer.Option("--max-runs", metavar="N", help="With --until: the runs per experiment of the last look.")
     ] = None,
+    inputs: Annotated[
+        Path | None,
+        typer.Option(
+            "--inputs",
+            metavar="DIR",
+            help="Only write all inputs and commands into this folder, which must be new or empty; execute nothing.",
+        ),
+    ] = None,
 ) -> None:
     """Run a query's experiments and reuse finished runs.
 
     Executes runs without a successful result, records them, and draws the figures. On a cluster, Ctrl-C asks whether to detach
-    from the jobs or to cancel them; use sierra status, attach and cancel for detached jobs.
+    from the jobs or to cancel them; use sierra ls --jobs, attach and cancel for detached jobs.
+
+    With --inputs, for sites that start programs in their own way, each run gets a folder with its input files, command.json and
+    the empty folder output, where its command is to be started. manifest.csv lists all runs with their ids, values, seeds and
+    folders. The folder appears as a whole, or not at all. With several targets, it gets such a folder for each.
 
     \b
     Criteria:
@@ -108,6 +121,7 @@ def run(
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
+      sierra run population_size.Log8 --runs 10 --inputs ../inputs
       sierra run scalability --until "ci(coverage) < 0.02" --max-runs 200
       sierra run scalability --until "ci(median(coverage)) < 5%" --max-runs 99
     """
@@ -116,6 +130,26 @@ def run(
     from sierra.config import user
     from sierra.design.query.grammar import setting
 
+    if inputs is not None:
+        others = {
+            "--jobs": jobs,
+            "--on": runner,
+            "--detach": detach,
+            "--dry-run": dry_run,
+            "--explain": explain,
+            "--fail-fast": fail_fast,
+            "--retry": retry,
+            "--figures": figures,
+            "--operator": operator,
+            "--until": until,
+            "--max-runs": max_runs,
+        }
+        if refused := [name for name, value in others.items() if value not in (None, False)]:
+            raise UsageError(f"--inputs executes nothing; leave out {', '.join(refused)}")
+        from sierra.cli.inputs import inputs as write_inputs
+
+        write_inputs(query, inputs, runs, controller, scenario, sets, target, only, engine, as_json, yes)
+        return
     project = open_project.project()
     observer = Planning(agreed=yes, quiet=as_json)
     settings = plan_query.Settings(

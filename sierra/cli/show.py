@@ -11,6 +11,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Long
+from sierra.cli.lazy_commands import GIVEN
 from sierra.cli.output import cell, fields, fitting, members, print_json, readable, short_id, table
 from sierra.util.text import counted, few
 
@@ -56,19 +57,37 @@ def show(
             help="Id, as `sierra ls` prints it; a prefix is enough. Or a figure's file.",
         ),
     ],
+    paths: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="PATH", show_default=False, help="Recorded files of this record: listed paths, or glob patterns."
+        ),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--files", help="List the recorded files.")] = False,
+    to: Annotated[
+        Path | None, typer.Option("--to", metavar="FOLDER", help="Write the recorded files into this folder.")
+    ] = None,
     long: Long = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show a record, or what a figure's file shows.
+    """Show a record, its files, or what a figure's file shows.
 
     A record is a batch, experiment, run, execution, session, study or registered claim. For a batch and a session, this
     includes the path of the log file, which lists the events while runs executed. For a file that SIERRA made, it includes the
     SQL and whether the store would still give the same data.
 
+    With --files, lists the recorded files. With PATH, writes the one file that matches to standard output. With --to, writes
+    files to FOLDER/EXPERIMENT/NUMBER/: the run's input/, output/, stdout and stderr; existing files are not overwritten. The
+    files of a run are those of its effective execution; if there is none, those of its last execution. The bytes of a file that
+    became a table may have been dropped (raw = false, sierra gc --raw); sierra sql has its rows.
+
     \b
     Examples:
       sierra show 722b00
       sierra show 722b00 --long
+      sierra show 722b00 --files
+      sierra show 4fc1 swarm.csv
+      sierra show 722b00 "*.csv" stderr --to recorded
       sierra show figures/722b00d418/swarm_coverage_summary.pdf
     """
     from sierra.cli.open_project import project
@@ -76,6 +95,11 @@ def show(
     from sierra.execution.shown_records import ShownBatch, ShownExecution, ShownRun
     from sierra.store.spec_rows import run_spec
 
+    if listed or paths or to is not None or GIVEN.get():
+        from sierra.cli.files import files
+
+        files(prefix, paths, to, as_json)
+        return
     if (os.sep in prefix or "." in prefix) and Path(prefix).exists():
         _print_deliverable(project().deliverable(prefix), long=long, as_json=as_json)
         return
@@ -109,7 +133,7 @@ def show(
         case _:
             _print_record(record, long=long)
     if isinstance(shown, ShownRun | ShownExecution):
-        print(f"\nsierra files {str(record[shown.kind])[:10]} PATH prints a recorded file; --to FOLDER writes all files")
+        print(f"\nsierra show {str(record[shown.kind])[:10]} --files lists its files; PATH prints one, --to FOLDER writes them")
 
 
 def _print_deliverable(shown: ShownDeliverable, *, long: bool, as_json: bool) -> None:

@@ -49,14 +49,16 @@ def named(words: Sequence[str]) -> tuple[str, ...]:
 
 def stats(
     output: Annotated[
-        str,
+        str | None,
         typer.Argument(
             metavar="OUTPUT",
             autocompletion=complete.tables,
-            help="The output or derived table, as listed by SHOW TABLES in SQL.",
+            help="The output or derived table, as listed by SHOW TABLES in SQL. With --models: one model (default: all).",
         ),
-    ],
-    column: Annotated[str, typer.Argument(metavar="COLUMN", autocompletion=complete.columns, help="A column of the output.")],
+    ] = None,
+    column: Annotated[
+        str | None, typer.Argument(metavar="COLUMN", autocompletion=complete.columns, help="A column of the output.")
+    ] = None,
     batch: Annotated[
         str | None,
         typer.Option(
@@ -98,6 +100,7 @@ def stats(
     ] = "",
     file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
+    with_models: Annotated[bool, typer.Option("--models", help="Compare the models of sierra.toml with the data.")] = False,
 ) -> None:
     """Compute statistics of a column over runs of each experiment.
 
@@ -110,6 +113,13 @@ def stats(
     as censored at their last time. With --times own, the Kaplan-Meier curve is printed: the part of the runs that has not
     reached the threshold.
 
+    With --models, the predictions of [models.NAME] are compared with the data, experiment by experiment. A deviation is the
+    model's value minus the mean of the runs. bias is the mean deviation, rmse the root of the mean square of deviations, and
+    largest the deviation of the largest absolute value, at a time for a model over time. They are taken over the points that
+    the model and the data have in common (compared): one, or all such times. inside counts the points whose 95 % interval of
+    the mean contains the model. n is the number of runs. This executes the command of a model. Exit status 1 means that a model
+    has no prediction.
+
     Controllers and scenarios are shown by their labels; csv, json and parquet have their names.
 
     \b
@@ -121,10 +131,26 @@ def stats(
       sierra stats swarm coverage --measure time_to --threshold 0.5 --times own
       sierra stats swarm coverage --statistic median,q90
       sierra stats swarm coverage --times own --format csv -o coverage.csv
+      sierra stats --models mean_field -b 722b00
     """
     from sierra.cli.open_project import project
     from sierra.deliverables.run_statistics import WITH_TIMES, StatisticsResult
 
+    if with_models:
+        others = {"COLUMN": column, "--measure": measure, "--threshold": threshold, "--times": times, "--statistic": statistic}
+        others |= {"--caption": caption or None, "--label": label or None}
+        if refused := [name for name, value in others.items() if value is not None]:
+            raise UsageError(f"--models compares all that a model predicts; leave out {', '.join(refused)}")
+        if format.value not in set(Format):
+            raise UsageError(f"--models has no table for papers; use --format {', '.join(Format)}")
+        from sierra.cli.models import models
+
+        models(batch, output, target, Format(format.value), file, as_json)
+        return
+    if output is None or column is None:
+        raise UsageError(
+            "name an OUTPUT and a COLUMN, as in: sierra stats swarm coverage; SHOW TABLES in SQL lists the outputs"
+        )
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X must be used together")
     if times and measure and (measure, times) not in WITH_TIMES:

@@ -1,4 +1,4 @@
-"""`sierra status`: show the state of cluster jobs."""
+"""`sierra ls --jobs`: show the state of cluster jobs."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def status(
 
     \b
     Examples:
-      sierra status
-      sierra status 9e1c --json
+      sierra ls --jobs
+      sierra ls --jobs 9e1c --json
     """
     from sierra.cli import open_project, render_status
     from sierra.cli.progress import Display

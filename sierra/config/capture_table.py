@@ -1,4 +1,4 @@
-"""The table `[capture]` of `sierra.toml`: how the simulator of a recorded run renders frames, for `sierra capture`."""
+"""The table `[capture]` of `sierra.toml`: how the simulator of a recorded run renders frames, for `sierra video --capture`."""
 
 from __future__ import annotations
 

@@ -24,6 +24,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     },
     "explorer": {
         "commands": {"explore": "command:explore", "open explore": "command:explore"},
+        "sections": {"explore": "Look"},
     },
     "figures": {
         "figures": {
@@ -68,7 +69,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "readers": {"bag": "bags.bag_topics:BagTopics"},
         "outputs": {"bag": "output:BagOutput"},
         "series": {"bag": "topic"},
-        "options": {"files --recover": "command:recovered", "open files --recover": "command:recovered"},
+        "options": {f"{name} --recover": "command:recovered" for name in ("show", "open show", "files", "open files")},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
         "examples": {"ros": "examples/ros", "turtlebot3": "examples/turtlebot3"},
@@ -87,8 +88,9 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "commands": {
             "video": "command:video",
             "open video": "of_package:video",
-            "capture": "capture_command:capture",
         },
+        "sections": {"video": "Deliver"},
+        "former": {"capture": "capture_command:capture"},
         "options": {"package --no-videos": "command:left_out"},
         "tables": {"videos": "table:TABLE", "capture": "rendered_runs:TABLE"},
         "deliverables": {"video": "deliverable:VIDEOS"},
@@ -96,11 +98,12 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 }
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
 
-Six kinds are data. `inputs` are endings of input files, with the format of their templates. `starts` are endings of those
-whose platform starts the simulator itself, with its name. `variables` are recorded with the environment; `libraries` are search
-paths of libraries. `examples` are projects for `sierra init --example`, with their folders. `needs` names other extensions,
-without which this one is as if it were not there. `series` are formats of outputs, each with the column that tells series of
-rows apart which have times of their own.
+`former` are former names of commands. Seven kinds are data. `sections` are those of `sierra --help`, for commands. `inputs` are
+endings of input files, with the format of their templates. `starts` are endings of those whose platform starts the simulator
+itself, with its name. `variables` are recorded with the environment; `libraries` are search paths of libraries. `examples` are
+projects for `sierra init --example`, with their folders. `needs` names other extensions, without which this one is as if it
+were not there. `series` are formats of outputs, each with the column that tells series of rows apart which have times of their
+own.
 """
 FOLDER = Path(__file__).parents[1] / "extensions"
 
@@ -121,6 +124,11 @@ def load(kind: str, name: str) -> Any:
 def every(kind: str) -> Mapping[str, str]:
     """Return all names of a kind, each with its text in `ADDS`, also those of extensions that are not there."""
     return {name: text for adds in ADDS.values() for name, text in adds.get(kind, {}).items()}
+
+
+def sections() -> Mapping[str, str]:
+    """Return the commands of extensions, each with its section of `sierra --help`."""
+    return {name: section for _, names in _present("sections") for name, section in names.items()}
 
 
 def starts() -> Mapping[str, str]:

@@ -240,7 +240,8 @@ class Project(Table):
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
     models: Mapping[Name, Model] = Field(
-        default_factory=dict, description="predictions that are drawn with the data, by name, for figures and `sierra models`"
+        default_factory=dict,
+        description="predictions that are drawn with the data, by name, for figures and `sierra stats --models`",
     )
     comparisons: Mapping[Name, Comparison] = Field(
         default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"

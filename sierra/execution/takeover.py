@@ -96,7 +96,7 @@ def on_clusters(store: Store, prefix: str) -> list[ClusterSession]:
     rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
     if not rows:
         raise NotFound(
-            f"{prefix!r} has no jobs on a cluster; sierra status lists cluster jobs, sierra ls lists recorded batches"
+            f"{prefix!r} has no jobs on a cluster; sierra ls --jobs lists cluster jobs, sierra ls lists recorded batches"
         )
     return rows
 

@@ -321,7 +321,9 @@ class Recorder:
                 self._store.publish(writer)
                 said = f"{late.robot}: collected what it had measured in a run of which it was lost"
                 if rows:
-                    self._collected[f"{said}; sierra files {short(late.execution)} lists it in {LATE}/{late.place}"] = None
+                    self._collected[f"{said}; sierra show {short(late.execution)} --files lists it in {LATE}/{late.place}"] = (
+                        None
+                    )
             discard(Path(late.directory), self._session)
             self._late.pop(0)
 

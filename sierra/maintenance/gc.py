@@ -252,7 +252,7 @@ def _size(segment: Segment) -> int:
 
 RAW_LOST = (
     " that became tables: their bytes, not their rows. Changes to [outputs] or [success] may then execute their runs again, "
-    "sierra files rebuilds them from their rows, and checks cannot read them again"
+    "sierra show --files rebuilds them from their rows, and checks cannot read them again"
 )
 
 

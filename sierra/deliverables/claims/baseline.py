@@ -73,7 +73,7 @@ def read(root: Path, name: str) -> Mapping[str, ClaimInBaseline]:
     """Return the results in a project's baseline by claim. Raises NotFound, ConfigError."""
     every = _read(root / BASELINES).baselines
     if name not in every:
-        hint = like(name, list(every), "there are") if every else f"set it by: sierra baseline set {name}"
+        hint = like(name, list(every), "there are") if every else f"set it by: sierra claims --keep {name}"
         raise NotFound(f"{BASELINES} has no baseline {name!r}; {hint}")
     return every[name]
 

@@ -37,7 +37,7 @@ def _lines(state: BatchState, received: Received | None, place: Place) -> Iterat
     yield element(place.inner, "Cite")
     yield code(citation(package, state.id, received), "the citation")
     if not (package.title and package.authors):
-        yield note("[package] in sierra.toml gives a citation its title and authors: see sierra cite.")
+        yield note("[package] in sierra.toml gives a citation its title and authors: see sierra package --cite.")
     yield element(place.inner, "Reproduce")
     yield code("\n".join(_commands(state, received)), "the commands")
     yield note("The id names the question, the code, the inputs and the seeds. It is the same on every machine.")

@@ -111,7 +111,7 @@ class Rendering:
 
 @runtime_checkable
 class Renders(Protocol):
-    """A platform whose simulator can render frames, for `sierra capture`."""
+    """A platform whose simulator can render frames, for `sierra video --capture`."""
 
     def rendering(self, capture: Capture, command: tuple[str, ...]) -> Rendering:
         """Return how a run with this recorded command is executed with rendering, as `[capture]` says.

@@ -50,7 +50,7 @@ class Placement(Table):
 
 
 class Camera(Table):
-    """A camera of `sierra capture`: its path through the arena."""
+    """A camera of `sierra video --capture`: its path through the arena."""
 
     path: Annotated[tuple[Placement, ...], Field(min_length=1, max_length=MOST)] = Field(
         description="its placements, in the order of their ticks; the first one is at tick 0"

@@ -128,7 +128,7 @@ class ArgosOptions(Table):
     )
     cameras: Mapping[Annotated[str, StringConstraints(pattern=_TAG)], frames.Camera] = Field(
         default_factory=dict,
-        description="cameras for `sierra capture`, by name; `overhead`, `corner` and `around` are there without being declared",
+        description="cameras for `sierra video --capture`, by name; `overhead`, `corner` and `around` are always there",
     )
     label: Annotated[str, StringConstraints(pattern=_TAG)] | None = Field(
         None, description=f"tag that replaces {PLACEHOLDER}; default: the controller's name"

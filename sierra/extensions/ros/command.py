@@ -1,4 +1,4 @@
-"""`sierra files --recover`: write what can be read of bags that were cut off."""
+"""`sierra show --recover`: write what can be read of bags that were cut off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`sierra capture`: execute recorded runs once more with rendering, for their frames."""
+"""`sierra video --capture`: execute recorded runs once more with rendering, for their frames."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def capture(
 
     \b
     Examples:
-      sierra capture
-      sierra capture 722b00 --runs 2
-      sierra capture && sierra video
+      sierra video --capture
+      sierra video --capture 722b00 --runs 2
+      sierra video --capture && sierra video
     """
     from sierra.cli import open_project
     from sierra.cli.progress import watching
@@ -77,7 +77,7 @@ def _print(answer: Captures) -> None:
     from sierra.util.text import counted
 
     if answer.interrupted:
-        print("interrupted: nothing was compared; sierra capture continues, and executes only what is missing")
+        print("interrupted: nothing was compared; sierra video --capture continues, and executes only what is missing")
         return
     if answer.known:
         note(f"{counted(answer.known, 'run')} captured before by the same rendering (--again captures them again)")

@@ -1,4 +1,4 @@
-"""Frames that `sierra capture` recorded, as the subject of a video. The frames say if they show what was measured."""
+"""Frames that `sierra video --capture` recorded, as the subject of a video. The frames say if they show what was measured."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CapturedSubject(PictureSubject):
         captures = frame.captures(film.runs)
         if lacking := [run for run in film.runs if run.judgement not in captures]:
             names = few([f"run {run.number} of experiment {run.experiment}" for run in lacking], 3)
-            wanted = f"sierra capture --runs {max(run.number for run in lacking) + 1}"
+            wanted = f"sierra video --capture --runs {max(run.number for run in lacking) + 1}"
             raise NotFound(f"there are no captured frames of {names}; {wanted} makes them")
         self._rows = [(run, captures[str(run.judgement)]) for run in film.runs]
         self.tracks = [_track(frame, run, row) for run, row in self._rows]

@@ -29,6 +29,22 @@ def video(
     ] = None,
     jobs: Jobs = None,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.")] = False,
+    captured: Annotated[
+        bool, typer.Option("--capture", help="Execute the runs of HASH once more to render frames, and make no video.")
+    ] = False,
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="K", min=1, help="With --capture: the first K runs of each experiment.")
+    ] = None,
+    runner: Annotated[
+        str | None, typer.Option("--on", metavar="RUNNER", help="With --capture: where runs execute, as in sierra run.")
+    ] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option("--engine", metavar="ENGINE", help="With --capture: the container engine (default: as recorded)."),
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="With --capture: also runs whose frames are recorded already.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Make the videos of a batch, or of two side by side.
@@ -38,15 +54,32 @@ def video(
     batches show A, B and, for matrices, A − B, for each experiment that both have. Exit status 1 means that a file could not be
     made; a note says why.
 
+    With --capture, recorded runs of a batch, experiment, run or execution are executed once more, with the recorded code and
+    inputs; [capture] in sierra.toml and the platform say how the simulator renders. Statistics, figures and replays never use
+    such an execution. Its other outputs are compared with the measured ones: if they differ, the frames show something else
+    than what was measured, and videos say so. The exit code is 1 then, and if an execution failed.
+
     \b
     Examples:
       sierra video
+      sierra video --capture 722b00 --runs 2
       sierra video 722b00 heat
       sierra video slow=722b00 fast=518b72
     """
     from sierra.cli.open_project import project
     from sierra.cli.progress import counting
     from sierra.extensions.videos import videos
+
+    if captured:
+        from sierra.extensions.videos.capture_command import capture
+
+        if len(words or ()) > 1:
+            raise UsageError(f"--capture takes one id, not {len(words or ())}")
+        capture(words[0] if words else None, runs or 1, jobs, runner or "local", engine, again, as_json)
+        return
+    others = {"--runs": runs, "--on": runner, "--engine": engine, "--again": again or None}
+    if refused := [name for name, value in others.items() if value is not None]:
+        raise UsageError(f"{', '.join(refused)}: only with --capture")
 
     opened = project()
     batches, names = _split(opened, words or [])

@@ -63,7 +63,7 @@ class Video(Table):
         "each row of the table is a row of the matrix, and `columns` are its columns; `trajectories`, formerly `poses`: x, y "
         "and perhaps the heading in radians, a row for each robot; `network`: source, target and perhaps a weight, a row for "
         "each edge; `pictures`: images or videos that runs leave, in the files of the output that `table` names; `capture`: "
-        "the frames that `sierra capture` has recorded",
+        "the frames that `sierra video --capture` has recorded",
     )
     query: Bound = ()
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
@@ -135,7 +135,7 @@ class Video(Table):
         if self.kind == "pictures" and not self.table:
             raise ValueError("kind 'pictures' needs \"table\": the name of the output with their files")
         if self.kind == "capture" and (self.table or self.sql):
-            raise ValueError('kind \'capture\' shows the frames that sierra capture records; remove "table" and "sql"')
+            raise ValueError('kind \'capture\' shows the frames that sierra video --capture records; remove "table" and "sql"')
         if len(self.place) not in (0, 2):
             raise ValueError('"place" should name the two columns of x and y')
         if self.kind == "network" and not self.place and {"xlim", "ylim"} & self.model_fields_set:

@@ -281,7 +281,7 @@ class Cluster:
         if waited > UNREACHABLE_S and (self._uncancelled or self._unreachable):
             why = f"{self._wrong}; " if self._wrong else ""
             session = self._session.root.name
-            again = f"run sierra cancel {session} or sierra status, or submit the query again"
+            again = f"run sierra cancel {session} or sierra ls --jobs, or submit the query again"
             raise Missing(f"{why}{self._kind} cannot be reached, so jobs of session {session} are not cancelled yet: {again}")
         if waited > STOPPING_S:
             self._note(f"{self._name}: {self._kind} does not report the end of jobs that SIERRA has cancelled")
