@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson
-from sierra.cli.lazy_commands import given
+from sierra.cli.lazy_commands import Beside, given
 from sierra.cli.output import fields, note, print_json, readable, table
 from sierra.errors import UsageError
 from sierra.util.text import counted, verb
@@ -29,13 +29,6 @@ WHICH = {
     "asked": "the requested one",
     "none": "never executed",
 }
-
-
-class Beside(NamedTuple):
-    """An option of an extension that writes more beside the written files."""
-
-    option: str
-    write: Callable[[Project, Sequence[Outcome], Path], None]
 
 
 def files(

@@ -5,23 +5,35 @@ Making all commands takes a tenth of the time of `sierra ls`, and most calls nee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import typer
 
 from sierra.cli import lazy_parameters
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from typer._click.core import Command
+
+    from sierra.api import Project
+    from sierra.store.export_recorded_files import Outcome
 
 
 GIVEN: ContextVar[tuple[object, ...]] = ContextVar("given", default=())
 """The values that the options of extensions have returned, for this call of the command; see `given`."""
 T = TypeVar("T")
+
+
+class Beside(NamedTuple):
+    """An option of an extension that writes more beside the files that `sierra show --to` writes."""
+
+    option: str
+    write: Callable[[Project, Sequence[Outcome], Path], None]
 
 
 def given(kind: type[T]) -> list[T]:

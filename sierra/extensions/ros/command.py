@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli.files import Beside
+from sierra.cli.lazy_commands import Beside
 from sierra.cli.output import note, readable
 from sierra.util.text import counted
 
