@@ -83,7 +83,7 @@ def measured(core: Size) -> dict[str, dict[str, int]]:
     return {
         "size": {"core code": core.code, "core modules": core.modules},
         "structure": {"entries": entries(), "floors": floors, "circles": circles()},
-        "breadth": {"commands": commands(), "keys": keys()},
+        "breadth": {"commands": commands(), "keys": keys(), "rows of keys": rows()},
         "imported modules": imported(),
     }
 
@@ -113,6 +113,11 @@ def keys() -> int:
 
     schema = published_schemas.json_schema()
     return sum(len(table.get("properties", ())) for table in (schema, *schema["$defs"].values()))
+
+
+def rows() -> int:
+    """Return the number of keys that the reference describes, those of extensions included; repeated ones count once."""
+    return sum(line.startswith("| `") for line in (ROOT / "docs/reference/sierra-toml.md").read_text().splitlines())
 
 
 def commands() -> int:
