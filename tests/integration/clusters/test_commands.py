@@ -186,7 +186,7 @@ def test_status_shows_progress_and_records_finished_runs(waiting: Waiting) -> No
     assert waiting.project.work() == []
     late = waiting.project.quick("attach", waiting.batch())
     assert late.returncode == 2
-    assert "has no jobs on a cluster; sierra status lists cluster jobs, sierra ls lists recorded batches" in late.stderr
+    assert "has no jobs on a cluster; sierra ls --jobs lists cluster jobs, sierra ls lists recorded batches" in late.stderr
 
 
 @pytest.mark.nightly

@@ -89,7 +89,7 @@ def test_why_ls_show_and_dry_runs_report_runs_on_a_cluster(waiting: Waiting) -> 
     )
     waiting.open()
     until(lambda: waiting.alive() == 0, "the jobs end")
-    over = f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): the jobs are gone; sierra status records"
+    over = f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): the jobs are gone; sierra ls --jobs records"
     assert over in waiting.project.quick("run", *QUERY, "-n").stdout
     assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
 

@@ -1,4 +1,4 @@
-"""`sierra inputs` writes what a batch would execute: the same inputs and commands, and nothing is executed."""
+"""`sierra run --inputs` writes what a batch would execute: the same inputs and commands, and nothing is executed."""
 
 from __future__ import annotations
 

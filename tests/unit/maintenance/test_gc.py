@@ -40,7 +40,7 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 
 def everything(root: Path) -> dict[str, Any]:
-    """Return all content that is visible in SQL and through `sierra files`."""
+    """Return all content that is visible in SQL and through `sierra show --files`."""
     around = ("objects", "blobs", "specs", "sources", "environments", "programs", "ingest_rules")
     with sierra.open(root).store.snapshot() as snapshot:
 

@@ -386,7 +386,7 @@ def test_show_names_the_files_of_a_run_and_the_command_to_export_them(project: P
     run = first_run(project)["run"]
     said = quick(project, "show", run).stdout
     assert "output/swarm.csv" in said
-    assert f"sierra files {run[:10]} PATH" in said
+    assert f"sierra show {run[:10]} --files" in said
     assert len(json.loads(quick(project, "show", run, "--json").stdout)["files"]) == 8
 
 
