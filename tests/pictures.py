@@ -1,4 +1,4 @@
-"""The pictures of all kinds of figures in the documentation: `make pictures` draws them as two pages say.
+"""The pictures in the documentation: `make pictures` draws all kinds of figures as two pages say, and the packages of the code.
 
     python -m tests.pictures
 
@@ -21,7 +21,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
 from sierra.store.samples import Frame
-from tests import projects
+from tests import architecture, projects
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (DOCS / "how-to" / "figure-kinds.md", DOCS / "extensions" / "figures.md")
@@ -136,6 +136,7 @@ def drawings(folder: Path) -> Iterator[dict[str, Drawing]]:
 
 
 def main() -> None:
+    architecture.main()
     with tempfile.TemporaryDirectory() as folder, drawings(Path(folder, "project")) as found:
         for drawing in found.values():
             (file,) = draw(replace(drawing, formats=("svg",)), FOLDER)
