@@ -59,6 +59,7 @@ CONTENTS = {
         "explanation/cluster-protocol",
         "explanation/threat-model",
         "explanation/self-checks",
+        "explanation/other-tools",
     ],
 }
 

@@ -35,13 +35,21 @@ class Block:
     notes: dict[str, str]
 
 
-def blocks(page: Path) -> Iterator[Block]:
+def blocks(page: Path, section: str = "") -> Iterator[Block]:
+    """Yield the blocks of a page, or those below one of its headings, which is given by its first words."""
     text = page.read_text("utf-8")
-    for found in FENCE.finditer(text):
+    first, last = _section(text, section) if section else (0, len(text))
+    for found in FENCE.finditer(text, first, last):
         comment = COMMENT.search(text, endpos=found.start())
         notes = {comment["key"]: comment["value"]} if comment else {}
         line = text.count("\n", 0, found.start()) + 1
         yield Block(found["kind"], found["title"] or "", found["text"], line, notes)
+
+
+def _section(text: str, section: str) -> tuple[int, int]:
+    found = re.search(rf"(?ms)^## {re.escape(section)}\b.*?(?=^## |\Z)", text)
+    assert found, section
+    return found.span()
 
 
 def extension_of(page: Path) -> str:
@@ -63,13 +71,14 @@ def steps(block: Block) -> Iterator[tuple[str, list[str]]]:
         yield command, shown
 
 
-def run(command: str, folder: Path) -> tuple[int, str, str]:
+def run(command: str, folder: Path, timeout_s: float = 100) -> tuple[int, str, str]:
     """Return the exit code, the output and the messages of a command."""
     words = shlex.split(command, comments=True)
     if words[0] == "sierra" and not SHELL.search(command.partition("  #")[0]):
         done = projects.quick(folder, *words[1:])
     else:
-        done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=100, check=False)
+        argv = ["bash", "-c", command]
+        done = subprocess.run(argv, cwd=folder, capture_output=True, text=True, timeout=timeout_s, check=False)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -79,9 +88,9 @@ def pattern(shown: list[str]) -> re.Pattern[str]:
     return re.compile("".join(lines))
 
 
-def follow(page: Path, folder: Path) -> None:
-    """Execute the steps of a page in order. A command `cd FOLDER` holds for all that follow."""
-    for block in blocks(page):
+def follow(page: Path, folder: Path, section: str = "", timeout_s: float = 100) -> None:
+    """Execute the steps of a page, or of one section, in order. A command `cd FOLDER` holds for all that follow."""
+    for block in blocks(page, section):
         if "not executed" in block.notes:
             continue
         if block.title:
@@ -94,7 +103,7 @@ def follow(page: Path, folder: Path) -> None:
                     folder = (folder / command.removeprefix("cd ")).resolve(strict=True)
                     codes.append(0)
                     continue
-                code, output, messages = run(command, folder)
+                code, output, messages = run(command, folder, timeout_s)
                 codes.append(code)
                 where = f"{name_of(page)}, line {block.line}: {command}\n{output}{messages}"
                 assert not shown or pattern(shown).fullmatch(output), where
