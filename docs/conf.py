@@ -14,7 +14,7 @@ exclude_patterns = ["conf.py", "generate.py"]
 suppress_warnings = ["misc.highlighting_failure"]  # an example of a session is not valid in any language
 
 CONTENTS = {
-    "Begin": ["tutorial", "glossary", "limitations"],
+    "Begin": ["tutorial", "gallery", "glossary", "limitations"],
     "How-to guides": [
         "how-to/your-simulator",
         "how-to/templates",
@@ -31,7 +31,6 @@ CONTENTS = {
         "how-to/derived-tables",
         "how-to/figures",
         "how-to/report",
-        "how-to/figure-kinds",
         "how-to/models",
         "how-to/compare",
         "how-to/paper",

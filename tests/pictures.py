@@ -24,7 +24,7 @@ from sierra.store.samples import Frame
 from tests import architecture, projects
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = (DOCS / "how-to" / "figure-kinds.md", DOCS / "extensions" / "figures.md")
+PAGES = (DOCS / "gallery.md", DOCS / "extensions" / "figures.md")
 FOLDER = DOCS / "pictures"
 QUERY = ("controller=walk,levy,pheromone", "population_size=2,4,8")
 RUNS = 8

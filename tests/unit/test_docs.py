@@ -13,6 +13,7 @@ import pytest
 import sierra
 from sierra.config import project_file
 from sierra.config.extensions import is_there
+from sierra.config.plugin_registry import FIGURES
 from sierra.design import platforms
 from tests import plugins, projects
 from tests.support.pages import DOCS, FENCE, ROOT, as_user, blocks, extension_of, follow, name_of
@@ -24,6 +25,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"
 ROBOTS = DOCS / "how-to" / "robots.md"
 """The page that `tests/integration/robots/test_robots_page.py` executes, on a fleet."""
 EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md")), *sorted(EXTENSIONS.glob("*.md"))]
+OVERVIEWS = (DOCS / "index.md", DOCS / "gallery.md")
+"""The pages that list what extensions have."""
 LONG = {"derived-tables", "number-of-runs", "packages", "plugins", "queries", "report", "supervised-trials", "targets"}
 """Guides whose commands take long; they are executed at night, those of all other pages for each change."""
 
@@ -170,7 +173,7 @@ def test_every_link_has_a_target(page: Path) -> None:
         assert not anchor or anchor in slugs(target), f"{name_of(page)}: {link}"
         if page.is_relative_to(DOCS):
             assert target.is_relative_to(DOCS), f"{name_of(page)}: {link} is not on the site"
-        if page.is_relative_to(DOCS) and page != DOCS / "index.md" and not page.is_relative_to(EXTENSIONS):
+        if page.is_relative_to(DOCS) and page not in OVERVIEWS and not page.is_relative_to(EXTENSIONS):
             assert not target.is_relative_to(EXTENSIONS), f"{name_of(page)}: {link} is of an extension, which can be deleted"
 
 
@@ -192,6 +195,12 @@ def test_generated_reference_is_up_to_date() -> None:
     pages = runpy.run_path(str(DOCS / "generate.py"))["pages"]()
     written = {path.name: path.read_text("utf-8") for path in (DOCS / "reference").iterdir()}
     assert written == pages, "make schemas writes them again"
+
+
+def test_gallery_has_all_kinds_of_figures() -> None:
+    text = runpy.run_path(str(DOCS / "generate.py"))["gallery"]()
+    assert (DOCS / "gallery.md").read_text("utf-8") == text, "make schemas writes its overview again"
+    assert set(re.findall(r"\[!\[(\w+)\]", text)) == set(FIGURES.shipped)
 
 
 def test_readme_has_at_most_100_lines() -> None:
