@@ -16,6 +16,7 @@ suppress_warnings = ["misc.highlighting_failure"]  # an example of a session is 
 CONTENTS = {
     "Begin": ["tutorial", "gallery", "glossary", "limitations"],
     "How-to guides": [
+        "how-to/from-scripts",
         "how-to/your-simulator",
         "how-to/templates",
         "how-to/simulators",

@@ -27,7 +27,17 @@ ROBOTS = DOCS / "how-to" / "robots.md"
 EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md")), *sorted(EXTENSIONS.glob("*.md"))]
 OVERVIEWS = (DOCS / "index.md", DOCS / "gallery.md")
 """The pages that list what extensions have."""
-LONG = {"derived-tables", "number-of-runs", "packages", "plugins", "queries", "report", "supervised-trials", "targets"}
+LONG = {
+    "derived-tables",
+    "from-scripts",
+    "number-of-runs",
+    "packages",
+    "plugins",
+    "queries",
+    "report",
+    "supervised-trials",
+    "targets",
+}
 """Guides whose commands take long; they are executed at night, those of all other pages for each change."""
 
 
