@@ -201,6 +201,11 @@ def test_site_navigation_lists_every_page() -> None:
     assert sorted(listed) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 
 
+def test_first_page_links_to_every_page() -> None:
+    linked = re.findall(r"\]\(([\w/-]+\.md)", (DOCS / "index.md").read_text("utf-8"))
+    assert {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")} - {"index.md", *linked} == set()
+
+
 def test_generated_reference_is_up_to_date() -> None:
     pages = runpy.run_path(str(DOCS / "generate.py"))["pages"]()
     written = {path.name: path.read_text("utf-8") for path in (DOCS / "reference").iterdir()}
