@@ -36,6 +36,7 @@ CONTENTS = {
         "how-to/compare",
         "how-to/paper",
         "how-to/claims",
+        "how-to/published-study",
         "how-to/number-of-runs",
         "how-to/replay",
         "how-to/containers",
