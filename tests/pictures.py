@@ -117,11 +117,11 @@ time = "tick"
 
 
 def declared() -> dict[str, Figure]:
-    """Return the figures of the pages by name; each has the name of its kind."""
+    """Return the figures of the pages that have the name of their kind. Others show keys, for data that this batch lacks."""
     text = "".join(page.read_text("utf-8") for page in PAGES)
     blocks = [block.partition("```")[0] for block in text.split("```toml\n")[1:]]
     found = tomllib.loads("\n".join(blocks))["figures"]
-    return {name: Figure.model_validate(table) for name, table in found.items()}
+    return {name: Figure.model_validate(table) for name, table in found.items() if name == table["kind"]}
 
 
 @contextmanager

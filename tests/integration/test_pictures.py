@@ -12,10 +12,13 @@ from tests import pictures
 
 pytestmark = pytest.mark.integration
 
+NO_FIGURES = ("architecture", "pipeline")
+"""Pictures of SIERRA itself."""
+
 
 @pytest.mark.nightly
 def test_pictures_show_all_kinds_with_the_data_that_their_lines_give(tmp_path: Path) -> None:
-    files = {path.stem: path.read_bytes() for path in pictures.FOLDER.iterdir()}
+    files = {path.stem: path.read_bytes() for path in pictures.FOLDER.iterdir() if path.stem not in NO_FIGURES}
     assert sorted(files) == sorted(FIGURES.shipped), "the page has one figure for each kind; make pictures draws them"
     assert sum(map(len, files.values())) < 800_000
     assert max(map(len, files.values())) < 40_000
