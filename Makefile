@@ -90,11 +90,11 @@ format: install ## rewrite the code in the project's style
 bench: install ## measure what SIERRA itself costs
 	$(BIN)/python tests/bench/run.py
 
-schemas: install ## write schemas/ and docs/reference/ from the code
+schemas: install ## write schemas/, docs/reference/ and the overview of docs/gallery.md from the code
 	$(BIN)/sierra schema --write schemas
 	$(BIN)/python docs/generate.py
 
-pictures: install ## draw the pictures of all kinds of figures in the documentation
+pictures: install ## draw the pictures of the documentation: all kinds of figures, and the packages
 	$(BIN)/python -m tests.pictures
 
 docs: install ## build the documentation as a site, in build/site
