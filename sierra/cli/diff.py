@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -76,7 +77,8 @@ def diff(
     if as_json:
         print_json(_answer(answer))
     else:
-        _print(answer, everything=patch)
+        for line in lines(answer, everything=patch):
+            print(line)
         for text in answer.notes:
             note(text)
     if answer.differences:
@@ -130,25 +132,26 @@ def _answer(answer: Comparison) -> dict[str, object]:
     }
 
 
-def _print(answer: Comparison, *, everything: bool) -> None:
+def lines(answer: Comparison, *, everything: bool = False) -> Iterator[str]:
+    """Yield the lines of the differences."""
     from sierra.util.hashing import short
 
-    print(f"{answer.before.kind} {short(answer.before.id)} → {answer.after.kind} {short(answer.after.id)}")
+    yield f"{answer.before.kind} {short(answer.before.id)} → {answer.after.kind} {short(answer.after.id)}"
     for _, alike in groupby(answer.differences, lambda one: (one.kind, one.rank)):
         differences = list(alike)
         for one in differences if everything else differences[:LINES]:
-            _print_one(one, everything=everything)
+            yield from _difference_lines(one, everything=everything)
         if len(differences) > LINES and not everything:
-            print(f"  and {len(differences) - LINES} more of the kind {differences[0].kind} (--patch shows them)")
+            yield f"  and {len(differences) - LINES} more of the kind {differences[0].kind} (--patch shows them)"
     names = ", ".join(answer.same)
-    print(f"the same: {names}" if answer.differences else f"no difference in {names}")
+    yield f"the same: {names}" if answer.differences else f"no difference in {names}"
 
 
-def _print_one(one: Difference, *, everything: bool) -> None:
-    print(readable(one.line))
+def _difference_lines(one: Difference, *, everything: bool) -> Iterator[str]:
+    yield readable(one.line)
     details = one.details if everything else [text for text in one.details if not text.startswith(HEADS)]
     for text in details if everything else details[:DETAILS]:
         line = readable(text.expandtabs())
-        print(f"    {line if everything or len(line) <= WIDTH else f'{line[:WIDTH]}…'}".rstrip())
+        yield f"    {line if everything or len(line) <= WIDTH else f'{line[:WIDTH]}…'}".rstrip()
     if len(details) > DETAILS and not everything:
-        print(f"    … {len(details) - DETAILS} more lines (--patch shows them)")
+        yield f"    … {len(details) - DETAILS} more lines (--patch shows them)"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from sierra.cli.arguments import AsJson, ShownId
@@ -38,7 +38,8 @@ def why(
     if as_json:
         print_json(_answer(answer))
     else:
-        _print(answer)
+        for line in lines(answer):
+            print(line)
 
 
 def _answer(answer: Why) -> dict[str, object]:
@@ -62,13 +63,14 @@ def _answer(answer: Why) -> dict[str, object]:
     }
 
 
-def _print(answer: Why) -> None:
+def lines(answer: Why) -> Iterator[str]:
+    """Yield the lines of the explanation."""
     from sierra.cli import render_status
     from sierra.cli.render_reasons import EFFECTIVE, next_run, text
     from sierra.util.hashing import short
 
     many = f": {_runs(answer.runs)}" if answer.found.kind in ("batch", "experiment") else ""
-    print(f"{answer.found.kind} {short(answer.found.id)}{many}")
+    yield f"{answer.found.kind} {short(answer.found.id)}{many}"
     idle = 0
     explained: set[str] = set()
     for event in answer.history:
@@ -80,22 +82,21 @@ def _print(answer: Why) -> None:
         ):
             idle += 1
             continue
-        _print_event(event, answer, because=event.batch not in explained)
+        yield from _event_lines(event, answer, because=event.batch not in explained)
         explained.add(event.batch)
     if idle:
-        print(f"submitted again {idle} time{'s' * (idle > 1)}: no run was executed")
+        yield f"submitted again {idle} time{'s' * (idle > 1)}: no run was executed"
     if not answer.history:
-        print("it was never executed")
-    print("effective executions:")
+        yield "it was never executed"
+    yield "effective executions:"
     for one in answer.effective[:LINES]:
-        print(f"  batch {short(one.batch)}: {_standing(one)}{readable(text(one.reason, EFFECTIVE))}")
+        yield f"  batch {short(one.batch)}: {_standing(one)}{readable(text(one.reason, EFFECTIVE))}"
     if len(answer.effective) > LINES:
-        print(f"  and {len(answer.effective) - LINES} more (--json has them all)")
-    for line in render_status.lines(answer.clusters):
-        print(line)
-    print("if the query is repeated now:")
+        yield f"  and {len(answer.effective) - LINES} more (--json has them all)"
+    yield from render_status.lines(answer.clusters)
+    yield "if the query is repeated now:"
     for line in next_run(answer.next_run):
-        print(f"  {readable(line)}")
+        yield f"  {readable(line)}"
 
 
 def _standing(one: EffectiveRuns) -> str:
@@ -110,7 +111,7 @@ def _standing(one: EffectiveRuns) -> str:
     )
 
 
-def _print_event(event: Event, answer: Why, *, because: bool) -> None:
+def _event_lines(event: Event, answer: Why, *, because: bool) -> Iterator[str]:
     from sierra.cli.render_reasons import HISTORY, new_runs, text
     from sierra.util.hashing import short
 
@@ -120,23 +121,23 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     counts = f"{_runs(event.executed)} " * many + "executed" + failed * bool(event.failed) + reused
     unended = "" if event.ended else ", and did not finish"
     what = "submitted" if event.kind == "session" else event.kind
-    print(f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}")
+    yield f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}"
     for cause in event.causes[:LINES]:
         which = (
             f"{_runs(cause.executions)} (execution {short(cause.execution)}{', …' * (cause.executions > 1)})"
             if many
             else f"execution {short(cause.execution)}"
         )
-        print(f"  {which}: {readable(text(cause.reason, HISTORY))}")
+        yield f"  {which}: {readable(text(cause.reason, HISTORY))}"
         if cause.new and because:
             for line in new_runs(answer.new_because[event.batch]) if event.batch in answer.new_because else ():
-                print(f"    {readable(line)}")
+                yield f"    {readable(line)}"
     if event.reevaluated:
-        print(readable(f"  {_runs(event.reevaluated)} evaluated again by other rules, not executed: {event.other_rules}"))
+        yield readable(f"  {_runs(event.reevaluated)} evaluated again by other rules, not executed: {event.other_rules}")
     for line in event.notes:
-        print(f"  {readable(line)}")
+        yield f"  {readable(line)}"
     if len(event.causes) > LINES:
-        print(f"  and {len(event.causes) - LINES} more reasons (--json has them all)")
+        yield f"  and {len(event.causes) - LINES} more reasons (--json has them all)"
 
 
 def _runs(count: int) -> str:
