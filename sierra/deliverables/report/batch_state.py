@@ -105,8 +105,14 @@ def read(project: LoadedProject, store: Store, batch: str) -> BatchState:
 
 def executing(store: Store, batch: str) -> int:
     """Return how many runs of a batch living sessions have claimed; 0 in a store that cannot be written."""
-    claimed: set[str] = set()
+    runs = claimed(store)
+    return len(runs.intersection(store.values(str, RUNS, b=batch))) if runs else 0
+
+
+def claimed(store: Store) -> set[str]:
+    """Return the unfinished runs that living sessions have claimed; none in a store that cannot be written."""
+    runs: set[str] = set()
     with contextlib.suppress(SierraError), sessions.exclusively(store.paths) as locks:
         living = sessions.alive(store.paths) if locks else sessions.all_of(store.paths)
-        claimed = {run for paths in living for run in sessions.claims(paths)}
-    return len(claimed.intersection(store.values(str, RUNS, b=batch))) if claimed else 0
+        runs = {run for paths in living for run in sessions.claims(paths)}
+    return runs
