@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.plugin_registry import FIGURES
@@ -22,10 +22,11 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
 from sierra.deliverables.record import origin_of
 from sierra.errors import NotFound, UsageError
-from sierra.extensions.explorer import batch_list, declarations, recorded_files
+from sierra.extensions.explorer import batch_list, declarations, recorded_files, run_details
 from sierra.extensions.explorer.batch_list import BatchList
 from sierra.extensions.explorer.checked_files import Hashes
 from sierra.extensions.explorer.limit import AGAIN_S, Limit
+from sierra.extensions.explorer.run_table import ConditionError, RunTable, Wanted
 from sierra.extensions.explorer.snapshots import Kept, Opened, T
 from sierra.extensions.explorer.tickets import Made, Tickets
 from sierra.store.derived_tables import Limits, Rules
@@ -83,7 +84,7 @@ class Answers:
         self._limit: Limit | None = None
         self._part = ""
         """The part of a report that is made now, in words."""
-        self._snapshots, self._frames = Kept[Snapshot](), Kept[Frame]()
+        self._snapshots, self._frames, self._tables = Kept[Snapshot](), Kept[Frame](), Kept[RunTable]()
         self._batches: BatchList | None = None
         self.tickets, self._hashes = Tickets(), Hashes()
 
@@ -108,6 +109,88 @@ class Answers:
             if again or self._batches is None or self._batches.state != state:
                 self._batches = batch_list.read(self._store, state)
             return self._batches.part(words, max(0, first))
+
+    def columns(self) -> JsonView:
+        """Return the columns of the table of runs. The first answer for a state of the store computes the table."""
+        with self._run_table(LONG_WALL_S) as table:
+            return table.choices
+
+    def runs(
+        self, where: str = "", order: str = "", columns: Sequence[str] = (), first: int = 0, *, descending: bool = False
+    ) -> JsonView:
+        """Return a window of the table of runs: the rows that meet a condition, sorted by a column, from `first` on.
+
+        With them, return the numbers of all such runs by status, and of those that are being executed now.
+        """
+        from sierra.deliverables.report.batch_state import claimed
+
+        wanted = Wanted(where, order, descending, columns)
+        problem: ConditionError | None = None
+        window: dict[str, Any] = {}
+        with self._run_table() as table:
+            try:
+                table.order(wanted)
+                window = table.window(wanted, max(0, first), _rows)
+            except ConditionError as error:  # the table stays open
+                problem = error
+            counts, state = table.counts, self.state()
+        if problem:
+            raise problem
+        executing = claimed(self._store) if "missing" in counts else set()
+        mine: JsonView = [str(row[0]) for row in window["rows"] if row[0] in executing]
+        total = sum(counts.values())
+        return {
+            **window,
+            "total": total,
+            "counts": counts,
+            "first": max(0, first),
+            "state": state,
+            "executing": len(executing),
+            "mine": mine,
+        }
+
+    def run(self, run: str) -> JsonView:
+        """Return what is recorded about a run, with its files."""
+        with self._one, self._limited():
+            return bounded(run_details.record(self._store, run))
+
+    def file(self, run: str, path: str) -> JsonView:
+        """Return the beginning of a recorded file of a run as text."""
+        with self._one, self._limited():
+            return run_details.file(self._store, run, path)
+
+    def why(self, run: str) -> JsonView:
+        """Return the lines that explain why a run was executed or not."""
+        project = self._project()
+        with self._one, self._limited(LONG_WALL_S):
+            return bounded(run_details.reasons(project, self._store, run))
+
+    def curves(self, runs: Sequence[str], column: str) -> JsonView:
+        """Return an output's column of several runs over time, as a section of a page."""
+        run_details.check(runs)
+        with self._run_table() as table:
+            time, rows = table.curves(runs, column)
+            names = table.names(runs)
+            return {"section": run_details.curves(rows, {run: names.get(run, "") for run in runs}, column, time)}
+
+    def differ(self, runs: Sequence[str]) -> JsonView:
+        """Return the lines that say how each run differs from the first one."""
+        project = self._project()
+        with self._one, self._limited(LONG_WALL_S):
+            return bounded(run_details.differences(project, self._store, runs))
+
+    @contextmanager
+    def _run_table(self, wall: float | None = None) -> Iterator[RunTable]:
+        """Yield the table of runs in the newest state of the store."""
+        project = self._project()
+        with self._reading(self._tables, wall) as key:
+            yield self._tables.opened(key, lambda: self._open_table(project))
+
+    def _open_table(self, project: LoadedProject) -> RunTable:
+        with ExitStack() as opening:
+            table = RunTable(opening.enter_context(self._store.snapshot(theirs=True)), project)
+            opening.pop_all()
+        return table
 
     def state(self) -> str:
         """Return a hash that changes whenever something is recorded or removed. Raises Missing if the store is gone."""
@@ -249,6 +332,7 @@ class Answers:
         try:
             self._snapshots.close()
             self._frames.close()
+            self._tables.close()
         finally:
             self._one.release()
 
@@ -289,12 +373,12 @@ class Answers:
             yield self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole))
 
     @contextmanager
-    def _reading(self, kept: Kept[T]) -> Iterator[tuple[object, ...]]:
+    def _reading(self, kept: Kept[T], wall: float | None = None) -> Iterator[tuple[object, ...]]:
         """Protect the segments of the store while a question is answered from what is kept, within the time limit.
 
         Yield what all answers depend on.
         """
-        with self._one, closing(Shared(self._store.paths.reading)), kept, self._limited():
+        with self._one, closing(Shared(self._store.paths.reading)), kept, self._limited(wall):
             yield self.state(), self._store.rules()
 
     def _id(self, batch: str, state: object) -> str:
@@ -322,7 +406,7 @@ def _keys(figure: Figure) -> JsonView:
     return keys
 
 
-def _rows(answer: Answer) -> JsonView:
+def _rows(answer: Answer) -> dict[str, Any]:
     numeric, notes = answer.numeric, answer.notes
     found = answer.first(ROWS + 1)
     columns, rows = found.columns, found.rows()
@@ -354,3 +438,16 @@ def _value(value: SqlValue) -> JsonView:
         return exact(value)
     text = value if isinstance(value, str) else str(value)
     return text if len(text) <= LETTERS else f"{text[:LETTERS]}… ({len(text):,} letters)"
+
+
+def bounded(value: JsonView) -> JsonView:
+    """Return a value with long texts and long lists cut, and with whole numbers that scripts can hold."""
+    match value:
+        case Mapping():
+            return {name: bounded(part) for name, part in value.items()}
+        case str():
+            return _value(value)
+        case Sequence():
+            return [bounded(part) for part in value[:ROWS]]
+        case _:
+            return exact(value)

@@ -13,4 +13,4 @@ BODY = Path(__file__).with_name("explorer.html")
 def page(title: str) -> bytes:
     """Return the page, as UTF-8. It contains no data; its script asks for them."""
     body = BODY.read_text("utf-8").replace("TITLE", text(title))
-    return html.page(f"{title}: SIERRA", [body], extra="explorer", asks=True)
+    return html.page(f"{title}: SIERRA", [body], extra="explorer runs", asks=True)

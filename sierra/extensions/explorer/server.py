@@ -78,6 +78,32 @@ class _Compare(Table):
     keys: RawTable
 
 
+class _Runs(Table):
+    where: str = ""
+    order: str = ""
+    columns: tuple[str, ...] = ()
+    first: int = 0
+    descending: bool = False
+
+
+class _Run(Table):
+    run: str
+
+
+class _File(Table):
+    run: str
+    path: str
+
+
+class _Curves(Table):
+    runs: tuple[str, ...]
+    column: str
+
+
+class _Differ(Table):
+    runs: tuple[str, ...]
+
+
 class _Query(Table):
     statement: str
     batch: str | None = None
@@ -100,6 +126,13 @@ class _Write(Table):
 QUESTIONS: Mapping[str, type[Table]] = {
     "overview": _Nothing,
     "batches": _Batches,
+    "columns": _Nothing,
+    "runs": _Runs,
+    "run": _Run,
+    "file": _File,
+    "why": _Run,
+    "curves": _Curves,
+    "differ": _Differ,
     "state": _Nothing,
     "tables": _Tables,
     "batch": _Batch,

@@ -1,0 +1,118 @@
+"""Details of runs: their records, recorded files, the reasons of their executions, differences, and curves over time."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from sierra.cli import diff, why
+from sierra.cli.output import as_json
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.html import Chart, ChartAxis, Content, Series, section
+from sierra.deliverables.html.tables import Cell, Table
+from sierra.errors import NotFound, UsageError
+from sierra.execution.shown_records import ShownRun
+from sierra.store.export_recorded_files import content, listing
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.json_types import JsonView
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MOST_RUNS = 8
+"""The largest number of runs that are compared at a time."""
+LARGEST = 32 << 20
+"""The largest size in bytes of a file whose beginning is shown."""
+SHOWN = 200_000
+"""The largest number of bytes that are shown of a file."""
+
+
+def record(store: Store, run: str) -> JsonView:
+    """Return what `sierra show` and `sierra files` say about a run. Raises NotFound, and UsageError for another record."""
+    from sierra.execution.show_record import show
+
+    shown = show(store, run)
+    if not isinstance(shown, ShownRun):
+        raise UsageError(f"{short(run)} is the id of another kind ({shown.kind}); a run is required here")
+    files = listing(store, run, check=False).files
+    whole = shown.as_dict() | {"files": [{"path": f.path, "kind": f.kind, "bytes": f.bytes, "remark": f.remark} for f in files]}
+    found: JsonView = json.loads(as_json(whole))
+    return found
+
+
+def file(store: Store, run: str, path: str) -> JsonView:
+    """Return the beginning of a recorded file as text, as `sierra files` prints it.
+
+    `path` only selects a file of the list: nothing is opened by it. Raises NotFound, UsageError for a file that is too large.
+    """
+    chosen = next((one for one in listing(store, run, check=False).files if one.path == path), None)
+    command = shlex.join(("sierra", "files", short(run), path))
+    if chosen is None:
+        raise NotFound(f"run {short(run)} has no recorded file {path!r}")
+    if (chosen.kept or chosen.bytes or 0) > LARGEST:
+        raise UsageError(f"the file has more than {LARGEST >> 20} MiB; {command} prints it")
+    target = BytesIO()
+    content(store, chosen, target)
+    data = target.getvalue()
+    text = data[:SHOWN].decode("utf-8", "backslashreplace" if len(data) <= SHOWN else "replace")
+    return {"text": text, "bytes": len(data), "shown": min(len(data), SHOWN), "remark": chosen.remark, "command": command}
+
+
+def reasons(project: LoadedProject, store: Store, run: str) -> JsonView:
+    """Return the lines of `sierra why` about a run."""
+    from sierra.explain import why_executed
+
+    return list(why.lines(why_executed.why(project, store, run)))
+
+
+def differences(project: LoadedProject, store: Store, runs: Sequence[str]) -> JsonView:
+    """Return the lines of `sierra diff` about the first run and each other one."""
+    from sierra.explain.diff.compare import compare
+
+    check(runs)
+    first, *others = runs
+    return [{"run": other, "lines": list(diff.lines(compare(project, store, first, other)))} for other in others]
+
+
+def check(runs: Sequence[str]) -> None:
+    """Raise UsageError unless these are a few different runs."""
+    if not 2 <= len(set(runs)) == len(runs) <= MOST_RUNS:
+        raise UsageError(f"choose 2 to {MOST_RUNS} runs, each of them once")
+
+
+def curves(rows: pa.Table, names: Mapping[str, str], column: str, time: str) -> str:
+    """Return the curves of runs as a section of a page; `rows` has the columns run, time and value, in this order.
+
+    `names` are the names of the runs, in the order of the curves. A long curve is thinned as in figures.
+    """
+    import numpy as np
+    from matplotlib.colors import to_hex
+
+    from sierra.deliverables.figures import style, thinning
+    from sierra.deliverables.figures.interactive import on_dark
+    from sierra.model import Axis
+    from sierra.util.arrow_columns import numpy_of
+
+    owners, times, values = (numpy_of(rows.column(name)) for name in ("run", "time", "value"))
+    columns: tuple[list[Cell], list[Cell], list[Cell]] = ([], [], [])
+    series, thinned = [], False
+    for (run, name), colour in zip(names.items(), style.colours(Axis("run", tuple(names))), strict=True):
+        (mine,) = np.nonzero(owners == run)
+        kept = mine[thinning.kept(times[mine], values[mine])] if len(mine) else mine
+        start, stop = len(columns[0]), len(columns[0]) + len(kept)
+        for cells, shown in zip(columns, ([short(run)] * len(kept), times[kept].tolist(), values[kept].tolist()), strict=True):
+            cells += shown
+        thinned |= len(kept) < len(mine)
+        series.append(Series(f"{short(run)}: {name}", to_hex(colour), start, stop, on_dark(colour)))
+    data = Table("curves", ("run", time, column), columns)
+    chart = Chart(data, ChartAxis(1, time), ChartAxis(2, column), series, group="run")
+    missing = [short(run) for run, one in zip(names, series, strict=True) if one.start == one.stop]
+    notes = [f"Runs without values: {', '.join(missing)}."] * bool(missing)
+    notes += [
+        "Long curves are thinned: of each part, the first, the last, the lowest and the highest value are shown."
+    ] * thinned
+    return section(Content(f"{column} over {time}", (chart,), notes=tuple(notes), tables=(data,)))
