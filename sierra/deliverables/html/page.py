@@ -29,8 +29,9 @@ def page(
 ) -> bytes:
     """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name.
 
-    `extra` is the name of a further script and a further style in `assets`. With `asks`, scripts may ask the server that sent
-    the page, and show its pages and videos. With `plays` instead, the page may have videos, which are in the page itself.
+    `extra` are the names of further scripts and styles in `assets`, separated by blanks. With `asks`, scripts may ask the
+    server that sent the page, and show its pages and videos. With `plays` instead, the page may have videos, which are in the
+    page itself.
     """
     script, style = _script(extra), _style(extra)
     images = "data: 'self'" if asks else "data:"
@@ -60,13 +61,13 @@ def _script(extra: str) -> str:
     """Return the scripts of a page, which show the same characters as escapes as the texts in the page."""
     notice = (ASSETS / UPLOT / "LICENSE").read_text("utf-8")
     parts = f"/*! uPlot\n{notice}*/", (ASSETS / UPLOT / "uPlot.iife.min.js").read_text("utf-8"), _asset("page.js")
-    return "\n".join((*parts, *([_asset(f"{extra}.js")] if extra else []))).replace("[STEERING]", steering())
+    return "\n".join((*parts, *(_asset(f"{name}.js") for name in extra.split()))).replace("[STEERING]", steering())
 
 
 @cache
 def _style(extra: str) -> str:
     parts = (ASSETS / UPLOT / "uPlot.min.css").read_text("utf-8"), _asset("page.css")
-    return "\n".join((*parts, *([_asset(f"{extra}.css")] if extra else [])))
+    return "\n".join((*parts, *(_asset(f"{name}.css") for name in extra.split())))
 
 
 def _asset(name: str) -> str:

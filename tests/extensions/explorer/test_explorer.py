@@ -113,7 +113,7 @@ def answered(browser: Browser, statement: str) -> str:
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True), (1280, True), (390, False)])
 def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, tmp_path: Path, width: int, dark: bool) -> None:
     with explored(recorded) as url:
-        browser.open(url, width=width, dark=dark)
+        browser.open(f"{url}&view=batches", width=width, dark=dark)
         until(browser, DRAWN)
         assert browser.run("document.querySelectorAll('#batches [role=option]').length") == 3
         assert "noise=0.5" in browser.run(TEXT.format("batch-title"))
@@ -147,7 +147,7 @@ def test_everything_that_can_be_opened_is_readable(browser: Browser, tmp_path: P
     assert projects.quick(root, "video", "heat").returncode == 0
     inner = "document.getElementById('frame').contentDocument"
     with explored(root, "--write") as url:
-        browser.open(url, width=width, dark=dark)
+        browser.open(f"{url}&view=batches", width=width, dark=dark)
         for place in (1, 0):
             until(browser, f"document.querySelectorAll('#batches [role=option]').length > 1 && {READY}")
             browser.run(f"document.querySelectorAll('#batches [role=option]')[{place}].click()")
@@ -169,7 +169,7 @@ def test_everything_that_can_be_opened_is_readable(browser: Browser, tmp_path: P
 @pytest.mark.nightly
 def test_another_batch_is_chosen_by_keys_and_drawn_with_the_form(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         browser.run(f"{HOLD}(document.getElementById('batches'), ['ArrowDown', 'ArrowDown', 'ArrowUp'])")
         until(browser, "document.getElementById('batch-title').textContent == 'population_size=2,3'")
@@ -192,7 +192,7 @@ def test_a_late_answer_about_another_batch_is_not_shown(browser: Browser, record
     } })(window.fetch)"""
     shown = TEXT.format("chart-of")
     with explored(recorded) as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         first = browser.run(shown)
         browser.run(late)
@@ -212,7 +212,7 @@ def test_hostile_names_are_shown_completed_and_drawn(browser: Browser, tmp_path:
     stores.ask(root, "population_size=1", runs=2)
     browser.call("Page.addScriptToEvaluateOnNewDocument", source="window.alert = () => console.error('alert')")
     with explored(root) as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         assert "evil" in browser.run(TEXT.format("drawn"))
         answered(browser, f"SELECT *, '{ATTACK.replace(chr(39), '')}' AS text FROM sizes")
@@ -242,7 +242,7 @@ def test_hostile_names_are_shown_completed_and_drawn(browser: Browser, tmp_path:
 @pytest.mark.nightly
 def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         browser.run("(area => { area.focus(); area.value = 'SELECT max('; area.selectionStart = area.value.length })"
                     "(document.getElementById('statement'))")  # fmt: skip
@@ -260,7 +260,7 @@ def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_
     root = projects.make(tmp_path / "project", projects.CONFIG + figure)
     stores.ask(root, "population_size=1,2", runs=2)
     with explored(root, "--write") as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         assert browser.run(TEXT.format("left-out")) == "1 batch, the newest first"
         assert "The form does not show its keys title." in browser.run(TEXT.format("chart-of"))
@@ -281,8 +281,8 @@ def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_
 def test_a_page_without_the_token_shows_nothing_of_the_store(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
         browser.open(url.partition("#")[0])
-        until(browser, "document.getElementById('chart-error').textContent")
-        assert "the address that sierra explore has printed" in browser.run(TEXT.format("chart-error"))
+        until(browser, "document.getElementById('runs-error').textContent")
+        assert "the address that sierra explore has printed" in browser.run(TEXT.format("runs-error"))
         assert "population_size" not in browser.run("document.body.innerText")
 
 
@@ -296,7 +296,7 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
     refused = projects.quick(tmp_path, "open", "one.zip", "explore", "--write")
     assert (refused.returncode, refused.stderr) == (2, "sierra: a package is never changed; leave out --write\n")
     with explored(tmp_path, package="one.zip") as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         assert browser.run("document.querySelector('h1').textContent") == "one.zip"
         assert "population_size=1,2" in browser.run(TEXT.format("batch-title"))
@@ -312,7 +312,7 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
 @pytest.mark.nightly
 def test_batches_are_drawn_together_and_reported(browser: Browser, recorded: Path) -> None:
     with explored(recorded) as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, DRAWN)
         for place in (1, 2):
             browser.run(f"document.querySelectorAll('#batches [role=option]')[{place}].click()")
@@ -344,7 +344,7 @@ def test_ten_thousand_batches_are_turned_and_filtered(browser: Browser, tmp_path
     many_batches.make(root, 10_000)
     listed = "document.getElementById('left-out').textContent"
     with explored(root) as url:
-        browser.open(url)
+        browser.open(f"{url}&view=batches")
         until(browser, f"{listed}.startsWith('1 to 100 of 10,000')")
         until(browser, "document.getElementById('stop').disabled")
         browser.run(

@@ -3,7 +3,8 @@
 // that is inserted is that of a chart's section, which the server has escaped.
 (() => {
   const { make, show, copy, csv, visible } = globalThis.sierra;
-  const token = location.hash.slice(1);
+  const [token, ...link] = location.hash.slice(1).split("&");
+  const view = new URLSearchParams(link.join("&"));  // the view that the address describes
   const of = (id) => document.getElementById(id);
   const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
   const FIELDS = ["x", "series", "facet", "where", "center", "band"];
@@ -112,6 +113,7 @@
   // Show a batch. While a key is held down, the server is only asked about the batch at which it stays for a moment.
   async function choose(batch, pause = 0) {
     page.batch = batch;
+    remember({ batch });
     markChosen();
     of("batch").hidden = false;
     const listed = page.batches.find((other) => other.batch === batch);
@@ -523,6 +525,28 @@
 
   // The whole page
 
+  // Write the view into the address, which shows the same again. An empty value is left out.
+  function remember(values) {
+    for (const [name, value] of Object.entries(values)) {
+      if (value) view.set(name, value);
+      else view.delete(name);
+    }
+    history.replaceState(null, "", `#${[token, view].filter(String).join("&")}`);
+  }
+
+  function open(name, batch) {
+    const batches = name === "batches";
+    of("batches-view").hidden = !batches;
+    of("runs-view").hidden = batches;
+    of("to-batches").setAttribute("aria-pressed", String(batches));
+    of("to-runs").setAttribute("aria-pressed", String(!batches));
+    remember({ view: batches ? "batches" : "", batch: batch ?? view.get("batch") });
+    if (batch) page.batch = batch;
+    return batches ? (batch || !page.state ? refresh() : null) : globalThis.sierra.runs.open();
+  }
+
+  const shows = (name) => !of(`${name}-view`).hidden;
+
   async function refresh() {
     const found = await guarded(of("chart-error"), () => ask("overview"));
     if (!found) return;
@@ -542,7 +566,8 @@
     if (state !== page.state) {
       page.state = state;
       if (!state) return;
-      if (await listBatches({ first: page.first })) say("There are new records. Refresh shows them.");
+      if (shows("runs")) await globalThis.sierra.runs.changed();
+      else if (await listBatches({ first: page.first })) say("There are new records. Refresh shows them.");
     }
   }
 
@@ -565,7 +590,10 @@
     const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
     if (by) { event.preventDefault(); stepBatch(by); }
   });
-  of("refresh").addEventListener("click", refresh);
+  of("refresh").addEventListener("click", () => (shows("runs") ? globalThis.sierra.runs.changed() : refresh()));
+  of("to-runs").addEventListener("click", () => open("runs"));
+  of("to-batches").addEventListener("click", () => open("batches"));
+  addEventListener("hashchange", () => location.reload());
   of("stop").addEventListener("click", () => ask("stop").catch(() => null));
   of("chart").addEventListener("submit", (event) => { event.preventDefault(); draw(form().name.value || "my_figure", keysOfForm()); });
   form().table.addEventListener("change", listColumns);
@@ -575,6 +603,10 @@
   of("statement").addEventListener("input", () => propose(2));
   of("statement").addEventListener("keydown", key);
   of("statement").addEventListener("blur", () => { of("words").hidden = true; });
-  setInterval(look, EVERY);
-  refresh();
+  page.batch = view.get("batch");
+  globalThis.sierra.explorer = { ask, guarded, of, say, counted, remember, open, view };
+  addEventListener("DOMContentLoaded", () => {
+    setInterval(look, EVERY);
+    open(view.get("view") ?? "runs");
+  });
 })();

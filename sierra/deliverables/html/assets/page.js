@@ -238,7 +238,7 @@
       add("−", "Zoom out", () => this.scaled(2));
       add("◀", "Move left", () => this.moved(-0.25));
       add("▶", "Move right", () => this.moved(0.25));
-      add("Show all", "Show everything", () => this.section.zoom(null));
+      add("Show all", "Show all", () => this.section.zoom(null));
     }
 
     // The legend is the table of the values at the cursor.
