@@ -126,7 +126,7 @@ class Answers:
 
         wanted = Wanted(where, order, descending, columns)
         problem: ConditionError | None = None
-        window: dict[str, Any] = {}
+        window: Mapping[str, Any] = {}
         with self._run_table() as table:
             try:
                 table.order(wanted)

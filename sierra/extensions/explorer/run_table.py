@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
@@ -139,13 +139,13 @@ class RunTable:
     @property
     def choices(self) -> JsonView:
         """Return the columns to choose from, with those that are shown by default."""
-        outputs: dict[str, JsonView] = {}
+        outputs: dict[str, list[str]] = {}
         for output in self._snapshot.views.outputs:
             outputs[output] = [column.name for column in self.columns.values() if column.output == output]
         own = [key for key, column in self.columns.items() if not column.output]
         shown = ("batch", *self.axes[:DEFAULTS], "number", "status", "wall_s")
-        curves = (column.key for column in self.columns.values() if column.output and self._is_timed(column))
-        return {"own": own, "variables": self.axes, "outputs": outputs, "default": shown, "curve": next(curves, "")}
+        timed = (column.key for column in self.columns.values() if column.output and self._is_timed(column))
+        return {"own": own, "variables": self.axes, "outputs": outputs, "default": shown, "curve": next(timed, "")}
 
     def _is_timed(self, column: Column) -> bool:
         return self.time(column.output) not in (column.name, row_name(self.axes))
@@ -174,7 +174,7 @@ class RunTable:
         except SierraError as error:
             raise ConditionError(str(error)) from error
 
-    def window(self, wanted: Wanted, first: int, convert: Callable[[Answer], Mapping[str, JsonView]]) -> Mapping[str, JsonView]:
+    def window(self, wanted: Wanted, first: int, convert: Callable[[Answer], Mapping[str, Any]]) -> Mapping[str, Any]:
         """Return the converted rows from the position `first` on; before the columns, each has the run's id."""
         columns = [self._column(key) for key in dict.fromkeys(wanted.columns)]
         shown = ", ".join(f"{column.sql} AS {identifier(f'c{place}')}" for place, column in enumerate(columns))

@@ -47,7 +47,9 @@ def test_runs_are_the_first_view_and_are_compared_and_opened(
         assert "ok" in browser.run(TEXT.format("runs-count"))
         tick(browser, 0, 4)
         browser.run("document.getElementById('compare').click()")
-        until(browser, "document.querySelector('#curves canvas') && document.querySelector('#differences pre')")
+        until(
+            browser, "document.querySelector('#curves canvas') !== null && document.querySelector('#differences pre') !== null"
+        )
         open_run(browser, 2)
         browser.run("document.querySelector('#run-files button').click()")
         until(browser, "document.querySelector('#run-file pre')?.innerText.includes('<arena')")

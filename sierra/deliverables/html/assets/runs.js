@@ -177,10 +177,10 @@
   }
 
   function fill(cell, key, value) {
-    const text = written(key, value);
-    if (key !== "batch") cell.textContent = text;
-    else if (cell.firstChild) Object.assign(cell.firstChild, { textContent: text, value });
-    else make("button", cell, { type: "button", class: "link", value }, text).addEventListener("click", (event) => open("batches", event.target.value));
+    const shown = written(key, value);
+    if (key !== "batch") cell.textContent = shown;
+    else if (cell.firstChild) Object.assign(cell.firstChild, { textContent: shown, value });
+    else make("button", cell, { type: "button", class: "link", value }, shown).addEventListener("click", (event) => open("batches", event.target.value));
     cell.title = typeof value === "string" && value.length > 12 ? visible(value) : "";
   }
 
@@ -231,7 +231,7 @@
     await drawCurves();
     of("differences").replaceChildren();
     const found = await guarded(of("differ-error"), () => ask("differ", { runs }));
-    for (const { run, lines } of found ?? []) make("pre", of("differences"), { class: "scroll", tabindex: "0", role: "group", "aria-label": `Differences of run ${short(run)}`, dir: "auto" }, lines.join("\n"));
+    for (const { run, lines } of found ?? []) text(of("differences"), `Differences of run ${short(run)}`, lines.join("\n"));
   }
 
   async function drawCurves() {
@@ -252,9 +252,8 @@
     save();
     render();
     of("run").hidden = false;
-    of("why").hidden = true;
     of("run-title").textContent = `Run ${short(run)}`;
-    for (const id of ["run-files", "run-record"]) of(id).replaceChildren();
+    for (const id of ["why", "run-files", "run-record"]) of(id).replaceChildren();
     if (focus) of("run-title").focus();
     const found = await guarded(of("run-error"), () => ask("run", { run }), wanted);
     if (!found) return;
@@ -266,9 +265,14 @@
     facts(of("run-record"), Object.entries(rest).filter(([, value]) => value === null || typeof value !== "object"), { first: true });
   }
 
-  function log(place, title, text) {
-    make("h3", place, {}, title);
-    make("pre", place, { class: "scroll", tabindex: "0", role: "group", "aria-label": title, dir: "auto" }, text);
+  // Show a text of several lines, which scrolls if it is long.
+  function text(place, title, content) {
+    make("pre", make("div", place, { class: "scroll", tabindex: "0", role: "region", "aria-label": title }), { dir: "auto" }, content);
+  }
+
+  function log(place, title, content) {
+    make("h3", place, { dir: "auto" }, title);
+    text(place, title, content);
   }
 
   function facts(place, entries, { first = false } = {}) {
@@ -297,8 +301,8 @@
     for (const one of list) {
       const line = make("tr", body);
       for (const name of names) {
-        const cell = one[name], text = typeof cell === "string" && /^[0-9a-f]{64}$/.test(cell) ? short(cell) : cell === null ? "" : typeof cell === "object" ? JSON.stringify(cell) : String(cell);
-        make("td", line, { class: typeof cell === "number" ? "number" : "", dir: "auto" }, text);
+        const cell = one[name], shown = typeof cell === "string" && /^[0-9a-f]{64}$/.test(cell) ? short(cell) : cell === null ? "" : typeof cell === "object" ? JSON.stringify(cell) : String(cell);
+        make("td", line, { class: typeof cell === "number" ? "number" : "", dir: "auto" }, shown);
       }
     }
   }
@@ -329,8 +333,8 @@
   async function why() {
     const run = state.run;
     const found = await guarded(of("run-error"), () => ask("why", { run }), () => state.run === run);
-    of("why").hidden = !found;
-    of("why").textContent = found ? found.map(visible).join("\n") : "";
+    of("why").replaceChildren();
+    if (found) text(of("why"), "Reasons of its executions", found.join("\n"));
   }
 
   function closeRun() {
