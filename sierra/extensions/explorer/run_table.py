@@ -2,7 +2,7 @@
 
 A run that belongs to several experiments has a row for each. The rows are computed once for each state of the store, and their
 order once for each condition and sort column. A window is then a range of this order, so that its costs do not depend on its
-place. The final value of an output's column is the mean of the rows with the run's last time.
+place. The final value of an output's column is that of the run's last time; robots of a run are averaged.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
+from sierra.ingest.robot_files import OF_ROBOT
 from sierra.store.samples import NUMERIC, TIMES
 from sierra.store.sql_names import identifier, quote, row_name
 from sierra.store.sql_result import Answer
@@ -40,10 +41,10 @@ FROM members m JOIN runs r USING (run) JOIN experiments x USING (batch, ordinal)
 LEFT JOIN executions e ON e.execution = coalesce(r.execution, l.execution) ORDER BY m.place
 """
 FINAL = """
-CREATE TEMP TABLE {table} AS
-SELECT run{columns} FROM {output} JOIN (SELECT run, max({time}) AS {time} FROM {output} GROUP BY run) USING (run, {time})
-GROUP BY run
+CREATE TEMP TABLE {table} AS SELECT run{columns} FROM {output} GROUP BY run
 """
+OF_MEMBERS = "(SELECT run, {time}{columns} FROM {output} GROUP BY run, {time})"
+"""The rows of an output that each member of a run has, as means over its members."""
 CURVES = """
 SELECT run, {time}::DOUBLE AS time, avg({column})::DOUBLE AS value FROM ({output})
 WHERE run IN (SELECT unnest($runs)) AND {column} IS NOT NULL AND {time} IS NOT NULL GROUP BY ALL ORDER BY run, time
@@ -98,6 +99,7 @@ class RunTable:
         self._shown: tuple[str, str, bool] | None = None
         self.counts: dict[str, int] = {}
         """The numbers of ordered rows by status."""
+        snapshot.run("SET preserve_insertion_order = false")  # takes much less memory
         snapshot.views.make(("batch_runs", "batches", "experiments", "executions", "runs", *snapshot.views.outputs))
         self.axes = snapshot.views.axes()
         snapshot.run(RUNS.format(axes="".join(f", x.{identifier(axis)}" for axis in self.axes)))
@@ -224,9 +226,12 @@ class RunTable:
         """Return the table with the final values of an output, which is computed when it is needed first."""
         if output not in self._final:
             table = f"# final {output}"
-            numbers = "".join(f", avg({identifier(name)}) AS {identifier(name)}" for name in self._numbers(output))
-            time = identifier(self.time(output))
-            names = {"table": identifier(table), "output": identifier(output), "time": time, "columns": numbers}
-            self._snapshot.run(FINAL.format(**names))
+            names, time = [identifier(name) for name in self._numbers(output)], identifier(self.time(output))
+            rows = identifier(output)
+            if OF_ROBOT in getattr(self._outputs.get(output), "file", ""):
+                means = "".join(f", avg({name}) AS {name}" for name in names if name != time)
+                rows = OF_MEMBERS.format(time=time, columns=means, output=rows)
+            last = "".join(f", arg_max({name}, {time}) AS {name}" for name in names)
+            self._snapshot.run(FINAL.format(table=identifier(table), columns=last, output=rows))
             self._final[output] = table
         return self._final[output]
