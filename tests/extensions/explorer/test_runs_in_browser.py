@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests import projects, stores
+from tests import projects, stores, waiting
 from tests.browser import INJECTED, Browser
 from tests.extensions.explorer.test_explorer import TEXT, explored, until
+from tests.extensions.explorer.test_run_table import SLOW
 from tests.support.photographs import flaws, unfold, unnamed
 from tests.support.reported import ATTACK
 
@@ -120,6 +121,26 @@ def test_the_table_is_used_with_keys_and_keeps_its_place(browser: Browser, tmp_p
         browser.press("Home")
         until(browser, f"{SHOWN} && {ROWS}[0] === '{first[0]}'")
         assert browser.run(ROWS) == first
+
+
+def test_new_runs_appear_while_a_batch_executes_elsewhere(browser: Browser, tmp_path: Path) -> None:
+    go, simulator = tmp_path / "go", SLOW.replace("GO", str(tmp_path / "go"))
+    root = projects.make(tmp_path / "project", simulator=simulator)
+    running = projects.start(root, "run", "population_size=1,2", "--runs", "4", "--no-figures", "-j2", stdout=None, stderr=None)
+    try:
+        waiting.until(lambda: any((root / ".sierra" / "segments").iterdir()), "the batch is recorded")
+        with explored(root) as url:
+            browser.open(url)
+            until(browser, f"{SHOWN} && {TEXT.format('runs-count')}.includes('being executed now')")
+            browser.run("document.querySelectorAll('#runs-rows input')[3].focus()")
+            focused = browser.run(f"{ACTIVE}.getAttribute('aria-label')")
+            go.touch()
+            assert running.wait(waiting.PATIENCE_S) == 0
+            until(browser, f"{TEXT.format('runs-count')} === '8 rows: 8 ok'")
+            assert browser.run(f"{ACTIVE}.getAttribute('aria-label')") == focused
+    finally:
+        go.touch()
+        running.wait(waiting.PATIENCE_S)
 
 
 def test_hostile_texts_are_never_executed(browser: Browser, tmp_path: Path) -> None:

@@ -29,16 +29,18 @@
     return typeof value === "number" && !Number.isInteger(value) ? String(Number(value.toPrecision(6))) : visible(value);
   }
 
+  // Ask for the columns. If they are still the same, the elements of the table stay, and with them the focus.
   async function start() {
-    say("Reading the runs …");
+    const before = JSON.stringify(state.choices);
+    if (!state.choices) say("Reading the runs …");
     const found = await guarded(of("runs-error"), () => ask("columns"));
-    say("");
-    if (!found) return false;
+    if (!state.choices) say("");
+    if (!found || JSON.stringify(found) === before) return Boolean(found);
     state.choices = found;
     const known = new Set([...found.own, ...Object.entries(found.outputs).flatMap(([name, columns]) => columns.map((one) => `${name}.${one}`))]);
-    let chosen = found.default;
-    try { chosen = JSON.parse(view.get("columns") ?? "null") ?? chosen; } catch { view.delete("columns"); }
-    state.columns = [].concat(chosen).filter((key) => known.has(key));
+    let chosen = null;
+    try { chosen = JSON.parse(view.get("columns")); } catch { view.delete("columns"); }
+    state.columns = (Array.isArray(chosen) ? chosen : found.default).filter((key) => known.has(key));
     listColumns();
     head();
     return true;
@@ -70,7 +72,7 @@
       make("span", label, { dir: "auto" }, parts(key)[1]);
       box.addEventListener("change", () => {
         state.columns = box.checked ? [...state.columns, key] : state.columns.filter((one) => one !== key);
-        view.set("columns", "1");
+        view.set("columns", JSON.stringify(state.columns));
         head();
         fetchRows({ fresh: true });
       });
