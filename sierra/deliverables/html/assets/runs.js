@@ -40,9 +40,11 @@
     const known = new Set([...found.own, ...Object.entries(found.outputs).flatMap(([name, columns]) => columns.map((one) => `${name}.${one}`))]);
     let chosen = null;
     try { chosen = JSON.parse(view.get("columns")); } catch { view.delete("columns"); }
-    state.columns = (Array.isArray(chosen) ? chosen : found.default).filter((key) => known.has(key));
+    const columns = (Array.isArray(chosen) ? chosen : found.default).filter((key) => known.has(key));
+    const same = JSON.stringify(columns) === JSON.stringify(state.columns);
+    state.columns = columns;
     listColumns();
-    head();
+    if (!same || !of("runs-head").firstChild) head();
     return true;
   }
 
