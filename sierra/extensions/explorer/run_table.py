@@ -15,7 +15,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
 from sierra.ingest.robot_files import OF_ROBOT
 from sierra.store.samples import NUMERIC, TIMES
-from sierra.store.sql_names import identifier, quote, row_name
+from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import Answer
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot
@@ -30,15 +30,15 @@ WINDOW = 200
 RUNS = """
 CREATE TEMP TABLE "# runs" AS
 WITH members AS (
-    SELECT row_number() OVER (ORDER BY b.lamport DESC, b.batch, m.ordinal, m.number, m.run) AS place, m.*
+    SELECT row_number() OVER (ORDER BY b.lamport DESC, b.batch, m.ordinal, m.number, m.run) AS "# place", m.*
     FROM (SELECT DISTINCT batch, ordinal, number, run, seed FROM batch_runs) m JOIN batches b USING (batch)
 ), last AS (
     SELECT run, arg_max(execution, lamport) AS execution FROM executions WHERE purpose <> 'capture' GROUP BY run
 )
-SELECT m.place, m.run, m.batch, x.experiment, m.ordinal, m.number, m.seed{axes}, r.status, r.outcome,
-       e.reason, e.started, e.wall_s, r.executions
+SELECT "# place", m.run, m.batch, x.experiment, m.ordinal, m.number, m.seed{axes}, r.status, r.outcome,
+       e.reason AS {reason}, e.started AS {started}, e.wall_s AS {wall_s}, r.executions
 FROM members m JOIN runs r USING (run) JOIN experiments x USING (batch, ordinal) LEFT JOIN last l ON l.run = m.run
-LEFT JOIN executions e ON e.execution = coalesce(r.execution, l.execution) ORDER BY m.place
+LEFT JOIN executions e ON e.execution = coalesce(r.execution, l.execution) ORDER BY "# place"
 """
 FINAL = """
 CREATE TEMP TABLE {table} AS SELECT run{columns} FROM {output} GROUP BY run
@@ -51,9 +51,11 @@ WHERE run IN (SELECT unnest($runs)) AND {column} IS NOT NULL AND {time} IS NOT N
 """
 SHOWN = """
 CREATE OR REPLACE TEMP TABLE "# shown" AS
-SELECT row_number() OVER (ORDER BY {order}runs.place) AS position, runs.place AS place FROM {rows}{condition}
+SELECT row_number() OVER (ORDER BY {order}runs."# place") AS position, runs."# place" FROM {rows}{condition}
 """
-HIDDEN = ("place",)
+HIDDEN = "# place"
+LAST = ("reason", "started", "wall_s")
+"""Columns of the execution, which have other names if variables have these."""
 DEFAULTS = 5
 """The largest number of variables that are shown by default."""
 
@@ -102,7 +104,8 @@ class RunTable:
         snapshot.run("SET preserve_insertion_order = false")  # takes much less memory
         snapshot.views.make(("batch_runs", "batches", "experiments", "executions", "runs", *snapshot.views.outputs))
         self.axes = snapshot.views.axes()
-        snapshot.run(RUNS.format(axes="".join(f", x.{identifier(axis)}" for axis in self.axes)))
+        self._last = dict(zip(LAST, column_names(LAST, taken=self.axes), strict=True))
+        snapshot.run(RUNS.format(axes="".join(f", x.{identifier(axis)}" for axis in self.axes), **self._last))
         self.columns = {column.key: column for column in self._columns()}
 
     def unlock(self) -> None:
@@ -116,7 +119,7 @@ class RunTable:
 
     def _columns(self) -> Iterator[Column]:
         for name in self._kinds('"# runs"'):
-            if name not in HIDDEN:
+            if name != HIDDEN:
                 yield Column(name)
         for output in self._snapshot.views.outputs:
             yield from (Column(name, output) for name in self._numbers(output))
@@ -145,7 +148,7 @@ class RunTable:
         for output in self._snapshot.views.outputs:
             outputs[output] = [column.name for column in self.columns.values() if column.output == output]
         own = [key for key, column in self.columns.items() if not column.output]
-        shown = ("batch", *self.axes[:DEFAULTS], "number", "status", "wall_s")
+        shown = ("batch", *self.axes[:DEFAULTS], "number", "status", self._last["wall_s"])
         timed = (column.key for column in self.columns.values() if column.output and self._is_timed(column))
         return {"own": own, "variables": self.axes, "outputs": outputs, "default": shown, "curve": next(timed, "")}
 
@@ -165,7 +168,7 @@ class RunTable:
         by = f"{order.sql} {'DESC' if wanted.descending else 'ASC'} NULLS LAST, " if order else ""
         self._shown = None
         self._snapshot.run(SHOWN.format(order=by, rows=rows, condition=condition))
-        counts = 'SELECT status, count(*) FROM "# shown" JOIN "# runs" USING (place) GROUP BY status ORDER BY 2 DESC'
+        counts = 'SELECT status, count(*) FROM "# shown" JOIN "# runs" USING ("# place") GROUP BY status ORDER BY 2 DESC'
         self.counts = dict(self._snapshot.run(counts))
         self._shown = key
 
@@ -182,7 +185,7 @@ class RunTable:
         shown = ", ".join(f"{column.sql} AS {identifier(f'c{place}')}" for place, column in enumerate(columns))
         rows = self._rows(columns, "")
         part = f'(SELECT * FROM "# shown" WHERE position > {first:d} AND position <= {first + WINDOW:d})'
-        joined = f"{part} w JOIN {rows} ON runs.place = w.place ORDER BY w.position"
+        joined = f'{part} w JOIN {rows} ON runs."# place" = w."# place" ORDER BY w.position'
         statement = f"SELECT runs.run{', ' * bool(shown)}{shown} FROM {joined}"
         found = self._snapshot.ask(statement, {}, convert)
         numeric = [column.key for place, column in enumerate(columns) if f"c{place}" in found["numeric"]]

@@ -250,6 +250,17 @@ def test_nothing_is_changed_and_nobody_is_hindered(recorded: Path, run: str, pag
 
 
 @pytest.mark.integration
+@pytest.mark.parametrize("name", ["place", "wall_s", "reason", "swarm"])
+def test_a_variable_may_have_the_name_of_another_column(tmp_path: Path, name: str) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("population_size", name))
+    stores.ask(root, f"{name}=1,2", runs=1)
+    with served(explorer(sierra.open(root))) as page:
+        shown = page.ask("columns")["default"]
+        found = page.ask("runs", columns=shown, where=f"{name} = 2" if name != "swarm" else "runs.swarm = 2")
+        assert [dict(zip(["run", *shown], row, strict=True))[name] for row in found["rows"]] == [2]
+
+
+@pytest.mark.integration
 def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR + f"import sys\nprint({ATTACK!r}, file=sys.stderr)\nsys.exit(3)\n"
     root = projects.make(tmp_path / "project", simulator=simulator)
