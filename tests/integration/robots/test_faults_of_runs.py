@@ -329,9 +329,8 @@ def test_what_a_lost_robot_has_measured_is_collected_when_it_is_used_again(fleet
     fleet.boot("rb2")
     done = projects.quick(project, *RUN, "--runs", "1")
     assert done.returncode == 0, done.stderr
-    assert (
-        f"note: rb2: collected what it had measured in a run of which it was lost; sierra show {execution[:10]} --files" in done.stderr
-    )
+    lost = f"collected what it had measured in a run of which it was lost; sierra show {execution[:10]} --files"
+    assert f"note: rb2: {lost}" in done.stderr
     late = f"SELECT path, kind FROM artifacts WHERE execution = '{execution}' AND path LIKE 'late/2/output/%'"
     assert rows_of(project, late) == [("late/2/output/swarm.csv", "log")]
     assert projects.quick(project, "files", str(execution), "late/2/output/swarm.csv").stdout == text
