@@ -85,7 +85,7 @@ def check(runs: Sequence[str]) -> None:
 
 
 def curves(rows: pa.Table, names: Mapping[str, str], column: str, time: str) -> str:
-    """Return the curves of runs as a section of a page; `rows` has the columns run, time and value, in this order.
+    """Return the curves of runs as a section of a page; `rows` has the columns run, time, value and rows.
 
     `names` are the names of the runs, in the order of the curves. A long curve is thinned as in figures.
     """
@@ -112,6 +112,7 @@ def curves(rows: pa.Table, names: Mapping[str, str], column: str, time: str) -> 
     chart = Chart(data, ChartAxis(1, time), ChartAxis(2, column), series, group="run")
     missing = [short(run) for run, one in zip(names, series, strict=True) if one.start == one.stop]
     notes = [f"Runs without values: {', '.join(missing)}."] * bool(missing)
+    notes += ["Several rows of a run at one time are shown as their mean."] * bool((numpy_of(rows.column("rows")) > 1).any())
     notes += [
         "Long curves are thinned: of each part, the first, the last, the lowest and the highest value are shown."
     ] * thinned

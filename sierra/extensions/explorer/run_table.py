@@ -2,7 +2,8 @@
 
 A run that belongs to several experiments has a row for each. The rows are computed once for each state of the store, and their
 order once for each condition and sort column. A window is then a range of this order, so that its costs do not depend on its
-place. The final value of an output's column is that of the run's last time; robots of a run are averaged.
+place. The final value of an output's column is that of the run's last time, as in statistics: a missing value is not replaced by
+an earlier one, several rows at the last time have no value, and robots of a run are averaged if all have that time.
 """
 
 from __future__ import annotations
@@ -41,12 +42,15 @@ FROM members m JOIN runs r USING (run) JOIN experiments x USING (batch, ordinal)
 LEFT JOIN executions e ON e.execution = coalesce(r.execution, l.execution) ORDER BY "# place"
 """
 FINAL = """
-CREATE TEMP TABLE {table} AS SELECT run{columns} FROM {output} GROUP BY run
+CREATE TEMP TABLE {table} AS
+WITH "# last" AS (SELECT run, max({time}) AS "# time", {rows} AS "# rows" FROM {output} WHERE isfinite({time}) GROUP BY run)
+SELECT run{columns} FROM {output} JOIN "# last" USING (run) WHERE {time} = "# time" GROUP BY run
 """
-OF_MEMBERS = "(SELECT run, {time}{columns} FROM {output} GROUP BY run, {time})"
-"""The rows of an output that each member of a run has, as means over its members."""
+"""The final values of an output; NULL if the last time has fewer or more rows than one, or than one of each robot."""
+VALUE = 'if(count(*) = any_value("# rows") AND count({name}) = count(*), avg({name}), NULL)'
+EXACT_VALUE = 'if(count(*) = any_value("# rows"), first({name}), NULL)'
 CURVES = """
-SELECT run, {time}::DOUBLE AS time, avg({column})::DOUBLE AS value FROM ({output})
+SELECT run, {time}::DOUBLE AS time, avg({column})::DOUBLE AS value, count(*) AS rows FROM ({output})
 WHERE run IN (SELECT unnest($runs)) AND {column} IS NOT NULL AND {time} IS NOT NULL GROUP BY ALL ORDER BY run, time
 """
 SHOWN = """
@@ -185,7 +189,7 @@ class RunTable:
         shown = ", ".join(f"{column.sql} AS {identifier(f'c{place}')}" for place, column in enumerate(columns))
         rows = self._rows(columns, "")
         part = f'(SELECT * FROM "# shown" WHERE position > {first:d} AND position <= {first + WINDOW:d})'
-        joined = f'{part} w JOIN {rows} ON runs."# place" = w."# place" ORDER BY w.position'
+        joined = f'{part} AS "# w" JOIN {rows} ON runs."# place" = "# w"."# place" ORDER BY "# w".position'
         statement = f"SELECT runs.run{', ' * bool(shown)}{shown} FROM {joined}"
         found = self._snapshot.ask(statement, {}, convert)
         numeric = [column.key for place, column in enumerate(columns) if f"c{place}" in found["numeric"]]
@@ -199,7 +203,7 @@ class RunTable:
         return dict(self._snapshot.run(statement, {"runs": list(runs)}))
 
     def curves(self, runs: Sequence[str], key: str) -> tuple[str, pa.Table]:
-        """Return the name of the time, and a table of an output's column with the columns run, time and value."""
+        """Return the name of the time, and a table of an output's column with the columns run, time, value and rows."""
         column = self._column(key)
         if not column.output:
             raise UsageError(f"{key!r} is no column of an output")
@@ -230,11 +234,10 @@ class RunTable:
         if output not in self._final:
             table = f"# final {output}"
             names, time = [identifier(name) for name in self._numbers(output)], identifier(self.time(output))
-            rows = identifier(output)
-            if OF_ROBOT in getattr(self._outputs.get(output), "file", ""):
-                means = "".join(f", avg({name}) AS {name}" for name in names if name != time)
-                rows = OF_MEMBERS.format(time=time, columns=means, output=rows)
-            last = "".join(f", arg_max({name}, {time}) AS {name}" for name in names)
-            self._snapshot.run(FINAL.format(table=identifier(table), columns=last, output=rows))
+            robots = OF_ROBOT in getattr(self._outputs.get(output), "file", "")
+            rows, value = ("count(DISTINCT robot)", VALUE) if robots else ("1", EXACT_VALUE)
+            last = "".join(f", {value.format(name=name)} AS {name}" for name in names)
+            told = {"table": identifier(table), "time": time, "rows": rows, "columns": last, "output": identifier(output)}
+            self._snapshot.run(FINAL.format(**told))
             self._final[output] = table
         return self._final[output]

@@ -62,6 +62,43 @@ def test_final_values_are_those_of_the_last_time(page: Page, recorded: Path) -> 
     assert dict(found["rows"]) == {row["run"]: row["last"] for row in last}
 
 
+LAST = (
+    projects.SIMULATOR
+    + """with open("last.csv", "w") as file:
+    file.write("tick,missing,there\\n1,5,5\\n2,,6\\n")
+with open("twice.csv", "w") as file:
+    file.write("tick,value\\n1,5\\n2,6\\n2,7\\n")
+"""
+)
+OUTPUTS = """
+[outputs.last]
+file = "last.csv"
+time = "tick"
+[outputs.w]
+file = "twice.csv"
+time = "tick"
+"""
+
+
+@pytest.mark.integration
+def test_a_final_value_is_that_of_one_row_or_missing(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + OUTPUTS, simulator=LAST)
+    stores.ask(root, "population_size=1", runs=1)
+    with served(explorer(sierra.open(root))) as page:
+        found = page.ask("runs", columns=["last.missing", "last.there", "w.value", "swarm.tick"])
+        assert [row[1:] for row in found["rows"]] == [[None, 6, None, 4]], "as in statistics, which refuse `w`"
+        runs = [*(row[0] for row in found["rows"]), *another_run(page, root)]
+        assert "as their mean" in page.ask("curves", runs=runs, column="w.value")["section"]
+        assert "as their mean" not in page.ask("curves", runs=runs, column="last.there")["section"]
+
+
+def another_run(page: Page, root: Path) -> list[str]:
+    """Execute one run more; return its id."""
+    known = {row[0] for row in page.ask("runs")["rows"]}
+    stores.ask(root, "population_size=2", runs=1)
+    return [row[0] for row in page.ask("runs")["rows"] if row[0] not in known]
+
+
 @pytest.mark.parametrize("order", ["swarm.coverage", "wall_s", "batch", "noise", "started"])
 @pytest.mark.parametrize("descending", [True, False])
 def test_rows_are_sorted_by_any_column(page: Page, order: str, descending: bool) -> None:
