@@ -582,6 +582,7 @@ class Project:
         from sierra.execution.show_record import show
         from sierra.execution.shown_records import ShownBatch, ShownExecution
 
+        prefix = self.record_id(prefix)
         if (outcome := self._shown_other(prefix)) is not None:
             return outcome
         try:
@@ -705,7 +706,7 @@ class Project:
 
         options = ReplayOptions(slots(jobs), runs, runner, engine, tolerances or {}, keep, unattended=unattended)
         execute = replay.replay if record else replay.unrecorded
-        return execute(self._loaded, self.store, prefix, options, observer or observer_for(progress))
+        return execute(self._loaded, self.store, self.record_id(prefix), options, observer or observer_for(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False, runs: Container[str] | None = None) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.resource_estimate`.
@@ -1390,9 +1391,7 @@ class Project:
         label, equals, rest = word.rpartition("=")
         if equals and not label:
             raise UsageError(f"{word!r} has no label before =; write LABEL=HASH")
-        if rest in self.config.queries:
-            return label or rest, self._asked((rest,), None)
-        return label, self.batch(rest)
+        return label or (rest if rest in self.config.queries else ""), self.batch(rest)
 
     def claims(self, *names: str) -> tuple[Evaluated, ...]:
         """Return whether the claims of `sierra.toml` hold on the recorded runs: all, or those with these names.
@@ -1630,7 +1629,9 @@ class Project:
         return files.Written(file, tuple(made.batches), notes)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
-        """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.
+        """Return the id of a batch from a prefix or the name of a query; without one, that of the batch requested last.
+
+        With `target`, that of the batch requested last for it.
 
         Raises NotFound, Missing, and UsageError for an unknown target, or for a prefix together with a target.
 
@@ -1642,12 +1643,22 @@ class Project:
             if prefix is not None:
                 raise UsageError(f"batch {prefix} is one of a target already; leave out --target")
         if prefix is not None:
-            return self.store.batch_id(prefix)
+            return self.store.batch_id(self.record_id(prefix))
         known = [one for one in self.batches if target is None or target in one.targets]
         if not known:
             of = f" for target {target!r}" if target else ""
             raise Missing(f"no batch is recorded{of} yet; record one with sierra run")
         return known[-1].batch
+
+    def record_id(self, word: str) -> str:
+        """Return the id of the batch of a query in `sierra.toml`, if this is its name; else the word, a prefix of any id.
+
+        Raises NotFound for a query that has not been run with the project as it is.
+
+        >>> project.record_id("4fc1")
+        '4fc1'
+        """
+        return self._asked((word,), None) if word in self.config.queries else word
 
     def metadata(self, *, write: bool = False) -> Metadata:
         """Compare CITATION.cff with `[package]`; with `write`, write it if it is not there.
@@ -1680,8 +1691,9 @@ class Project:
     ) -> Packed | None:
         """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
 
-        With `claims`, also of the batches that the claims of `sierra.toml` rest on. `anonymous`: for double-blind review, see
-        `sierra.packages.anonymity.anonymous`; `allow`: texts in which names are accepted there.
+        `batches` are prefixes of ids, or names of queries. With `claims`, also those that the claims of `sierra.toml` rest on.
+        `anonymous`: for double-blind review, see `sierra.packages.anonymity.anonymous`; `allow`: texts in which names are
+        accepted there.
 
         `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`. With `wheels`, Python
         packages are packed for these versions of Python (as `3.12`) and processors (as `x86_64`); by default, for this Python.
@@ -1710,6 +1722,7 @@ class Project:
 
             decide = evaluate.batches(self._loaded, self.store)
             batches = (*batches, *(batch for ids in decide.values() for batch in ids))
+        batches = tuple(map(self.record_id, batches))
         if not batches:
             raise UsageError("name the batches to be packed")
         anonymity = Anonymity(self._loaded, allow) if anonymous else None

@@ -66,7 +66,7 @@ def files(
     if besides and to is None:
         raise UsageError(f"{besides[0].option} needs --to FOLDER")
     opened = project()
-    listed = listing(opened.store, prefix, paths or (), check=to is None and (as_json or not paths))
+    listed = listing(opened.store, opened.record_id(prefix), paths or (), check=to is None and (as_json or not paths))
     if to is not None:
         outcomes = list(extract(opened.store, listed, to))
         _doubt(opened, to)

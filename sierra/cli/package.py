@@ -25,7 +25,9 @@ SHOWN = 200
 def package(
     batches: Annotated[
         list[str] | None,
-        typer.Argument(metavar="BATCH", autocompletion=complete.ids, help="Ids of batches; prefixes are enough."),
+        typer.Argument(
+            metavar="BATCH", autocompletion=complete.ids, help="Ids of batches, or names of queries; prefixes are enough."
+        ),
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE.zip", help="The file to write.")] = None,
     claims: Annotated[bool, typer.Option("--claims", help="Also pack the batches that the claims rest on.")] = False,

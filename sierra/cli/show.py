@@ -54,7 +54,7 @@ def show(
         typer.Argument(
             metavar="HASH|FILE",
             autocompletion=complete.anything,
-            help="Id, as `sierra ls` prints it; a prefix is enough. Or a figure's file.",
+            help="Id, as `sierra ls` prints it; a prefix is enough. Or the name of a query, or a figure's file.",
         ),
     ],
     paths: Annotated[

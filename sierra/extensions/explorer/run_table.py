@@ -2,8 +2,8 @@
 
 A run that belongs to several experiments has a row for each. The rows are computed once for each state of the store, and their
 order once for each condition and sort column. A window is then a range of this order, so that its costs do not depend on its
-place. The final value of an output's column is that of the run's last time, as in statistics: a missing value is not replaced by
-an earlier one, several rows at the last time have no value, and robots of a run are averaged if all have that time.
+place. The final value of an output's column is that of the run's last time, as in statistics: a missing value is not
+replaced by an earlier one, several rows at the last time have no value, and robots of a run are averaged if all have that time.
 """
 
 from __future__ import annotations
