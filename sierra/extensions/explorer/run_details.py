@@ -32,7 +32,7 @@ SHOWN = 200_000
 
 
 def record(store: Store, run: str) -> JsonView:
-    """Return what `sierra show` and `sierra files` say about a run. Raises NotFound, and UsageError for another record."""
+    """Return what `sierra show` says about a run, with its files. Raises NotFound, and UsageError for another record."""
     from sierra.execution.show_record import show
 
     shown = show(store, run)
@@ -45,12 +45,12 @@ def record(store: Store, run: str) -> JsonView:
 
 
 def file(store: Store, run: str, path: str) -> JsonView:
-    """Return the beginning of a recorded file as text, as `sierra files` prints it.
+    """Return the beginning of a recorded file as text, as `sierra show RUN PATH` prints it.
 
     `path` only selects a file of the list: nothing is opened by it. Raises NotFound, UsageError for a file that is too large.
     """
     chosen = next((one for one in listing(store, run, check=False).files if one.path == path), None)
-    command = shlex.join(("sierra", "files", short(run), path))
+    command = shlex.join(("sierra", "show", short(run), path))
     if chosen is None:
         raise NotFound(f"run {short(run)} has no recorded file {path!r}")
     if (chosen.kept or chosen.bytes or 0) > LARGEST:

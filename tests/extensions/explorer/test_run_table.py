@@ -192,7 +192,7 @@ def test_details_are_those_of_the_commands(page: Page, recorded: Path, run: str)
 def test_a_file_is_shown_as_text_and_its_path_opens_nothing(page: Page, run: str) -> None:
     found = page.ask("file", run=run, path="input/input.xml")
     assert "<arena" in found["text"]
-    assert (found["shown"], found["command"]) == (found["bytes"], f"sierra files {run[:10]} input/input.xml")
+    assert (found["shown"], found["command"]) == (found["bytes"], f"sierra show {run[:10]} input/input.xml")
     for path in ("/etc/passwd", "../../sierra.toml", "input/../../x", "*", ""):
         assert "no recorded file" in page.error("file", run=run, path=path)
 
@@ -202,7 +202,7 @@ def test_a_large_file_is_cut_or_refused(page: Page, run: str, monkeypatch: pytes
     found = page.ask("file", run=run, path="output/picture.bin")
     assert (found["shown"], found["bytes"], len(found["text"]) <= 40) == (10, 10_000, True)
     monkeypatch.setattr(run_details, "LARGEST", 100)
-    assert "sierra files" in page.error("file", run=run, path="output/picture.bin")
+    assert "sierra show" in page.error("file", run=run, path="output/picture.bin")
 
 
 @pytest.mark.parametrize("question", ["run", "why"])
