@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config import find_project
-from sierra.errors import Damaged, Missing, NotFound, UsageError
+from sierra.errors import ConfigError, Damaged, Missing, NotFound, UsageError
 from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
@@ -94,8 +94,12 @@ class Project:
     'project'
     """
 
-    def __init__(self, path: str | os.PathLike[str] = ".") -> None:
-        """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither."""
+    def __init__(self, path: str | os.PathLike[str] = ".", *, received: bool = False) -> None:
+        """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither.
+
+        If it was `received` from somebody, names of its queries do not stand for batches: nothing of it is planned here.
+        """
+        self._received = received
         self._found = find_project.find_store(Path(path))
         self.paths = ProjectPaths(self._found.root)
 
@@ -831,7 +835,7 @@ class Project:
         """
         from sierra.explain import why_executed as why
 
-        return why.why(self._loaded, self.store, prefix)
+        return why.why(self._loaded, self.store, self.record_id(prefix))
 
     def mark_trial(
         self,
@@ -1391,7 +1395,8 @@ class Project:
         label, equals, rest = word.rpartition("=")
         if equals and not label:
             raise UsageError(f"{word!r} has no label before =; write LABEL=HASH")
-        return label or (rest if rest in self.config.queries else ""), self.batch(rest)
+        batch = self.batch(rest)
+        return label or ("" if batch.startswith(rest.lower()) else rest), batch
 
     def claims(self, *names: str) -> tuple[Evaluated, ...]:
         """Return whether the claims of `sierra.toml` hold on the recorded runs: all, or those with these names.
@@ -1653,12 +1658,28 @@ class Project:
     def record_id(self, word: str) -> str:
         """Return the id of the batch of a query in `sierra.toml`, if this is its name; else the word, a prefix of any id.
 
-        Raises NotFound for a query that has not been run with the project as it is.
+        Raises NotFound for a query that has not been run with the project as it is, UsageError for a name that begins an id.
 
         >>> project.record_id("4fc1")
         '4fc1'
         """
-        return self._asked((word,), None) if word in self.config.queries else word
+        from sierra.store.store import PREFIX
+
+        may_be_id = PREFIX.fullmatch(word.lower()) is not None
+        try:
+            if self._received or word not in self.config.queries:
+                return word
+        except ConfigError:
+            if not may_be_id:
+                raise
+            return word  # records can be read whatever the file says
+        batch = self._asked((word,), None)
+        with contextlib.suppress(NotFound):
+            if may_be_id and self.store.resolve(word).id != batch:
+                raise UsageError(
+                    f"{word!r} is the name of a query, and an id begins with it; write more digits, or {batch[:10]}"
+                )
+        return batch
 
     def metadata(self, *, write: bool = False) -> Metadata:
         """Compare CITATION.cff with `[package]`; with `write`, write it if it is not there.

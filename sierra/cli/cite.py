@@ -35,7 +35,6 @@ def cite(
     \b
     Examples:
       sierra package --cite
-      sierra package --cite
     """
     from sierra.cli.open_project import project
 

@@ -42,8 +42,10 @@ def ls(
       sierra ls --jobs 9e1c --json
     """
     if jobs:
+        from sierra.cli.open_project import refuse_in_package
         from sierra.cli.status import status
 
+        refuse_in_package("--jobs", "asks schedulers, and records finished runs")
         status(prefix, long, as_json)
         return
     if prefix is not None:

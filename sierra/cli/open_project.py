@@ -12,6 +12,7 @@ from types import ModuleType
 
 from sierra.api import Project
 from sierra.cli.output import note
+from sierra.errors import UsageError
 from sierra.store import index_files
 from sierra.util.first_import import Load, load_with
 
@@ -32,6 +33,12 @@ def using(folder: Path) -> Iterator[None]:
         _folder.reset(before)
 
 
+def refuse_in_package(option: str, reason: str) -> None:
+    """Raise UsageError for an option of a command that reads a received package, if that is what commands work on."""
+    if _folder.get() != Path():
+        raise UsageError(f"{option} {reason}; nothing of a package is executed")
+
+
 def project() -> Project:
     """Return the project of the working directory, as `sierra.open` does, or that of `using`.
 
@@ -42,7 +49,7 @@ def project() -> Project:
     if "pandas" not in sys.modules:
         load_with("pyarrow", _load)
     index_files.announce = note
-    return Project(_folder.get())
+    return Project(_folder.get(), received=_folder.get() != Path())
 
 
 def _load(module: ModuleType, load: Load) -> None:

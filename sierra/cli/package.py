@@ -100,7 +100,21 @@ def package(
         return not preview.notes or agreed(lines, yes, as_json, "to be packed")
 
     if cite:
-        if output is not None or batches or claims or wheels or anonymous:
+        others = (
+            output,
+            batches,
+            claims,
+            image != "none",
+            wheels,
+            pythons,
+            machines,
+            no_report,
+            anonymous,
+            allow,
+            yes,
+            given(str),
+        )
+        if any(others):
             raise UsageError("--cite packs nothing; leave out batches and other options")
         from sierra.cli.cite import cite as make
 

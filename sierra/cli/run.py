@@ -144,7 +144,7 @@ def run(
             "--until": until,
             "--max-runs": max_runs,
         }
-        if refused := [name for name, value in others.items() if value not in (None, False)]:
+        if refused := [name for name, value in others.items() if value is not None and value is not False]:
             raise UsageError(f"--inputs executes nothing; leave out {', '.join(refused)}")
         from sierra.cli.inputs import inputs as write_inputs
 

@@ -13,6 +13,7 @@ from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Long
 from sierra.cli.lazy_commands import GIVEN
 from sierra.cli.output import cell, fields, fitting, members, print_json, readable, short_id, table
+from sierra.errors import UsageError
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -98,6 +99,10 @@ def show(
     if listed or paths or to is not None or GIVEN.get():
         from sierra.cli.files import files
 
+        if long or (listed and (paths or to is not None)):
+            raise UsageError(
+                "--files lists files as they are; leave out --long, PATH and --to" if listed else "leave out --long"
+            )
         files(prefix, paths, to, as_json)
         return
     if (os.sep in prefix or "." in prefix) and Path(prefix).exists():

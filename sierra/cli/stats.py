@@ -144,7 +144,9 @@ def stats(
         if format.value not in set(Format):
             raise UsageError(f"--models has no table for papers; use --format {', '.join(Format)}")
         from sierra.cli.models import models
+        from sierra.cli.open_project import refuse_in_package
 
+        refuse_in_package("--models", "executes the commands of models")
         models(batch, output, target, Format(format.value), file, as_json)
         return
     if output is None or column is None:

@@ -37,9 +37,11 @@ def _call(folder: Path, *argv: str) -> None:
 
 def main(folder: str = "dist") -> None:
     built = sorted(Path(folder).resolve().glob("sierra_experiments-*"))
-    if len(built) != 2:
-        raise SystemExit(f"{folder} needs one sdist and one wheel; it has {len(built)} files; run make dist")
+    if [file.name.endswith(".whl") for file in built] != [True, False]:
+        raise SystemExit(f"{folder} needs one wheel and one sdist; it has {len(built)} files; run make dist")
     there = {version: python for version in SUPPORTED if (python := python_of(version))}
+    if not there:
+        raise SystemExit(f"none of Python {', '.join(SUPPORTED)} is here")
     for version, python in there.items():
         for file in built:
             with tempfile.TemporaryDirectory() as scratch:

@@ -70,6 +70,12 @@ REFUSALS: dict[str, tuple[Callable[[Path], object], int, str]] = {
     "another day": (lambda root: _changed(root, "CITATION.cff", TODAY, "2020-01-01"), 2, f"date-released: {TODAY}"),
     "no heading": (lambda root: _changed(root, "CHANGELOG.md", "## [0.3.0]", "## 0.3.0"), 2, "needs the heading"),
     "a development version": (lambda root: _changed(root, "sierra/util/version.py", "0.3.0", "0.3.dev1"), 2, "is no version"),
+    "a commit meanwhile": (
+        lambda root: _changed(root, ".ci/run", "test ! -e fails", "git commit --allow-empty -q -m other"),
+        1,
+        "there is another commit than the one that was checked",
+    ),
+    "files of checks": (lambda root: _changed(root, ".ci/run", "test ! -e fails", "touch new"), 1, "the checks changed files"),
     "failing checks": (lambda root: _changed(root, ".ci/run", "test ! -e fails", "exit 1"), 1, ""),
 }
 

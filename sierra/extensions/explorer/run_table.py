@@ -3,7 +3,7 @@
 A run that belongs to several experiments has a row for each. The rows are computed once for each state of the store, and their
 order once for each condition and sort column. A window is then a range of this order, so that its costs do not depend on its
 place. The final value of an output's column is that of the run's last time, as in statistics: a missing value is not
-replaced by an earlier one, several rows at the last time have no value, and robots of a run are averaged if all have that time.
+replaced by an earlier one. There is none for several rows at the last time, several robots, and times that are no numbers.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
-from sierra.ingest.robot_files import OF_ROBOT
-from sierra.store.samples import NUMERIC, TIMES
-from sierra.store.sql_names import column_names, identifier, quote, row_name
+from sierra.ingest.robot_files import FOLDERS
+from sierra.store.samples import FLAG, NUMERIC, names_time
+from sierra.store.sql_names import column_names, identifier, quote, row_name, stored_name
 from sierra.store.sql_result import Answer
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot
@@ -43,20 +43,21 @@ LEFT JOIN executions e ON e.execution = coalesce(r.execution, l.execution) ORDER
 """
 FINAL = """
 CREATE TEMP TABLE {table} AS
-WITH "# last" AS (SELECT run, max({time}) AS "# time", {rows} AS "# rows" FROM {output} WHERE isfinite({time}) GROUP BY run)
-SELECT run{columns} FROM {output} JOIN "# last" USING (run) WHERE {time} = "# time" GROUP BY run
+WITH "# last" AS (SELECT run, max({time}) AS "# time" FROM {output} WHERE isfinite({time}) GROUP BY run)
+SELECT run, {{{columns}}} AS {output} FROM {output} JOIN "# last" USING (run) WHERE {time} = "# time" GROUP BY run
 """
-"""The final values of an output; NULL if the last time has fewer or more rows than one, or than one of each robot."""
-VALUE = 'if(count(*) = any_value("# rows") AND count({name}) = count(*), avg({name}), NULL)'
-EXACT_VALUE = 'if(count(*) = any_value("# rows"), first({name}), NULL)'
+"""The final values of an output as fields, so that no condition means them by a bare name; NULL for several rows at the end."""
+VALUE = "{text}: if(count(*) = 1, first({name}), NULL)"
+UNKNOWN = "{text}: NULL::DOUBLE"
 CURVES = """
 SELECT run, {time}::DOUBLE AS time, avg({column})::DOUBLE AS value, count(*) AS rows FROM ({output})
 WHERE run IN (SELECT unnest($runs)) AND {column} IS NOT NULL AND {time} IS NOT NULL GROUP BY ALL ORDER BY run, time
 """
 SHOWN = """
 CREATE OR REPLACE TEMP TABLE "# shown" AS
-SELECT row_number() OVER (ORDER BY {order}runs."# place") AS position, runs."# place" FROM {rows}{condition}
+SELECT row_number() OVER (ORDER BY {order}runs."# place") AS position, runs."# place" FROM {rows}{chosen}
 """
+CHOSEN = ' WHERE runs."# place" IN (SELECT runs."# place" FROM {rows} WHERE (\n{where}\n))'
 HIDDEN = "# place"
 LAST = ("reason", "started", "wall_s")
 """Columns of the execution, which have other names if variables have these."""
@@ -81,7 +82,8 @@ class Column:
 
     @property
     def sql(self) -> str:
-        return f"{identifier(self.output or 'runs')}.{identifier(self.name)}"
+        table = f"{final(self.output)}.{identifier(self.output)}" if self.output else "runs"
+        return f"{table}.{identifier(self.name)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +102,8 @@ class RunTable:
     def __init__(self, snapshot: Snapshot, project: LoadedProject) -> None:
         self._snapshot = snapshot
         self._outputs = project.config.outputs
-        self._final: dict[str, str] = {}
-        """The tables of final values that exist, by output."""
+        self._final: set[str] = set()
+        """The outputs whose final values are in a table."""
         self._shown: tuple[str, str, bool] | None = None
         self.counts: dict[str, int] = {}
         """The numbers of ordered rows by status."""
@@ -132,18 +134,29 @@ class RunTable:
         """Return the types of a table's columns."""
         return {name: kind for name, kind, *_ in self._snapshot.run(f"DESCRIBE FROM {table}")}
 
+    def _own(self, output: str) -> list[str]:
+        """Return the columns of an output that are its own, in order."""
+        others = {"run", "number", "execution", row_name(self.axes), *self.axes}
+        return [name for name in self._kinds(identifier(output)) if name not in others]
+
     def _numbers(self, output: str) -> list[str]:
         """Return the numeric columns of an output that are its own."""
         kinds = self._kinds(identifier(output))
-        others = {"run", "number", "execution", row_name(self.axes), *self.axes}
-        return [name for name, kind in kinds.items() if name not in others and re.fullmatch(NUMERIC, kind)]
+        return [name for name in self._own(output) if re.fullmatch(NUMERIC, kinds[name])]
 
     def time(self, output: str) -> str:
-        """Return the column that orders the rows of an output: the declared one, one with such a name, or the row's number."""
-        declared = self._outputs.get(output)
-        names = self._numbers(output)
-        usual = [name for name in names if name.lower() in TIMES]
-        return next((name for name in (getattr(declared, "time", ""), *usual) if name in names), row_name(self.axes))
+        """Return the time of an output, as statistics find it; the number of the row if there is none or if it is no number."""
+        declared = getattr(self._outputs.get(output), "time", "")
+        numbers, every = self._numbers(output), self._own(output)
+        named = stored_name(declared, every) if declared else every[0] if names_time(every[0]) else ""
+        return named if named in numbers and self._kinds(identifier(output))[named] != FLAG else row_name(self.axes)
+
+    def is_final_known(self, output: str) -> bool:
+        """Return whether final values can be told: not those of several robots, nor those at times that are no numbers."""
+        declared, every = self._outputs.get(output), self._own(output)
+        named = getattr(declared, "time", "") or (every[0] if names_time(every[0]) else "")
+        several = any(mark.rstrip("/") in getattr(declared, "file", "") for mark in FOLDERS)
+        return not several and (not named or self.time(output) != row_name(self.axes))
 
     @property
     def choices(self) -> JsonView:
@@ -165,13 +178,13 @@ class RunTable:
         if key == self._shown:
             return
         order = self._column(wanted.order) if wanted.order else None
-        rows = self._rows([order] if order else [], wanted.where)
-        condition = f"\nWHERE (\n{wanted.where}\n)" if wanted.where.strip() else ""
-        if condition:
-            self._check(wanted.where, f"SELECT 1 FROM {rows}{condition} LIMIT 0")
+        rows, chosen = self._rows([order] if order else [], ""), ""
+        if wanted.where.strip():
+            chosen = CHOSEN.format(rows=self._rows([], wanted.where), where=wanted.where)
+            self._check(wanted.where, f'SELECT 1 FROM "# runs" AS runs{chosen} LIMIT 0')
         by = f"{order.sql} {'DESC' if wanted.descending else 'ASC'} NULLS LAST, " if order else ""
         self._shown = None
-        self._snapshot.run(SHOWN.format(order=by, rows=rows, condition=condition))
+        self._snapshot.run(SHOWN.format(order=by, rows=rows, chosen=chosen))
         counts = 'SELECT status, count(*) FROM "# shown" JOIN "# runs" USING ("# place") GROUP BY status ORDER BY 2 DESC'
         self.counts = dict(self._snapshot.run(counts))
         self._shown = key
@@ -224,20 +237,25 @@ class RunTable:
     def _rows(self, columns: Sequence[Column], where: str) -> str:
         """Return the relation of rows, with the final values that columns or a condition need."""
         outputs = {column.output for column in columns if column.output}
-        outputs |= {output for output in self._snapshot.views.outputs if output.lower() in where.lower()}
-        made = {identifier(name): identifier(self._made(name)) for name in sorted(outputs)}
-        joins = (f" LEFT JOIN {table} AS {name} USING (run)" for name, table in made.items())
-        return f'"# runs" AS runs{"".join(joins)}'
+        outputs |= {output for output in self._snapshot.views.outputs if _is_named(output, where)}
+        return f'"# runs" AS runs{"".join(f" LEFT JOIN {self._made(name)} USING (run)" for name in sorted(outputs))}'
 
     def _made(self, output: str) -> str:
         """Return the table with the final values of an output, which is computed when it is needed first."""
         if output not in self._final:
-            table = f"# final {output}"
-            names, time = [identifier(name) for name in self._numbers(output)], identifier(self.time(output))
-            robots = OF_ROBOT in getattr(self._outputs.get(output), "file", "")
-            rows, value = ("count(DISTINCT robot)", VALUE) if robots else ("1", EXACT_VALUE)
-            last = "".join(f", {value.format(name=name)} AS {name}" for name in names)
-            told = {"table": identifier(table), "time": time, "rows": rows, "columns": last, "output": identifier(output)}
-            self._snapshot.run(FINAL.format(**told))
-            self._final[output] = table
-        return self._final[output]
+            time = identifier(self.time(output))
+            value = VALUE if self.is_final_known(output) else UNKNOWN
+            values = ", ".join(value.format(text=quote(name), name=identifier(name)) for name in self._numbers(output))
+            self._snapshot.run(FINAL.format(table=final(output), time=time, columns=values, output=identifier(output)))
+            self._final.add(output)
+        return final(output)
+
+
+def final(output: str) -> str:
+    """Return the name of the table with the final values of an output."""
+    return identifier(f"# final {output}")
+
+
+def _is_named(output: str, where: str) -> bool:
+    """Return whether a condition may use columns of an output: they are written as OUTPUT.COLUMN."""
+    return re.search(rf'(?<!\w){re.escape(output)}"?\s*\.', where, re.IGNORECASE) is not None

@@ -75,6 +75,8 @@ def video(
 
         if len(words or ()) > 1:
             raise UsageError(f"--capture takes one id, not {len(words or ())}")
+        if quiet:
+            raise UsageError("--quiet: not with --capture")
         capture(words[0] if words else None, runs or 1, jobs, runner or "local", engine, again, as_json)
         return
     others = {"--runs": runs, "--on": runner, "--engine": engine, "--again": again or None}

@@ -70,6 +70,38 @@ with open("twice.csv", "w") as file:
     file.write("tick,value\\n1,5\\n2,6\\n2,7\\n")
 """
 )
+ODD = (
+    projects.SIMULATOR
+    + """for name, text in {
+    "a": "coverage,seconds\\n1,0.5\\n2,0.9\\n3,0.1\\n",
+    "c": "when,value\\n00:00:10,1\\n00:00:30,3\\n00:00:20,2\\n",
+    "e": "value,t\\n5,true\\n",
+    "g": "time,value\\n1,5\\n3,7\\n2,6\\n",
+}.items():
+    with open(name + ".csv", "w") as file:
+        file.write(text)
+"""
+)
+ODD_OUTPUTS = "".join(
+    f'[outputs.{name}]\nfile = "{name}.csv"\ntime_order = "any"\n{time}'
+    for name, time in {"a": "", "c": 'time = "when"\n', "e": "", "g": ""}.items()
+)
+
+
+@pytest.mark.integration
+def test_a_final_value_is_that_of_statistics_or_missing(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + ODD_OUTPUTS, simulator=ODD)
+    stores.ask(root, "population_size=1", runs=1)
+    expected = {"a.coverage": 3, "c.value": None, "e.value": 5, "g.value": 7}
+    with served(explorer(sierra.open(root))) as page:
+        found = page.ask("runs", columns=list(expected))
+        assert dict(zip(found["columns"], found["rows"][0][1:], strict=True)) == expected
+    for column, value in expected.items():
+        answer = projects.quick(root, "stats", *column.split("."), "--measure", "final", "--json")
+        [row] = json.loads(answer.stdout)
+        assert value in (None, row["mean"]), column
+
+
 OUTPUTS = """
 [outputs.last]
 file = "last.csv"
@@ -111,7 +143,7 @@ def test_rows_are_sorted_by_any_column(page: Page, order: str, descending: bool)
     ("where", "check"),
     [
         ("population_size = 2", lambda size, coverage: size == 2),
-        ("swarm.coverage > 12 OR coverage < 9", lambda size, coverage: coverage > 12 or coverage < 9),
+        ('swarm.coverage > 12 OR "SWARM".coverage < 9', lambda size, coverage: coverage > 12 or coverage < 9),
         ("population_size IS NULL -- a comment", lambda size, coverage: size is None),
     ],
 )
@@ -134,6 +166,8 @@ def test_a_window_is_a_part_of_the_list(page: Page) -> None:
     [
         "population_size >",
         "nothing = 1",
+        "coverage > 1",
+        "coverage > 1 AND swarm.tick > 0",
         "true) GROUP BY ALL --",
         "(SELECT count(*) FROM batches) > 1",
         "EXISTS (SELECT * FROM read_csv('/etc/passwd'))",

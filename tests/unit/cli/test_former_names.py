@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from sierra.cli.app import FORMER
+from sierra.config import extensions
 from tests import projects
 
 MODEL = """
@@ -80,6 +81,10 @@ def _tree(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def test_each_command_of_an_extension_has_a_section() -> None:
+    assert extensions.sections().keys() == {name for name in extensions.added("commands") if " " not in name}
+
+
 def test_help_lists_no_former_name(project: Path) -> None:
     listed = set(re.findall(r"^  ([a-z-]+)  ", projects.quick(project, "--help").stdout.partition("\nRun:")[2], re.MULTILINE))
     assert len(listed) <= 32
@@ -95,6 +100,11 @@ REFUSED: dict[str, tuple[str, str]] = {
     "keep in JSON": ("claims --keep v1 --json", "leave out"),
     "a package without a file": ("package 9e1c", "name the file to write"),
     "cite with a batch": ("package 9e1c --cite", "--cite packs nothing"),
+    "cite with an option of packages": ("package --cite --image oci", "--cite packs nothing"),
+    "inputs with 0 looks": ("run sizes --inputs x --max-runs 0", "leave out --max-runs"),
+    "long files": ("show 9e1c --files --long", "leave out --long"),
+    "a file and all files": ("show 9e1c swarm.csv --files", "leave out --long, PATH and --to"),
+    "a quiet capture": ("video --capture -q", "--quiet: not with --capture"),
     "frames without a capture": ("video --runs 2", "--runs: only with --capture"),
     "several captures": ("video --capture 9e1c 722b", "--capture takes one id, not 2"),
 }

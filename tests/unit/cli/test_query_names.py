@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -29,9 +30,14 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("words", ["show NAME", "show NAME --files", "stats swarm coverage -b NAME"])
+def _batch(project: Path, query: str) -> str:
+    [found] = [one["batch"] for one in json.loads(projects.quick(project, "ls", "--json").stdout) if one["query"] == query]
+    return str(found)
+
+
+@pytest.mark.parametrize("words", ["show NAME", "show NAME --files", "stats swarm coverage -b NAME", "why NAME"])
 def test_a_name_stands_for_the_batch_of_the_query(project: Path, words: str) -> None:
-    batch = projects.quick(project, "sql", "SELECT batch FROM batches ORDER BY created LIMIT 1", "-f", "csv").stdout.split()[1]
+    batch = _batch(project, "population_size=1,2")
     named, identified = (projects.quick(project, *words.replace("NAME", word).split()) for word in ("sizes", batch))
     assert (named.returncode, named.stderr) == (0, identified.stderr)
     assert named.stdout == identified.stdout
@@ -51,3 +57,43 @@ def test_a_query_that_has_not_been_run_with_this_code_is_named(project: Path) ->
         refused = projects.quick(project, *words.split())
         assert refused.returncode != 0
         assert "the query 'sizes' has not been run with this project as it is; see sierra ls" in refused.stderr
+
+
+def test_a_name_that_begins_an_id_of_something_else_is_refused(project: Path) -> None:
+    ids = "SELECT run AS id FROM runs UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions"
+    asked = projects.quick(project, "sql", f"SELECT min(id) FROM ({ids}) WHERE id > 'a'", "-f", "csv")
+    other = asked.stdout.split()[1]
+    config = (project / "sierra.toml").read_text()
+    (project / "sierra.toml").write_text(config.replace("[queries.sizes]", f'[queries."{other[:6]}"]'))
+    refused = projects.quick(project, "show", other[:6])
+    assert refused.returncode == 2
+    assert "is the name of a query, and an id begins with it" in refused.stderr
+    assert projects.quick(project, "show", other[:9]).returncode == 0
+
+
+def test_records_are_shown_whatever_the_file_says(project: Path) -> None:
+    batch = _batch(project, "population_size=1,2")
+    with (project / "sierra.toml").open("a") as file:
+        file.write("\n[nonsense]\n")
+    assert projects.quick(project, "show", batch).returncode == 0
+    assert projects.quick(project, "show", batch, "--files").returncode == 0
+    assert "nonsense" in projects.quick(project, "show", "sizes").stderr
+
+
+def test_names_of_queries_and_programs_of_a_package_are_not_used(project: Path, tmp_path: Path) -> None:
+    mark = tmp_path / "executed"
+    with (project / "sierra.toml").open("a") as file:
+        file.write(f'\n[models.evil]\ncolumn = "coverage"\ncommand = ["touch", "{mark}"]\n')
+    batch = _batch(project, "population_size=1,2")
+    packed = projects.quick(project, "package", batch, "-o", "../x.zip", "--yes", "--no-report")
+    assert packed.returncode == 0, packed.stderr
+    mark.unlink(missing_ok=True)
+    for words, message in {
+        ("stats", "--models"): "nothing of a package is executed",
+        ("ls", "--jobs"): "nothing of a package is executed",
+        ("show", "sizes"): "'sizes' is not an id",
+    }.items():
+        refused = projects.quick(project, "open", "../x.zip", *words)
+        assert refused.returncode != 0
+        assert message in refused.stderr
+    assert not mark.exists()

@@ -25,7 +25,7 @@
   function written(key, value) {
     if (value === null || value === undefined) return "";
     if (IDS.includes(key)) return short(value);
-    if (key === "started") return value.slice(0, 19);
+    if (key === "started" && typeof value === "string") return value.slice(0, 19);
     return typeof value === "number" && !Number.isInteger(value) ? String(Number(value.toPrecision(6))) : visible(value);
   }
 
