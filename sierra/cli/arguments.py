@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +30,11 @@ MEASURES: dict[Measure, MeasureName] = {
     Measure.time_to: "time_to",
 }
 """The measures as the Python API names them."""
+
+
+def names_of_given(options: Mapping[str, object]) -> str:
+    """Return the names of the options that were given, with commas; not those with None, False, an empty text or list."""
+    return ", ".join(name for name, value in options.items() if not (value is None or value is False or value in ("", [], ())))
 
 
 ShownId = Annotated[

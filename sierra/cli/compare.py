@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import MEASURES, Long, MeasureOfRun, OneColumn, OneOutput, Threshold
+from sierra.cli.arguments import MEASURES, Long, MeasureOfRun, OneColumn, OneOutput, Threshold, names_of_given
 from sierra.cli.figures import from_here
 from sierra.cli.output import note, print_json, terminal_width
 from sierra.cli.output import table as table_of
@@ -158,10 +158,8 @@ def compare(
     }
     names = list(words or [])
     if names and names[0] in opened.config.comparisons:
-        if options := [name for name, value in given.items() if value not in (None, "")]:
-            raise UsageError(
-                f"sierra.toml declares the comparison {names[0]!r}; leave out {', '.join(options)}, or change it there"
-            )
+        if options := names_of_given(given):
+            raise UsageError(f"sierra.toml declares the comparison {names[0]!r}; leave out {options}, or change it there")
         if len(names) > 2:
             raise UsageError(f"the comparison {names[0]!r} takes one batch at most, not {len(names) - 1}")
         found = opened.compare_declared(*names)

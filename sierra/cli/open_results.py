@@ -116,5 +116,4 @@ def import_(context: typer.Context, as_json: AsJson = False) -> None:
     """
     from sierra.cli.import_package import import_ as add
 
-    package: Path = context.obj
-    add(package, as_json)
+    add(context.obj, as_json)

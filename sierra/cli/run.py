@@ -24,6 +24,7 @@ from sierra.cli.arguments import (
     Scenario,
     Sets,
     TargetNames,
+    names_of_given,
 )
 from sierra.cli.output import note, print_json, table
 from sierra.errors import SierraError, UsageError
@@ -144,8 +145,8 @@ def run(
             "--until": until,
             "--max-runs": max_runs,
         }
-        if refused := [name for name, value in others.items() if value is not None and value is not False]:
-            raise UsageError(f"--inputs executes nothing; leave out {', '.join(refused)}")
+        if refused := names_of_given(others):
+            raise UsageError(f"--inputs executes nothing; leave out {refused}")
         from sierra.cli.inputs import inputs as write_inputs
 
         write_inputs(query, inputs, runs, controller, scenario, sets, target, only, engine, as_json, yes)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import Measure, MeasureOfRun, TargetOfBatch, Threshold
+from sierra.cli.arguments import Measure, MeasureOfRun, TargetOfBatch, Threshold, names_of_given
 from sierra.cli.sql import Format, Printable, write, write_text
 from sierra.errors import UsageError
 
@@ -138,9 +138,8 @@ def stats(
 
     if with_models:
         others = {"COLUMN": column, "--measure": measure, "--threshold": threshold, "--times": times, "--statistic": statistic}
-        others |= {"--caption": caption or None, "--label": label or None}
-        if refused := [name for name, value in others.items() if value is not None]:
-            raise UsageError(f"--models compares all that a model predicts; leave out {', '.join(refused)}")
+        if refused := names_of_given({**others, "--caption": caption, "--label": label}):
+            raise UsageError(f"--models compares all that a model predicts; leave out {refused}")
         if format.value not in set(Format):
             raise UsageError(f"--models has no table for papers; use --format {', '.join(Format)}")
         from sierra.cli.models import models

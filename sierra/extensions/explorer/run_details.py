@@ -49,7 +49,7 @@ def file(store: Store, run: str, path: str) -> JsonView:
 
     `path` only selects a file of the list: nothing is opened by it. Raises NotFound, UsageError for a file that is too large.
     """
-    chosen = next((one for one in listing(store, run, check=False).files if one.path == path), None)
+    chosen = next((recorded for recorded in listing(store, run, check=False).files if recorded.path == path), None)
     command = shlex.join(("sierra", "show", short(run), path))
     if chosen is None:
         raise NotFound(f"run {short(run)} has no recorded file {path!r}")

@@ -102,6 +102,8 @@ class RunTable:
     def __init__(self, snapshot: Snapshot, project: LoadedProject) -> None:
         self._snapshot = snapshot
         self._outputs = project.config.outputs
+        self._types: dict[str, dict[str, str]] = {}
+        """The types of columns by table, which do not change in a snapshot."""
         self._final: set[str] = set()
         """The outputs whose final values are in a table."""
         self._shown: tuple[str, str, bool] | None = None
@@ -132,31 +134,34 @@ class RunTable:
 
     def _kinds(self, table: str) -> dict[str, str]:
         """Return the types of a table's columns."""
-        return {name: kind for name, kind, *_ in self._snapshot.run(f"DESCRIBE FROM {table}")}
+        if table not in self._types:
+            self._types[table] = {name: kind for name, kind, *_ in self._snapshot.run(f"DESCRIBE FROM {table}")}
+        return self._types[table]
 
-    def _own(self, output: str) -> list[str]:
-        """Return the columns of an output that are its own, in order."""
+    def _own(self, output: str) -> dict[str, str]:
+        """Return the columns of an output that are its own, in order, with their types."""
         others = {"run", "number", "execution", row_name(self.axes), *self.axes}
-        return [name for name in self._kinds(identifier(output)) if name not in others]
+        return {name: kind for name, kind in self._kinds(identifier(output)).items() if name not in others}
 
     def _numbers(self, output: str) -> list[str]:
         """Return the numeric columns of an output that are its own."""
-        kinds = self._kinds(identifier(output))
-        return [name for name in self._own(output) if re.fullmatch(NUMERIC, kinds[name])]
+        return [name for name, kind in self._own(output).items() if re.fullmatch(NUMERIC, kind)]
+
+    def _named_time(self, output: str) -> str:
+        """Return the time column that is declared for an output, or else its first column if that has such a name; else ""."""
+        own, declared = self._own(output), getattr(self._outputs.get(output), "time", "")
+        first = next(iter(own), "")
+        return stored_name(declared, own) if declared else first if names_time(first) else ""
 
     def time(self, output: str) -> str:
         """Return the time of an output, as statistics find it; the number of the row if there is none or if it is no number."""
-        declared = getattr(self._outputs.get(output), "time", "")
-        numbers, every = self._numbers(output), self._own(output)
-        named = stored_name(declared, every) if declared else every[0] if names_time(every[0]) else ""
-        return named if named in numbers and self._kinds(identifier(output))[named] != FLAG else row_name(self.axes)
+        named = self._named_time(output)
+        return named if named in self._numbers(output) and self._own(output)[named] != FLAG else row_name(self.axes)
 
     def is_final_known(self, output: str) -> bool:
         """Return whether final values can be told: not those of several robots, nor those at times that are no numbers."""
-        declared, every = self._outputs.get(output), self._own(output)
-        named = getattr(declared, "time", "") or (every[0] if names_time(every[0]) else "")
-        several = any(mark.rstrip("/") in getattr(declared, "file", "") for mark in FOLDERS)
-        return not several and (not named or self.time(output) != row_name(self.axes))
+        several = any(mark.rstrip("/") in getattr(self._outputs.get(output), "file", "") for mark in FOLDERS)
+        return not several and (not self._named_time(output) or self.time(output) != row_name(self.axes))
 
     @property
     def choices(self) -> JsonView:

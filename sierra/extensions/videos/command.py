@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import AsJson, Jobs
+from sierra.cli.arguments import AsJson, Jobs, names_of_given
 from sierra.cli.figures import PREFIX, from_here
 from sierra.cli.output import note, print_json
 from sierra.errors import UsageError
@@ -79,9 +79,8 @@ def video(
             raise UsageError("--quiet: not with --capture")
         capture(words[0] if words else None, runs or 1, jobs, runner or "local", engine, again, as_json)
         return
-    others = {"--runs": runs, "--on": runner, "--engine": engine, "--again": again or None}
-    if refused := [name for name, value in others.items() if value is not None]:
-        raise UsageError(f"{', '.join(refused)}: only with --capture")
+    if refused := names_of_given({"--runs": runs, "--on": runner, "--engine": engine, "--again": again}):
+        raise UsageError(f"{refused}: only with --capture")
 
     opened = project()
     batches, names = _split(opened, words or [])
