@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,28 +94,61 @@ def keys() -> Iterator[str]:
         "An XPath is XPath 1.0. `sierra schema NAME` prints one of these tables, or one key. "
         "`schemas/sierra.toml.schema.json` is for editors. A key that several tables have is described in the first of them."
     )
-    shown: dict[Key, str] = {}
+    shown: dict[tuple[str, ...], tuple[str, Key]] = {}
     every = list(key_tables())
+    titles = {_title(table) for table in every}
     for table in every:
         title = _title(table)
         yield f"{'###' if table.kind else '##'} {title}"
         if table.header:
             yield f"Header: `{table.header}`"
         yield from table.sentences
-        for other in dict.fromkeys(shown[key] for key in table.keys if key in shown):
-            names = ", ".join(f"`{key.name}`" for key in table.keys if shown.get(key) == other)
-            yield f"As in [{other}](#{_anchor(other)}): {names}."
-        new = [key for key in table.keys if key not in shown]
-        if table.name == "targets":  # their other keys are tables, which have sections of their own
-            tables = [key for key in new if key.name in {other.name for other in every}]
-            yield f"Tables as for all runs: {', '.join(f'[{key.name}](#{_anchor(key.name)})' for key in tables)}."
-            new = [key for key in new if key not in tables]
-        shown |= dict.fromkeys(new, title)
+        sections = {key: _section(table, key, titles) for key in table.keys}
+        if tables := [
+            f"[{key.name}](#{_anchor(section)})" + " (required)" * (key.default == "required")
+            for key, section in sections.items()
+            if section
+        ]:
+            yield f"Tables: {', '.join(tables)}."
+        described: dict[str, list[str]] = {}
+        new = []
+        for key in (key for key, section in sections.items() if not section):
+            other, first = shown.setdefault(_same(key), (title, key))
+            if first is key:
+                new.append(key)
+            else:
+                described.setdefault(other, []).append(f"`{key.name}`{_own_default(key, first)}")
+        for other, names in described.items():
+            yield f"As in [{other}](#{_anchor(other)}): {', '.join(names)}."
         rows = [(f"`{key.name}`", LINKS.get(key.type, key.type), key.default, key.meaning) for key in new]
         if rows:
             yield _table(("key", "type", "default", "meaning"), rows)
         elif not table.keys:
             yield "The keys are in [keys of a change](#keys-of-a-change)."
+
+
+def _same(key: Key) -> tuple[str, ...]:
+    """Return what keys that are described once have in common; they may have different defaults."""
+    return key.name, key.type, key.meaning
+
+
+def _own_default(key: Key, first: Key) -> str:
+    """Return the default of a key in words if it differs from the one of the key that is described."""
+    if key.default == first.default:
+        return ""
+    if "required" in (key.default, first.default):
+        return " (required)" if key.default == "required" else " (not required)"
+    return key.default and f" (default: {key.default})"
+
+
+def _section(table: KeyTable, key: Key, titles: Container[str]) -> str:
+    """Return the title of the section about a key that is a table; "" for a key without one.
+
+    The tables within targets are those of the top level.
+    """
+    outside = table.header.strip("[]") if table.name != "targets" else ""
+    paths = (f"{outside}.{key.name}" if outside else key.name, f"{table.name}.{key.name}")
+    return next((path for path in paths if path in titles and path != table.name), "")
 
 
 def _title(table: KeyTable) -> str:

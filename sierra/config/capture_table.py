@@ -8,14 +8,18 @@ from typing import Annotated
 from pydantic import Field
 
 from sierra.config.change_tables import ChangeTable
-from sierra.config.field_types import Argv, Positive, Size, Table, Text, VariableName
+from sierra.config.execution_tables import OwnLimits
+from sierra.config.field_types import Argv, Positive, Text, VariableName
 
 Side = Annotated[int, Field(ge=16, le=8192)]
 """The length of a side of a frame, in pixels."""
 
 
-class Capture(Table):
-    """Rendering of recorded runs, which are executed once more for it. Measured runs and their identity do not change."""
+class Capture(OwnLimits):
+    """Rendering of recorded runs, which are executed once more for it. Measured runs and their identity do not change.
+
+    Limits take the place of those in `[limits]`.
+    """
 
     files: str = Field(
         "",
@@ -41,10 +45,4 @@ class Capture(Table):
     size: tuple[Side, Side] = Field((640, 480), description="width and height of frames, and of the display, in pixels")
     interval: Positive | None = Field(
         None, description="simulated time between two frames in seconds, for platforms that render; default: theirs"
-    )
-    wall: Positive | None = Field(None, description="wall-clock time, in seconds, that takes the place of `wall` in [limits]")
-    cpu: Positive | None = Field(None, description="the same for `cpu` in [limits]: CPU time, in seconds")
-    memory: Size | None = Field(None, description="the same for `memory` in [limits], in bytes or as in `2 GiB`")
-    output: Size | None = Field(
-        None, description="the same for `output` in [limits], in bytes or as in `500 MB`; frames belong to it"
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, StringConstraints, model_validator
 
-from sierra.config.field_types import NAME, Argv, Name, RawTable, Table, Text
+from sierra.config.field_types import NAME, Argv, Label, Name, RawTable, Table, Text
 
 VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
@@ -81,20 +81,28 @@ class ChangeTable(Table):
 
 
 Argument = Annotated[Argv, AfterValidator(_with_value)]
+Changes = Annotated[
+    tuple[ChangeTable, ...], Field(description="changes to the template; `{name}` is the value of a variable of this name")
+]
 EnvironmentName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_not_fixed)]
 
 
-class ValueOfVariable(Table):
-    """The changes that a value of a variable makes for one target. The short form is the XPath alone."""
+class PlaceOfSeed(Table):
+    """Where the seed goes for a target. The short form is the XPath alone."""
 
-    set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself")
-    changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
+    set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself, or the seed")
     argument: Argument = Field(
         (), description="words of the command with the value, as in `--robots {value}`; a value is never split into words"
     )
     environment: EnvironmentName | None = Field(
         None, description="name of the environment variable of runs that gets the value"
     )
+
+
+class ValueOfVariable(PlaceOfSeed):
+    """The changes that a value of a variable makes for one target. The short form is the XPath alone."""
+
+    changes: Changes = ()
 
     @property
     def is_given(self) -> bool:
@@ -115,19 +123,11 @@ class Variable(ValueOfVariable):
     the command or other changes use as `{name}`.
     """
 
-    label: str = Field("", description="name in figures; default: the variable's name")
+    label: Label = ""
     unit: str = Field("", description="unit in figures")
     targets: Mapping[
         Name, Annotated[ValueOfVariable, BeforeValidator(set_to, json_schema_input_type=str | ValueOfVariable)]
     ] = Field(default_factory=dict, description=OF_TARGETS)
-
-
-class PlaceOfSeed(Table):
-    """Where the seed goes for a target. The short form is the XPath alone."""
-
-    set: str | None = Field(None, description="XPath of the attribute or element that gets the seed")
-    argument: Argument = Field((), description="words of the command with the seed, as in `--seed {value}`")
-    environment: EnvironmentName | None = Field(None, description="name of the environment variable of runs that gets the seed")
 
 
 class Seed(PlaceOfSeed):
@@ -152,7 +152,7 @@ class Seed(PlaceOfSeed):
 class ChangesOfGroup(Table):
     """The changes of a controller or a scenario for a target."""
 
-    changes: tuple[ChangeTable, ...] = Field((), description="changes to the template; may be empty")
+    changes: Changes = ()
     platform: RawTable = Field(
         default_factory=dict, description="options of the platform, merged over `[platforms.NAME]`; see `sierra schema`"
     )
@@ -161,5 +161,5 @@ class ChangesOfGroup(Table):
 class Group(ChangesOfGroup):
     """A controller or a scenario: a named group of changes."""
 
-    label: str = Field("", description="name in figures; default: the group's name")
+    label: Label = ""
     targets: Mapping[Name, ChangesOfGroup] = Field(default_factory=dict, description=OF_TARGETS)

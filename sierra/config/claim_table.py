@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from sierra.config.deliverable_tables import ListOfWords, known_method
-from sierra.config.field_types import OF_RUN, Finite, Line, Positive, Table, Words
-from sierra.model import Measure
+from sierra.config.deliverable_tables import known_method
+from sierra.config.field_types import (
+    Alpha,
+    Criteria,
+    Finite,
+    Line,
+    ListOfWords,
+    Measured,
+    OfQuery,
+    Positive,
+)
 from sierra.util.lazy_definitions import regex
 
 DECISIONS = ("sql", "value", "order", "equivalence")
@@ -43,28 +51,6 @@ Margin = Annotated[Finite | str, AfterValidator(_margin)]
 def distance(margin: float | str, value: float) -> float:
     """Return a margin as a distance in the unit of `value`."""
     return float(margin.strip().rstrip("%")) / 100 * abs(value) if isinstance(margin, str) else margin
-
-
-class Measured(Table):
-    """The values of runs that decide a claim."""
-
-    table: str = Field("", description="name of the output or derived table; may be omitted if only one has the column")
-    column: str = Field("", description="column; may be omitted if there is only one")
-    measure: Measure | None = Field(
-        None,
-        description=f"how a run is reduced to one number: {OF_RUN}; default: `final`, or `mean` in a table of events",
-    )
-    threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
-    where: str = Field("", description="rows that count, as an SQL condition on columns of the output; default: all rows")
-    experiments: str = Field(
-        "", description="experiments that count, as in `sierra run --only`: `noise=0 and size<=4`; default: all"
-    )
-
-    @model_validator(mode="after")
-    def _reduced(self) -> Measured:
-        if (self.measure == "time_to") != (self.threshold is not None):
-            raise ValueError('measure "time_to" and "threshold" must be used together')
-        return self
 
 
 class ClaimedValue(Measured):
@@ -111,9 +97,7 @@ class Tested(Measured):
     paired: bool | Literal["auto"] = Field(
         "auto", description="whether runs with the same seed are compared as pairs; `auto`: if their values are correlated"
     )
-    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.05, description="significance level; the p values of claims on one table of pairs are corrected together (Holm)"
-    )
+    alpha: Alpha = 0.05
 
     @model_validator(mode="after")
     def _different(self) -> Tested:
@@ -135,24 +119,19 @@ class ClaimedEquivalence(Tested):
     margin: Positive = Field(description="the largest difference that does not matter, in the column's unit")
 
 
-class Claim(Table):
+class Claim(OfQuery):
     """One claim of a paper, decided by exactly one of `sql`, `value`, `order` and `equivalence`."""
 
     says: Line = Field(description="the sentence of the paper")
     figure: str = Field("", description="name of the figure in `figures` that shows it")
     table: str = Field("", description="name of the table in `paper_tables` that shows it")
     paper: str = Field("", description="place in the paper, such as `Fig. 3`")
-    query: Annotated[
-        tuple[str, ...],
-        BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
-    ] = Field((), description="the query whose batch decides, as for `sierra run`; or the name of one in `queries`")
-    runs: PositiveInt | None = Field(None, description="with `query`: runs per experiment; default: those of the query")
+    query: Criteria = Field(
+        (), description="the query whose batch decides, as for `sierra run`; or the name of one in `queries`"
+    )
     plan_n: Annotated[str, AfterValidator(_plan_n)] = Field(
         "", description="the `sierra plan-n` command that the number of runs came from; it is registered with the claim"
     )
-    controller: str | None = Field(None, description="with `query`: name of the controller; default: the project's")
-    scenario: str | None = Field(None, description="with `query`: name of the scenario; default: the project's")
-    target: str | None = Field(None, description="with `query`: name of the target; default: the project's")
     batches: ListOfWords = Field(
         (),
         description="the batches that decide, instead of `query`: each the prefix of an id or the name of a query in "

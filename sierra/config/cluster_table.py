@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt
 
-from sierra.config.field_types import Line, Positive, Size, Table, valid_path
+from sierra.config.field_types import OF_PYTHON, Line, Positive, Size, Table, valid_path
 from sierra.errors import ConfigError
 
 SETTINGS: Mapping[int | str, str] = {
@@ -49,7 +49,7 @@ class ClusterTable(Table):
     directives: tuple[Line, ...] = Field(
         (), description="further directives for which there is no setting: the text after `#SBATCH` or `#PBS`"
     )
-    python: str = Field("python3", min_length=1, description="the command for Python 3.8 or newer on the nodes")
+    python: Annotated[str, OF_PYTHON, Field(min_length=1)] = "python3"
     scratch: OnNode | None = Field(
         None,
         description="folder on the node in which runs execute, such as `$TMPDIR/x`; its parent folder must exist; default: "

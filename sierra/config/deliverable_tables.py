@@ -7,7 +7,23 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from sierra.config.field_types import OF_RUN, Finite, InProject, Positive, RawTable, Table, Words
+from sierra.config.field_types import (
+    OF_RUN,
+    OF_WALL,
+    Alpha,
+    Experiments,
+    Finite,
+    ListOfWords,
+    Measured,
+    OfStatement,
+    OfTable,
+    Positive,
+    RawTable,
+    Table,
+    Threshold,
+    Where,
+    check_threshold,
+)
 from sierra.config.field_types import Size as SizeInBytes
 from sierra.model import Measure
 from sierra.util.text import like
@@ -41,9 +57,6 @@ def _different(formats: tuple[Format, ...]) -> tuple[Format, ...]:
 Unique = Field(min_length=1, json_schema_extra={"uniqueItems": True})
 Formats = Annotated[tuple[Format, ...], Unique, AfterValidator(_different)]
 Part = Annotated[float, Field(gt=0, lt=1)]
-ListOfWords = Annotated[
-    tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
-]
 
 
 def _queries(words: tuple[str, ...]) -> tuple[str, ...]:
@@ -62,13 +75,29 @@ Bound = Annotated[
     ),
 ]
 LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
+LimitsOfX = Annotated[LimitsOfAxis | None, Field(description="limits of the x axis; what is beyond them is cut off")]
+LimitsOfY = Annotated[LimitsOfAxis | None, Field(description="limits of the y axis; what is beyond them is cut off")]
+OF_SIZE = Field(
+    description="width of the figure, by the name of a template of papers, or width and height in inches; `slide` is 5 × 2.8 "
+    "inches, to be enlarged; default: a column of 3.5 inches, or a page for many panels"
+)
+Labels = Annotated[Mapping[str, str], Field(description="names in the figure of groups and other values, by the value")]
+Title = Annotated[str, Field(description="title above the figure or the frames")]
+Layout = Annotated[
+    Literal["spring", "kamada_kawai", "circular"],
+    Field(description="layout if `place` is not given, of the edges of all times; the same in all panels and at all times"),
+]
+Footnote = Annotated[str, Field(description="text below the figure or table, after what SIERRA writes there")]
+RowsOf = Annotated[
+    str, Field(description="a SELECT statement instead of a `table`; each table in it has a column `batch`, the batch's label")
+]
 
 
 class DerivedTable(Table):
     """One table that SQL makes from outputs, the store's tables and other derived tables. It is used like an output."""
 
     sql: str = Field("", description="one SELECT statement (DuckDB's dialect); give either `sql` or `file`")
-    file: InProject | None = Field(None, description="file of the project that contains the statement; it is no source of runs")
+    file: OfStatement = None
     time: str = Field("", description="column that is the time axis; default: the first column, if it is named like a time")
     units: Mapping[str, str] = Field(default_factory=dict, description="unit of each column in figures")
     description: str = Field("", description="what the table contains, for readers")
@@ -83,7 +112,7 @@ class DerivedTable(Table):
 class SqlLimits(Table):
     """Limits on the statements of `[tables.NAME]` and of figures, and on conditions (`where`)."""
 
-    wall: Positive = Field(300.0, description="time limit of each statement, in seconds")
+    wall: Annotated[Positive, OF_WALL] = 300.0
     memory: SizeInBytes = Field(
         4_000_000_000,
         description="memory limit of all derived tables of a command, in bytes or as in `2 GiB`; four times as much may be "
@@ -115,21 +144,16 @@ class Figure(Table):
         "", description="name of another figure, or of `figure_defaults`, whose keys are taken unless this figure has its own"
     )
     query: Bound = ()
-    table: str = Field("", description="name of the output or derived table; may be omitted if there is only one output")
-    sql: str = Field("", description="a SELECT statement whose rows are drawn instead of a `table`, as in `[tables.NAME]`")
+    table: OfTable = ""
+    sql: RowsOf = ""
     columns: ListOfWords = Field((), alias="column", description="column, or the columns that the kind needs")
     times: Literal["own", "carry", "linear"] | None = Field(
         None,
         description="times of values drawn over time: `own`: each run's own times; `carry`, `linear`: common times, with the "
         "last values carried forward or linear interpolation; default: `own`, or `carry` if most times differ between runs",
     )
-    measure: Measure = Field(
-        "final",
-        description=f"how a run is reduced to one number: {OF_RUN}",
-    )
-    threshold: Finite | None = Field(
-        None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
-    )
+    measure: Annotated[Measure, OF_RUN] = "final"
+    threshold: Threshold = None
     center: str = Field(
         "mean",
         description="statistic that is shown, by its name in `sierra stats --statistic`: `mean`, `median`, `iqm`, a quantile "
@@ -144,9 +168,7 @@ class Figure(Table):
     quantiles: Annotated[tuple[Part, Part], AfterValidator(_ascending)] = Field(
         (0.05, 0.95), description='the two quantiles of `band = "quantiles"`, as parts between 0 and 1'
     )
-    where: str = Field(
-        "", description="rows that count, as an SQL condition on columns of the output and on variables; default: all rows"
-    )
+    where: Where = ""
     controllers: ListOfWords = Field(
         (),
         description="controllers that are shown, in this order, by name, label or category (`depth0` stands for all names that "
@@ -156,7 +178,7 @@ class Figure(Table):
     x: str = Field("", description="variable of the x axis; default: the first")
     series: str = Field("", description="variable with a line, colour or mark for each value; default: the next one")
     facet: str = Field("", description="variable with a panel of its own for each value")
-    title: str = Field("", description="title above the figure")
+    title: Title = ""
     xlabel: str = Field("", description="label of the x axis; default: name and unit of the time or the variable")
     ylabel: str = Field("", description="label of the values; default: the column's name and unit")
     log_x: bool | None = Field(
@@ -164,13 +186,9 @@ class Figure(Table):
         description="logarithmic or linear x axis; default: linear, but logarithmic for a variable with values such as 1, 2, 4",
     )
     log_y: bool = Field(False, description="logarithmic scale of the values (in a heatmap: of the colours)")
-    xlim: LimitsOfAxis | None = Field(None, description="limits of the x axis; what is beyond them is cut off")
-    ylim: LimitsOfAxis | None = Field(None, description="limits of the values; what is beyond them is cut off")
-    size: Size | tuple[Positive, Positive] = Field(
-        "ieee-column",
-        description="width of the figure, by the name of a template of papers, or width and height in inches; `slide` is "
-        "5 × 2.8 inches, to be enlarged; default: a column of 3.5 inches, or a page for many panels",
-    )
+    xlim: LimitsOfX = None
+    ylim: LimitsOfY = None
+    size: Annotated[Size | tuple[Positive, Positive], OF_SIZE] = "ieee-column"
     legend: Literal["above", "right", "below"] = Field("above", description="place of the legend, never on the data")
     panel_titles: Literal["values", "letters"] = Field(
         "values", description="titles of panels: values of their variables, after (a), (b), … with `letters`"
@@ -181,18 +199,15 @@ class Figure(Table):
     palette: Palette | Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         "okabe-ito", description="colours of categories: the name of a palette, or a list of colours such as `#0072B2`"
     )
-    labels: Mapping[str, str] = Field(default_factory=dict, description="names of categories in the figure, by their value")
-    footnote: str = Field("", description="text below the small print")
+    labels: Labels = Field(default_factory=dict)
+    footnote: Footnote = ""
     formats: Formats | None = Field(None, description="formats of the files; default: `figure_formats`")
 
     @model_validator(mode="after")
     def _fitting(self) -> Figure:
         if self.table and self.sql:
             raise ValueError('give either "table" or "sql"')
-        if self.measure == "time_to" and self.threshold is None:
-            raise ValueError('measure "time_to" needs a "threshold"')
-        if self.measure != "time_to" and self.threshold is not None:
-            raise ValueError('"threshold" needs measure = "time_to"')
+        check_threshold(self.measure, self.threshold)
         if self.band in AROUND and self.center not in AROUND[self.band]:
             centers = " or ".join(f'"{name}"' for name in AROUND[self.band])
             raise ValueError(f'band "{self.band}" is a distance from the center {centers}, not from "{self.center}"')
@@ -228,25 +243,17 @@ class TableForPaper(Table):
     """One table for papers: statistics of columns in each experiment, or the rows of an SQL statement."""
 
     query: Bound = ()
-    table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
+    table: OfTable = ""
     columns: ListOfWords = Field(
         (), alias="column", description="column, or columns, of which there are statistics; default: the only one"
     )
-    sql: str = Field(
-        "",
-        description="a SELECT statement whose rows are the rows of the table; each table that it reads has a column `batch`, "
-        "with the label of the batch",
-    )
+    sql: RowsOf = ""
     statistics: ListOfWords = Field(
         ("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`"
     )
-    measure: Measure | None = Field(
-        None, description="how a run is reduced to one number; default: `final`, or `mean` in a table of events"
-    )
-    threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
-    experiments: str = Field(
-        "", description="experiments that are rows, as in `sierra run --only`: `noise=0 and size<=4`; default: all"
-    )
+    measure: Annotated[Measure | None, OF_RUN] = None
+    threshold: Threshold = None
+    experiments: Experiments = ""
     across: str = Field(
         "",
         description="variable whose values are side by side, each with columns of its own; `batch`: the batches, which are so "
@@ -261,15 +268,14 @@ class TableForPaper(Table):
     caption: str = Field("", description="caption of the table")
     latex: bool = Field(False, description="`caption` and `headers` are LaTeX, and are not escaped in this format")
     label: Annotated[str, Field(pattern=r"^[A-Za-z0-9:._-]*$")] = Field("", description="label, such as `tab:coverage`")
-    footnote: str = Field("", description="text below the table, after what SIERRA writes there")
+    footnote: Footnote = ""
     formats: Annotated[tuple[Literal["latex", "markdown", "html", "csv"], ...], Field(min_length=1)] = Field(
         ("latex",), description="formats of the files: `latex` (with booktabs), `markdown`, `html`, `csv`"
     )
 
     @model_validator(mode="after")
     def _fitting(self) -> TableForPaper:
-        if (self.measure == "time_to") != (self.threshold is not None):
-            raise ValueError('measure "time_to" and "threshold" must be used together')
+        check_threshold(self.measure, self.threshold)
         names = {field.alias or name for name, field in TableForPaper.model_fields.items() if name in self.model_fields_set}
         if self.sql and (wrong := sorted(names & {"table", "column", "statistics", "measure", "experiments"})):
             raise ValueError(f'"{wrong[0]}" is for statistics; "sql" has the rows of the table as they are')
@@ -287,7 +293,7 @@ def known_method(name: str) -> str:
     return name
 
 
-class Comparison(Table):
+class Comparison(Measured):
     """One comparison of groups of runs, for `sierra compare NAME`."""
 
     groups: ListOfWords = Field(
@@ -300,19 +306,6 @@ class Comparison(Table):
         (),
         description="the variable whose values are compared within one batch; several: a factorial comparison, with main "
         "effects and interactions; default: the batch's only variable",
-    )
-    table: str = Field("", description="name of the output; may be omitted if only one has the column")
-    column: str = Field("", description="column; may be omitted if there is only one")
-    measure: Measure | None = Field(
-        None,
-        description=f"how a run is reduced to one number: {OF_RUN}; default: `final`, or `mean` in a table of events",
-    )
-    threshold: Finite | None = Field(
-        None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
-    )
-    where: str = Field("", description="rows that count, as an SQL condition on columns of the output; default: all rows")
-    experiments: str = Field(
-        "", description="experiments that count, as in `sierra run --only`: `noise=0 and size<=4`; default: all"
     )
     over_time: bool = Field(
         False,
@@ -334,18 +327,12 @@ class Comparison(Table):
     margin: Positive | None = Field(
         None, description="the largest difference that does not matter, in the column's unit: also test for equivalence"
     )
-    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.05, description="significance level: the greatest probability of finding any difference that does not exist"
-    )
-    size: Size | tuple[Positive, Positive] | None = Field(
-        None, description="width of the figure, or width and height in inches, as in `figures`; default: a column of 3.5 inches"
-    )
-    labels: Mapping[str, str] = Field(default_factory=dict, description="names of groups and values in the figure")
+    alpha: Alpha = 0.05
+    size: Annotated[Size | tuple[Positive, Positive] | None, OF_SIZE] = None
+    labels: Labels = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _fitting(self) -> Comparison:
-        if (self.measure == "time_to") != (self.threshold is not None):
-            raise ValueError('measure "time_to" and "threshold" must be used together')
         if self.query and (len(self.query) > 1 or (self.groups and not self.by)):
             raise ValueError('"query" is one query, and needs "by"; "groups" without "by" are batches or names of queries')
         if self.over_time and self.measure not in (None, "mean", "time_mean"):

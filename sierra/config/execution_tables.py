@@ -8,21 +8,24 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
 
 from sierra.config.field_types import (
+    OF_WALL,
+    ONE_OR_MORE,
     Absolute,
     Argv,
     Command,
+    Grace,
     InProject,
     NotNegative,
+    OwnCommand,
     Positive,
     Size,
     SizeOrNone,
     Table,
     Text,
     VariableName,
-    Words,
     regular_expression,
     valid_path,
 )
@@ -49,17 +52,22 @@ Device = Annotated[
 ]
 
 
-class LimitsTable(Table):
-    """Limits of one execution; a missing limit means no limit."""
+class OwnLimits(Table):
+    """Limits of one execution. A missing limit means no limit."""
 
-    wall: Positive | None = Field(None, description="wall-clock time, in seconds")
+    wall: Annotated[Positive | None, OF_WALL] = None
     cpu: Positive | None = Field(None, description="CPU time of all its processes, in seconds")
     memory: Size | None = Field(None, description="resident memory of all its processes, in bytes or as in `2 GiB`")
     output: Size | None = Field(
         None,
         description="total size of the files in its folder, in bytes or as in `500 MB`; holes of sparse files are included",
     )
-    grace: Positive = Field(5.0, description="time between SIGTERM and SIGKILL, in seconds")
+
+
+class LimitsTable(OwnLimits):
+    """Limits of one execution; a missing limit means no limit."""
+
+    grace: Grace = 5.0
     after_marker: NotNegative | None = Field(
         None,
         description="time from the moment when the marker of `[success]` is met until the run is ended and counts, in seconds, "
@@ -195,18 +203,11 @@ Processor = Annotated[str, AfterValidator(_processor)]
 class BuildTable(Table):
     """The command that makes programs or libraries of the project from its source, before runs use them."""
 
-    command: Annotated[Argv, Field(min_length=1)] = Field(
-        description="the program and its arguments, as in `command`; {project}, {python} and {arch} are filled in"
+    command: Annotated[OwnCommand, Field(min_length=1)]
+    produces: Annotated[tuple[InProject, ...], ONE_OR_MORE, Field(min_length=1)] = Field(
+        description="the products: paths or globs (`**`: any folders), relative to the project; git must ignore them"
     )
-    produces: Annotated[
-        tuple[InProject, ...],
-        BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
-        Field(min_length=1),
-    ] = Field(description="the products: paths or globs (`**`: any folders), relative to the project; git must ignore them")
-    arch: Annotated[
-        tuple[Processor, ...],
-        BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
-    ] = Field(
+    arch: Annotated[tuple[Processor, ...], ONE_OR_MORE] = Field(
         (),
         description="the processors for which the command is executed, once for each, as {arch} in `command`, `produces` and "
         "variables; default: this machine's",
@@ -215,7 +216,7 @@ class BuildTable(Table):
     folder: InProject = Field(
         ".", alias="in", description="the folder in which the command is executed, relative to the project"
     )
-    wall: Positive | None = Field(None, description="time limit of the command, in seconds; default: none")
+    wall: Annotated[Positive | None, OF_WALL] = None
 
     @model_validator(mode="after")
     def _one_product_each(self) -> BuildTable:
@@ -258,9 +259,7 @@ class Ready(Table):
 class ServiceTable(Table):
     """A program that runs in the background as long as each run, for example a display, a bridge or a licence server."""
 
-    command: Command = Field(
-        description="the program and its arguments; {port} is a free port, and the placeholders of `command` are filled in"
-    )
+    command: Annotated[OwnCommand, Field(min_length=1)]
     ready: Ready = Field(description="when it is ready, and the next one is started")
     timeout: Positive = Field(30.0, description="time until it must be ready, in seconds")
     scope: Literal["run", "batch"] = Field(

@@ -7,7 +7,7 @@ import shlex
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import PurePosixPath
-from typing import Annotated, TypeVar
+from typing import Annotated, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -19,9 +19,11 @@ from pydantic import (
     PositiveInt,
     StringConstraints,
     WithJsonSchema,
+    model_validator,
 )
 
 from sierra.config import group_names, targets
+from sierra.model import Measure
 from sierra.store.layout import STORE
 
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
@@ -51,8 +53,26 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 RawTable = targets.RawTable
-OF_RUN = "its last value, the mean of its rows, its mean over time (`time_mean`), or the time until `threshold`"
-"""The measures in words, for descriptions of keys."""
+Label = Annotated[str, Field(description="name in figures; default: the table's own name")]
+OF_WALL = Field(description="limit of the wall-clock time, in seconds")
+Grace = Annotated[Positive, Field(description="time between SIGTERM and SIGKILL, in seconds")]
+OF_PYTHON = Field(description="the command for Python 3.8 or newer where runs execute")
+OF_RUNS = Field(description="runs per experiment")
+OfController = Annotated[str | None, Field(description="name of the controller, unless another one is requested")]
+OfScenario = Annotated[str | None, Field(description="name of the scenario, unless another one is requested")]
+OF_TARGET = Field(description="name of the target; default: the keys outside `targets`, as they are")
+OfTable = Annotated[str, Field(description="name of the output or derived table; default: the only one with the columns")]
+OfColumn = Annotated[str, Field(description="column; default: the only one")]
+OF_RUN = Field(
+    description="how a run is reduced to one number: its last value, the mean of its rows, its mean over time (`time_mean`), "
+    "or the time until `threshold`; default: `final`, or `mean` in a table of events"
+)
+Threshold = Annotated[Finite | None, Field(description="for `time_to`: the value that must be reached or exceeded")]
+Where = Annotated[str, Field(description="rows that count, as an SQL condition on columns and variables; default: all rows")]
+Experiments = Annotated[
+    str, Field(description="experiments that count, as in `sierra run --only`: `noise=0 and size<=4`; default: all")
+]
+Alpha = Annotated[float, Field(gt=0, lt=0.5, description="significance level: accepted probability of a false finding")]
 T = TypeVar("T")
 
 
@@ -150,7 +170,17 @@ InProject = Annotated[
         "a path within the project, such as build/sim",
     ),
 ]
+OfStatement = Annotated[InProject | None, Field(description="file of the project with the statement; it is no source of runs")]
 Command = Annotated[tuple[str, ...], BeforeValidator(as_words, json_schema_input_type=Words), Field(min_length=1)]
+OwnCommand = Annotated[Argv, Field(description="the program and its arguments; default: as outside this table")]
+ONE_OR_MORE = BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
+"""Reads a text as a list of it alone."""
+ListOfWords = Annotated[tuple[str, ...], ONE_OR_MORE]
+Criteria = Annotated[
+    tuple[str, ...],
+    BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
+]
+"""Criteria as words, or as text that is split at blanks."""
 Commands = Annotated[
     tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...],
     BeforeValidator(_as_commands, json_schema_input_type=str | tuple[tuple[str, ...], ...]),
@@ -165,3 +195,39 @@ class Table(BaseModel):
     """A table of `sierra.toml`: unknown keys are errors, and it is immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+def check_threshold(measure: Measure | None, threshold: float | None) -> None:
+    """Raise ValueError if one of both is given that needs the other."""
+    if (measure == "time_to") != (threshold is not None):
+        raise ValueError('measure "time_to" and "threshold" must be used together')
+
+
+class Reduced(Table):
+    """The values of runs: one column, and how each run is reduced to one number."""
+
+    table: OfTable = ""
+    column: OfColumn = ""
+    measure: Annotated[Measure | None, OF_RUN] = None
+    threshold: Threshold = None
+
+    @model_validator(mode="after")
+    def _reduced(self) -> Self:
+        check_threshold(self.measure, self.threshold)
+        return self
+
+
+class Measured(Reduced):
+    """The values of the runs that count."""
+
+    where: Where = ""
+    experiments: Experiments = ""
+
+
+class OfQuery(Table):
+    """The keys of a query beside its criteria; those that are not given are as for all queries."""
+
+    runs: Annotated[PositiveInt | None, OF_RUNS] = None
+    controller: OfController = None
+    scenario: OfScenario = None
+    target: Annotated[str | None, OF_TARGET] = None

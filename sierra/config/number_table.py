@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
-from sierra.config.deliverable_tables import Bound, ListOfWords
-from sierra.config.field_types import Finite, InProject, Table
-from sierra.model import Measure
+from sierra.config.deliverable_tables import Bound
+from sierra.config.field_types import Experiments, InProject, ListOfWords, Reduced, Table
 from sierra.store.layout import PAPER
 
 SOURCES = ("claim", "comparison", "statistic", "sql")
@@ -44,21 +43,18 @@ class Paper(Table):
     )
 
 
-class NumberInText(Table):
-    """One number in the text of a paper, from exactly one of `claim`, `comparison`, `statistic` and `sql`."""
+class NumberInText(Reduced):
+    """One number in the text of a paper, from exactly one of `claim`, `comparison`, `statistic` and `sql`.
+
+    `table`, `column`, `measure`, `threshold` and `experiments` say where a `statistic` comes from.
+    """
 
     query: Bound = ()
     claim: str = Field("", description="name of a claim in `claims`")
     comparison: str = Field("", description="name of a comparison in `comparisons` that is bound to queries")
     groups: ListOfWords = Field((), description="with `comparison`: the two groups; the difference is second minus first")
     statistic: str = Field("", description="statistic over the runs of one experiment, as in `sierra stats --statistic`")
-    table: str = Field("", description="with `statistic`: name of the output or derived table; default: the only one")
-    column: str = Field("", description="with `statistic`: column; default: the only one")
-    measure: Measure | None = Field(None, description="with `statistic`: how a run is reduced to one number")
-    threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
-    experiments: str = Field(
-        "", description="with `statistic`: condition that leaves one experiment, as in `sierra run --only`: `noise=0`"
-    )
+    experiments: Experiments = ""
     sql: str = Field("", description="a SELECT statement with one row and one column; each table has a column `batch`")
     value: Literal["estimate", "interval", "p", "verdict", "registered"] = Field(
         "estimate",
@@ -89,8 +85,6 @@ class NumberInText(Table):
             raise ValueError('"groups" are the two groups of a "comparison"')
         if source != "statistic" and (wrong := [name for name in OF_STATISTIC if name in self.model_fields_set]):
             raise ValueError(f'"{wrong[0]}" needs "statistic"')
-        if (self.measure == "time_to") != (self.threshold is not None):
-            raise ValueError('measure "time_to" and "threshold" must be used together')
         return self
 
 

@@ -26,7 +26,19 @@ from pydantic import (
 )
 
 from sierra.config import extensions
-from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table, regular_expression
+from sierra.config.field_types import (
+    Alpha,
+    Finite,
+    Inside,
+    Name,
+    NotNegative,
+    OfColumn,
+    OfTable,
+    Positive,
+    Reduced,
+    Table,
+    regular_expression,
+)
 from sierra.model import Measure
 from sierra.util.lazy_definitions import dataclass, regex
 
@@ -496,25 +508,20 @@ def _status(end: str) -> int:
     return int(value) if kind == "exit" else -signal.Signals[f"SIG{value}"]
 
 
-class Equivalence(Table):
+class Equivalence(Reduced):
     """A metric by which a replay compares nondeterministic runs, over all runs of an experiment."""
 
-    table: str = Field(description="name of the output or derived table")
-    column: str = Field(description="column of the table")
+    table: OfTable
+    column: OfColumn
     measure: Measure = Field("final", description="how a run is reduced to one number, as in figures")
-    threshold: Finite | None = Field(None, description="for `time_to`, as in figures")
     margin: Positive | None = Field(
         None, description="maximum difference between means that are still equivalent, in the column's unit"
     )
     relative: Positive | None = Field(None, description="the margin as a fraction of the recorded mean (0.05: 5 %)")
-    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.05, description="significance level: maximum probability of finding means equivalent that differ by the margin"
-    )
+    alpha: Alpha = 0.05
 
     @model_validator(mode="after")
     def _fitting(self) -> Equivalence:
         if (self.margin is None) == (self.relative is None):
             raise ValueError('give either "margin" or "relative"')
-        if (self.measure == "time_to") != (self.threshold is not None):
-            raise ValueError('measure "time_to" and "threshold" must be used together')
         return self

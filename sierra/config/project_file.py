@@ -41,10 +41,17 @@ from sierra.config.execution_tables import (
     StoreTable,
 )
 from sierra.config.field_types import (
+    OF_RUNS,
+    OF_TARGET,
+    ONE_OR_MORE,
     Commands,
+    Criteria,
     GroupName,
     InProject,
     Name,
+    OfController,
+    OfQuery,
+    OfScenario,
     OutputName,
     RawTable,
     Scalar,
@@ -94,18 +101,12 @@ def _only_own(tables: Mapping[str, RawTable]) -> Mapping[str, RawTable]:
     return tables
 
 
-class QueryTable(Table):
-    """A named query, for `sierra run NAME`."""
+class QueryTable(OfQuery):
+    """A named query, for `sierra run NAME`. What it does not say is as for all queries, at the top level."""
 
-    criteria: Annotated[
-        tuple[str, ...],
-        BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
-        Field(min_length=1),
-    ] = Field(description="criteria, one for each axis, as on the command line; text is split at spaces")
-    runs: PositiveInt | None = Field(None, description="runs per experiment; default: the project's `runs`")
-    controller: str | None = Field(None, description="name of the controller; default: the project's `controller`")
-    scenario: str | None = Field(None, description="name of the scenario; default: the project's `scenario`")
-    target: str | None = Field(None, description="name of the target; default: the project's `target`")
+    criteria: Annotated[Criteria, Field(min_length=1)] = Field(
+        description="criteria, one for each axis, as on the command line; text is split at spaces"
+    )
 
 
 class Project(Table):
@@ -119,10 +120,7 @@ class Project(Table):
         description="several files instead of one `template`, by name: changes select in `NAME:/…`, and {input.NAME} in the "
         "command is the path of the file",
     )
-    files: Annotated[
-        tuple[InProject, ...],
-        BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
-    ] = Field(
+    files: Annotated[tuple[InProject, ...], ONE_OR_MORE] = Field(
         (),
         description="files, folders or globs of the project that lie beside the inputs of each run, with the same paths as in "
         "the project; part of the identity of runs",
@@ -161,17 +159,15 @@ class Project(Table):
     runner: str = Field(
         "local", description="where runs execute unless `--on` says otherwise: `local`, or a cluster of `runners`"
     )
-    target: Name | None = Field(
-        None, description="target of queries that name none; default: the keys outside `targets`, as they are"
-    )
+    target: Annotated[Name | None, OF_TARGET] = None
     targets: Annotated[Mapping[Name, RawTable], AfterValidator(_only_own)] = Field(
         default_factory=dict,
         description="targets, by name: other values of the keys that say how runs execute, for one platform; "
         "a table such as `limits` is merged key by key",
     )
-    runs: PositiveInt = Field(10, description="runs per experiment")
-    controller: str | None = Field(None, description="default controller, if none is requested")
-    scenario: str | None = Field(None, description="default scenario, if none is requested")
+    runs: Annotated[PositiveInt, OF_RUNS] = 10
+    controller: OfController = None
+    scenario: OfScenario = None
     seed: Annotated[Seed, BeforeValidator(set_to, json_schema_input_type=str | Seed)] = Seed.model_construct()
     variables: Mapping[Name, Annotated[Variable, BeforeValidator(set_to, json_schema_input_type=str | Variable)]] = Field(
         default_factory=dict, description="independent variables that queries vary, by name"

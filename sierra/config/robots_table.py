@@ -13,8 +13,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, WithJsonSchema, model_validator
 
-from sierra.config.change_tables import ChangeTable
-from sierra.config.field_types import NAME, Argv, Name, Table, distinct
+from sierra.config.change_tables import Changes
+from sierra.config.field_types import NAME, Name, OwnCommand, Table, distinct
 
 ROBOT, BASE = "robot", "base"
 """The groups of places that belong to no declared group, and of the base station."""
@@ -38,17 +38,17 @@ Count = Annotated[
 class BaseStation(Table):
     """A base station, which takes part in each run on robots; its place is 0."""
 
-    command: Argv = Field((), description="the program and its arguments; default: as all robots")
+    command: OwnCommand = ()
 
 
 class GroupOfPlaces(Table):
-    """Places of robots that execute another command, or get other inputs."""
+    """Places of robots that execute another command, or get other inputs. Their changes are made after `run_changes`."""
 
     places: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = Field(
         description="the places of its robots, from 1; a place that a run does not have is left out"
     )
-    command: Argv = Field((), description="the program and its arguments; default: as all robots")
-    changes: tuple[ChangeTable, ...] = Field((), description="changes to the inputs of these robots, made after `run_changes`")
+    command: OwnCommand = ()
+    changes: Changes = ()
 
     @model_validator(mode="after")
     def _complete(self) -> GroupOfPlaces:
@@ -66,7 +66,7 @@ class RobotsTable(Table):
     count: Count = Field(
         description="how many robots a run takes: a number, or the name of a variable of the query, such as `population_size`"
     )
-    command: Argv = Field((), description="the program and its arguments on each robot; default: the project's `command`")
+    command: OwnCommand = ()
     base: BaseStation | None = Field(None, description="a base station that takes part in each run; default: none")
     groups: Annotated[Mapping[Name, GroupOfPlaces], AfterValidator(distinct)] = Field(
         default_factory=dict, description="places with other commands or inputs, by the group's name"

@@ -16,6 +16,8 @@ from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
+from pydantic import Field
+
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import FIGURES, NoOptions
@@ -35,6 +37,9 @@ PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
 """The keys of kinds that have an x axis, a y axis and categories."""
 STATISTICAL = ("seaborn", "pandas")
 """The libraries that draw the kinds in `seaborn_plots`; they come with the extra `figures`."""
+RUN = Field(description="number of the run that is shown, the same for all experiments; default: the mean of all runs")
+ROWS = Field(description="count rows instead of runs")
+"""Options that several kinds have."""
 MODELS = "models"
 """The word in `uses` of kinds that draw `Drawing.models`."""
 

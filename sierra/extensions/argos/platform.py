@@ -92,7 +92,7 @@ class ArgosOptions(Table):
     """The options of ARGoS."""
 
     length: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="simulated time in seconds; default: as in the template"
+        None, description="length of a run in seconds; default: as in the template"
     )
     ticks_per_second: PositiveInt | None = Field(None, description="ticks per simulated second; default: as in the template")
     threads: NonNegativeInt = Field(0, description="additional threads of one run; 0: only the main thread")

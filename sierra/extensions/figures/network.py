@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, NonNegativeInt, model_validator
 
+from sierra.config.deliverable_tables import Layout
 from sierra.config.field_types import Finite, Table
-from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
+from sierra.deliverables.figures.base import RUN, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.rounded_times import at_time
@@ -16,21 +17,17 @@ from sierra.store.sql_names import identifier, node_name
 
 
 class NetworkOptions(Table):
-    """Figures of kind `network`."""
+    """Figures of kind `network`. In the mean of all runs, a missing edge counts as 0."""
 
     at: Finite | Literal["last"] | None = Field(
         None, description="time of the edges, or `last`: the last time of each run; default: the edges of all times"
     )
-    run: NonNegativeInt | None = Field(
-        None, description="number of the run that is shown; default: the mean of all runs, in which a missing edge counts as 0"
-    )
+    run: Annotated[NonNegativeInt | None, RUN] = None
     directed: bool = Field(False, description="draw arrows, and do not merge the two directions of an edge")
     place: tuple[str, ...] = Field(
         (), description="columns of the x and y position of the source of a row; default: a computed layout"
     )
-    layout: Literal["spring", "kamada_kawai", "circular"] = Field(
-        "spring", description="layout if `place` is not given: the same places in all panels, and each time"
-    )
+    layout: Layout = "spring"
     node_size: str = Field(
         "", description="column whose mean over the rows of which a node is the source is the area of its mark"
     )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from sierra.config.field_types import Table
+from sierra.config.field_types import Alpha, Table
 from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.model import Axis
@@ -30,7 +30,7 @@ class CriticalDifferenceOptions(Table):
         description="test of each two groups: `nemenyi`: by the critical difference of mean ranks; "
         "`wilcoxon`: by the signed-rank test, corrected by Holm; two groups are always compared by `wilcoxon`",
     )
-    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(0.05, description="significance level")
+    alpha: Alpha = 0.05
 
     def within(self, axes: Sequence[Axis]) -> Literal["experiments", "seeds"]:
         """Return what groups are ranked within."""

@@ -57,7 +57,7 @@ class GazeboOptions(Table):
     """The options of Gazebo classic."""
 
     length: Positive = Field(10.0, description="simulated time in seconds")
-    interval: Positive = Field(1.0, description="simulated time between two rows of a model in poses.csv, in seconds")
+    interval: Positive = Field(1.0, description="simulated time between two rows of an output, in seconds")
     step: Positive | None = Field(
         None, description="simulated time of one step (max_step_size) in seconds; default: as in the world", examples=[0.005]
     )

@@ -34,10 +34,10 @@ Pose = tuple[float, float, float, float, float, float]
 class Area(Table):
     """A rectangle in which robots start."""
 
-    x: tuple[Coordinate, Coordinate] = Field(description="smallest and largest x in metres")
-    y: tuple[Coordinate, Coordinate] = Field(description="smallest and largest y in metres")
+    x: tuple[Coordinate, Coordinate] = Field(description="smallest and largest x, in m")
+    y: tuple[Coordinate, Coordinate] = Field(description="smallest and largest y, in m")
     distance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
-        0.0, description="distance between the centres of two robots in metres, at least"
+        0.0, description="smallest distance between the centres of two robots, in m"
     )
     yaw: Coordinate | None = Field(None, description="direction of all robots in radians; default: drawn too")
 

@@ -65,11 +65,11 @@ Topic = Annotated[str, StringConstraints(pattern=r"^/[A-Za-z0-9_/.*+?|\[\]()-]*$
 class RandomPosesTable(Table):
     """Start poses that are drawn from the seed of each run, uniformly in a rectangle."""
 
-    x: Limits = Field((-1.0, 1.0), description="smallest and largest x in metres")
-    y: Limits = Field((-1.0, 1.0), description="smallest and largest y in metres")
+    x: Limits = Field((-1.0, 1.0), description="smallest and largest x, in m")
+    y: Limits = Field((-1.0, 1.0), description="smallest and largest y, in m")
     yaw: Limits = Field((-3.1416, 3.1416), description="smallest and largest angle in radians")
     distance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
-        0.0, description="smallest distance between two robots in metres"
+        0.0, description="smallest distance between the centres of two robots, in m"
     )
 
 

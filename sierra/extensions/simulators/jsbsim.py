@@ -40,7 +40,7 @@ Inside = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 class JsbsimOptions(Table):
     """The options of JSBSim."""
 
-    end: Positive | None = Field(None, description="end of the simulated time in seconds; default: as in the script")
+    end: Positive | None = Field(None, description="end of the simulated time in seconds; default: as in the template")
     properties: tuple[Property, ...] = Field(
         (), description=f"properties that {TABLE} records, such as position/h-sl-ft, in addition to the outputs of the script"
     )

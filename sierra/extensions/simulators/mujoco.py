@@ -45,7 +45,7 @@ class MujocoOptions(Table):
     """The options of MuJoCo."""
 
     duration: Positive = Field(10.0, description="simulated time in seconds")
-    interval: Positive = Field(0.1, description="simulated time between two rows of the outputs, in seconds")
+    interval: Positive = Field(0.1, description="simulated time between two rows of an output, in seconds")
     sensors: tuple[Element, ...] = Field(("*",), description="sensors that sensors.csv records, such as `speed` or `touch_*`")
     joints: tuple[Element, ...] = Field((), description="joints whose positions joints.csv records")
     bodies: tuple[Element, ...] = Field((), description="bodies whose places bodies.csv records")

@@ -52,7 +52,7 @@ OutputName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z-]*$")]
 class SumoOptions(Table):
     """The options of SUMO."""
 
-    end: Positive | None = Field(None, description="end of the simulated time in seconds; default: as in the configuration")
+    end: Positive | None = Field(None, description="end of the simulated time in seconds; default: as in the template")
     step_length: Positive | None = Field(None, description="length of a step in seconds; default: as in the configuration")
     outputs: tuple[OutputName, ...] = Field(
         ("summary", "tripinfo"),

@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 
-from sierra.config.deliverable_tables import FORMERLY_POSES, Bound, LimitsOfAxis, ListOfWords
-from sierra.config.field_types import Finite, Name, Positive, Table
+from sierra.config.deliverable_tables import (
+    FORMERLY_POSES,
+    Bound,
+    Layout,
+    LimitsOfAxis,
+    LimitsOfX,
+    LimitsOfY,
+    RowsOf,
+    Title,
+)
+from sierra.config.field_types import Experiments, Finite, ListOfWords, Name, OfTable, Positive, Table
 
 if TYPE_CHECKING:
     from sierra.config.project_file import Project
@@ -66,8 +75,8 @@ class Video(Table):
         "the frames that `sierra video --capture` has recorded",
     )
     query: Bound = ()
-    table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
-    sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
+    table: OfTable = ""
+    sql: RowsOf = ""
     columns: ListOfWords = Field(
         (), alias="column", description="the columns that the kind needs; default for `grid`: all numeric ones but the time"
     )
@@ -79,9 +88,7 @@ class Video(Table):
     run: NonNegativeInt | None = Field(
         None, description="number of the run that is shown; default: 0, and the mean over all runs in a difference"
     )
-    experiments: str = Field(
-        "", description="experiments that are shown, as in `sierra run --only`: `noise=0 and size<=4`; default: all"
-    )
+    experiments: Experiments = ""
     groups: ListOfWords = Field(
         (), description="for `difference`: two conditions as in `experiments`, A and B, that choose one experiment each"
     )
@@ -103,17 +110,15 @@ class Video(Table):
         description="column that tells robots apart, for their colours, numbers and trails; a robot has one row at a time; "
         "default: all look the same, and this is not checked",
     )
-    xlim: LimitsOfAxis | None = Field(None, description="limits of x; default: those of all frames")
-    ylim: LimitsOfAxis | None = Field(None, description="limits of y; default: those of all frames")
+    xlim: LimitsOfX = None
+    ylim: LimitsOfY = None
     place: ListOfWords = Field(
         (), description="columns of x and y of the source of a row at its time; default: a layout that is the same at all times"
     )
-    layout: Literal["spring", "kamada_kawai", "circular"] = Field(
-        "spring", description="layout of the edges of all times, if `place` is not given"
-    )
+    layout: Layout = "spring"
     directed: bool = Field(False, description="draw arrows, and do not merge the two directions of an edge")
     node_value: str = Field("", description="column that gives the source of a row its colour; default: one colour")
-    title: str = Field("", description="title above the frames; default: none")
+    title: Title = ""
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
     size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
     fps: Annotated[float, Field(ge=0.1, le=120)] | None = Field(

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from sierra.config.field_types import NAME, Argv, Command, Line, Positive, Size, Table
+from sierra.config.field_types import NAME, OF_PYTHON, Argv, Command, Grace, Line, Positive, Size, Table
 from sierra.config.robots_table import BASE, ROBOT
 from sierra.errors import ConfigError
 from sierra.util.text import like
@@ -19,10 +19,22 @@ Nothing = Literal[""]
 RobotName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 REPLACED = ("setup", "stop", "battery", "firmware", "calibration", "checks", "topic_rates")
 """Keys of the fleet that a robot may have, too. Then its own value counts, also if it is empty."""
+VARIABLES = "variables of setup, stop and program; those of `[environment]` replace them for the program"
+SETUP = "a line that bash executes; programs get the variables that it sets"
+STOP = (
+    "the command that brings a robot to a standstill, also if no program of a run executes; []: it needs none. "
+    "It is executed there when a session begins, at the first sign that a run ends, and after the last process of the run"
+)
+BATTERY = "how to read the charge of the battery in percent: a file, or a list with a command that prints it"
+FIRMWARE = "a command that prints the version of the firmware; recorded before each run"
+CALIBRATION = "the calibration file, whose SHA-256 is recorded before each run; absolute, or in ~/"
+CHECKS = "commands that must succeed before a run, within 10 s; all are executed at once"
+TOPIC_RATES = "fewest messages per second of topics of ROS 1 before a run, as `rostopic hz` measures them in up to 8 s"
+LINK_OPTIONS = "options of the link, before those in `[links]`"
 
 
 class RobotTable(Table):
-    """One robot of the fleet."""
+    """One robot of the fleet. Its keys count before those of the fleet; an empty one, such as "" or [], means none."""
 
     host: Line = Field(description="its name in your configuration of OpenSSH, or `user@host:port`")
     address: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9:.%_-]+$")] | None = Field(
@@ -33,23 +45,15 @@ class RobotTable(Table):
     group: Annotated[str, StringConstraints(pattern=NAME)] = Field(
         ROBOT, description="the group of places that it can take: `robot`, `base`, or a name in `[robots.groups]`"
     )
-    variables: Mapping[str, str] = Field(
-        default_factory=dict, description="variables that it has in addition to those of the fleet, or instead"
-    )
-    setup: Line | Nothing | None = Field(
-        None,
-        description="replaces `setup` of the fleet; so do `stop`, `battery`, `firmware`, `calibration`, `checks` and "
-        '`topic_rates`. An empty value, such as "" or [], means none',
-    )
-    stop: Argv | None = Field(None, description="replaces `stop` of the fleet")
-    battery: Line | Nothing | tuple[str, ...] | None = Field(None, description="replaces `battery` of the fleet")
-    firmware: Argv | None = Field(None, description="replaces `firmware` of the fleet")
-    calibration: Line | Nothing | None = Field(None, description="replaces `calibration` of the fleet")
-    checks: tuple[Command, ...] | None = Field(None, description="replaces `checks` of the fleet")
-    topic_rates: Mapping[Topic, Positive] | None = Field(None, description="replaces `topic_rates` of the fleet")
-    link_options: Mapping[str, Any] = Field(
-        default_factory=dict, description="options of the link that differ from those of the fleet"
-    )
+    variables: Mapping[str, str] = Field(default_factory=dict, description=VARIABLES)
+    setup: Line | Nothing | None = Field(None, description=SETUP)
+    stop: Argv | None = Field(None, description=STOP)
+    battery: Line | Nothing | tuple[str, ...] | None = Field(None, description=BATTERY)
+    firmware: Argv | None = Field(None, description=FIRMWARE)
+    calibration: Line | Nothing | None = Field(None, description=CALIBRATION)
+    checks: tuple[Command, ...] | None = Field(None, description=CHECKS)
+    topic_rates: Mapping[Topic, Positive] | None = Field(None, description=TOPIC_RATES)
+    link_options: Mapping[str, Any] = Field(default_factory=dict, description=LINK_OPTIONS)
 
 
 class FleetTable(Table):
@@ -66,49 +70,47 @@ class FleetTable(Table):
     link: Line = Field("fabric", description="the link to all robots: `fabric` or `openssh`")
     link_options: Mapping[str, Any] = Field(
         default_factory=dict,
-        description="options of the link that differ from those in `[links]`",
+        description=LINK_OPTIONS,
         examples=[{"connect": 10.0}],
     )
     folder: Annotated[str, StringConstraints(pattern=r"^(~/)?[A-Za-z0-9/._+@-]+$")] = Field(
         ".cache/sierra-robot", description="folder for runs on each robot: absolute, or within the home folder there"
     )
-    python: Line = Field("python3", description="the command for Python 3.8 or newer on the robots")
+    python: Annotated[Line, OF_PYTHON] = "python3"
     variables: Mapping[str, str] = Field(
         default_factory=dict,
-        description="variables that the setup line, the stop command and the program get on each robot; those of "
-        "`[environment]` replace them for the program",
+        description=VARIABLES,
         examples=[{"TZ": "UTC"}],
     )
     setup: Line | None = Field(
         None,
-        description="a line that bash executes on each robot; programs get the variables that it sets",
+        description=SETUP,
         examples=["source /opt/ros/noetic/setup.bash"],
     )
     stop: Argv | None = Field(
         None,
-        description="the command that brings a robot to a standstill, also if no program of a run executes; []: it needs none. "
-        "It is executed there when a session begins, at the first sign that a run ends, and after the last process of the run",
+        description=STOP,
         examples=[["motor", "0"]],
     )
     stop_limit: Positive = Field(5.0, description="time limit of the stop command, in seconds")
     lease: Annotated[float, Field(ge=0.5, le=600)] = Field(
         5.0, description="time after which a robot that hears nothing from this machine ends its run, in seconds"
     )
-    grace: Positive = Field(2.0, description="time between SIGTERM and SIGKILL, in seconds")
+    grace: Grace = 2.0
     battery: Battery | None = Field(
         None,
-        description="how to read the charge of the battery in percent: a file, or a list with a command that prints it",
+        description=BATTERY,
         examples=["/sys/class/power_supply/BAT0/capacity"],
     )
     battery_min: Annotated[float, Field(ge=0, le=100)] = Field(20.0, description="charge in percent below which no run starts")
     firmware: Command | None = Field(
         None,
-        description="a command that prints the version of a robot's firmware; recorded before each run",
+        description=FIRMWARE,
         examples=[["cat", "/etc/firmware"]],
     )
     calibration: Line | None = Field(
         None,
-        description="the calibration file on each robot, whose SHA-256 is recorded before each run; absolute, or in ~/",
+        description=CALIBRATION,
         examples=["~/calibration.yaml"],
     )
     disk_min: Size = Field(
@@ -127,14 +129,13 @@ class FleetTable(Table):
     )
     checks: tuple[Command, ...] = Field(
         (),
-        description="commands that must succeed on each robot before a run, within 10 s; all are executed at once",
+        description=CHECKS,
         examples=[[["timeout", "8", "rostopic", "echo", "-n1", "/scan"]]],
     )
 
     topic_rates: Mapping[Topic, Positive] = Field(
         default_factory=dict,
-        description="fewest messages per second that topics of ROS 1 must have on each robot before a run, as `rostopic hz` "
-        "measures them in up to 8 s",
+        description=TOPIC_RATES,
         examples=[{"/scan": 4.0}],
     )
 

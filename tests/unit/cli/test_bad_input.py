@@ -62,7 +62,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("runs = 2", "runs = ", "not TOML"),
         ('"//noise"', "5", "variables.noise should be a table, not 5"),
         ("", '[figures.x]\nkind = "pie"', "figures.x: unknown kind 'pie'; known are timeseries, "),
-        ("", '[figures.x]\nmeasure = "time_to"', 'measure "time_to" needs a "threshold"'),
+        ("", '[figures.x]\nmeasure = "time_to"', 'measure "time_to" and "threshold" must be used together'),
         ("", '[limits]\nmemory = "much"', "limits.memory: 'much' is not a size; use one such as 500 MB or 2 GiB"),
         ("", "[limits]\nmemory = -5", "limits.memory should be greater than 0, not -5"),
         ("", "[limits]\nwall = inf", "limits.wall should be a finite number"),

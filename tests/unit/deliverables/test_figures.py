@@ -482,7 +482,7 @@ def test_marks_of_all_groups_stay_within_the_plot(first: Axis, count: int) -> No
     [
         ({"kind": "box", "times": "linear"}, '"times" needs kind "timeseries" or "stacked", not \'box\''),
         ({"times": "cubic"}, "figures.f.times should be 'own', 'carry' or 'linear', not \"cubic\""),
-        ({"kind": "box", "threshold": 1.0}, '"threshold" needs measure = "time_to"'),
+        ({"kind": "box", "threshold": 1.0}, 'measure "time_to" and "threshold" must be used together'),
         ({"measure": "mean"}, '"measure" needs kind "summary", "box", "violin"'),
         ({"titel": "T"}, "figures.f: unknown key 'titel'; did you mean 'title'?"),
         ({"kind": "boxes"}, "figures.f: unknown kind 'boxes'; did you mean 'box'?"),

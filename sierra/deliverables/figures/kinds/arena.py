@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import BeforeValidator, Field, NonNegativeInt
 
 from sierra.config.field_types import Finite, Positive, Table
-from sierra.deliverables.figures.base import DrawnBy, DrawnKind, Request
+from sierra.deliverables.figures.base import RUN, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.rounded_times import at_time
@@ -24,7 +24,7 @@ class TrajectoriesOptions(Table):
     """Figures of kind `trajectories`."""
 
     robot: str = Field("", description="column that tells the robots apart; default: one robot for each run")
-    run: NonNegativeInt = Field(0, description="number of the run that is shown, the same for all experiments")
+    run: Annotated[NonNegativeInt, RUN] = 0
 
 
 class Trajectories(DrawnKind[TrajectoriesOptions]):
@@ -96,7 +96,7 @@ class MatrixOptions(Table):
     at: Annotated[
         tuple[Finite, ...], BeforeValidator(lambda v: v if isinstance(v, tuple) else (v,), json_schema_input_type=Times)
     ] = Field((), description="time of the matrix, or times with a column of panels each; default: the mean over all times")
-    run: NonNegativeInt | None = Field(None, description="number of the run that is shown; default: the mean of all runs")
+    run: Annotated[NonNegativeInt | None, RUN] = None
     aspect: Positive = Field(1.0, description="height of a cell as a multiple of its width")
     axes: Literal["rows", "xy"] = Field(
         "rows",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
+from sierra.deliverables.figures.base import PLOT, ROWS, STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.sql_names import identifier
@@ -46,7 +46,7 @@ class HistogramOptions(Table):
 
     bins: int = Field(0, ge=0, le=1000, description="number of bins, the same for all experiments; 0: by Freedman and Diaconis")
     density: bool = Field(False, description="show densities instead of numbers of runs")
-    rows: bool = Field(False, description="count rows instead of runs")
+    rows: Annotated[bool, ROWS] = False
 
 
 class Histogram(DrawnKind[HistogramOptions]):

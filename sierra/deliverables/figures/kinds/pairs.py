@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, DrawnBy, DrawnKind, Request
+from sierra.deliverables.figures.base import PLOT, ROWS, STATISTICAL, DrawnBy, DrawnKind, Request
 from sierra.deliverables.figures.kinds.distributions import of_rows
 from sierra.stats.needs import Needs
 
@@ -21,7 +21,7 @@ class ScatterOptions(Table):
         description="curve through the runs of each series by least squares; `log`: y over log x; `exp`, `power`: a line "
         "through log y over x, or over log x",
     )
-    rows: bool = Field(False, description="show each row as a mark instead of each run")
+    rows: Annotated[bool, ROWS] = False
 
 
 class Scatter(DrawnKind[ScatterOptions]):
