@@ -58,10 +58,12 @@ test: install ## run the tests that need no cluster, container or network; more 
 	$(PYTEST) -m "not integration and not nightly" --ignore tests/integration --ignore tests/nightly
 
 # Validators of other projects' formats, apart from our own packages: they need other versions of some of them.
-.venv-validators/installed: tests/system/validators.lock .venv/locked
+.venv-validators/installed: tests/system/validators.lock tests/system/axe.lock .venv/locked
 	$(BIN)/python -m venv --clear .venv-validators
 	.venv-validators/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --require-hashes \
 		--requirement tests/system/validators.lock
+	.venv-validators/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --require-hashes --no-deps \
+		--requirement tests/system/axe.lock
 	@touch $@
 
 integration: install .venv-validators/installed ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from tests.browser import Browser
@@ -85,6 +86,9 @@ EMPTY_VIDEOS = """
 SLACK = 3.0
 """The overlap in pixels that nobody sees: boxes of lines of text are higher than their letters."""
 FIGURES = ("IMG", "CANVAS")
+AXE = "axe.run().then(found => found.violations.map(one => `${one.id}: ${one.help}: ${one.nodes[0].html}`))"
+"""The violations of the rules of axe-core, with the first part of the page that each is about."""
+VALIDATORS = Path(__file__).parents[2] / ".venv-validators"
 
 
 def unfold(browser: Browser) -> None:
@@ -108,7 +112,18 @@ def flaws(browser: Browser, file: Path, *, dark: bool) -> list[str]:
         *_blank(found, pixels),
         *_back(pixels, dark),
         *_faint(browser),
+        *_inaccessible(browser),
     ]
+
+
+def _inaccessible(browser: Browser) -> list[str]:
+    """Return what axe-core finds. Without it, the test is skipped."""
+    script = next(VALIDATORS.glob("lib/python3*/site-packages/axe_playwright_python/axe.min.js"), None)
+    if script is None:
+        pytest.skip("needs axe-core: `make .venv-validators/installed`")
+    browser.run(f"{script.read_text('utf-8')}; 0")
+    violations: list[str] = browser.run(AXE)
+    return violations
 
 
 def _sideways(browser: Browser, found: list[dict[str, Any]]) -> list[str]:

@@ -61,7 +61,7 @@ def table_element(table: Table, place: int) -> Markup:
     lines = (
         element("summary", f"Data: {table.name}" if table.name else "Data"),
         element("p", button, " ", element("span", role="status"), f" {note}"),
-        element("div", inner, class_="scroll", tabindex=0, role="region", aria_label=f"Data {table.name}".strip()),
+        element("div", inner, class_="scroll", tabindex=0, role="group", aria_label=f"Data {table.name}".strip()),
     )
     return element("details", joined(lines, "\n"))
 

@@ -87,4 +87,4 @@ def _failure(state: BatchState, one: Failed, place: Place) -> Markup:
 
 def _log(tail: str) -> Markup:
     lines = [line.expandtabs()[:WIDTH] for line in tail.splitlines()[-LINES:]]
-    return element("pre", "\n".join(lines), tabindex=0, role="region", aria_label="End of the log", dir="auto")
+    return element("pre", "\n".join(lines), tabindex=0, role="group", aria_label="End of the log", dir="auto")

@@ -41,7 +41,7 @@ class Chapter:
         name = f"b{self.state.short}"
         return element(
             "article",
-            element("p", "Batch ", element("code", self.state.short), class_="kicker"),
+            element("p", "Batch ", element("code", self.state.short), id=f"{name}-batch", class_="kicker"),
             auto(question.title(self.state), "h2", id=f"{name}-title"),
             standing(self.state),
             *(section(one, self.place) for one in self.sections),

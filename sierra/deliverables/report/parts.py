@@ -33,6 +33,10 @@ class Place:
         """The element of the headings of sections."""
         return f"h{self.level}"
 
+    def labels(self, heading: str) -> str:
+        """Return the ids of the texts that name a section: its heading, after the batch's name if there are several."""
+        return f"{self.prefix}batch {heading}" if self.prefix else heading
+
     @property
     def inner(self) -> str:
         """The element of the headings within sections."""
@@ -47,7 +51,7 @@ def section(one: Section, place: Place) -> Markup:
     """Return a section as an element, which readers and links find by its heading."""
     name = f"{place.prefix}{one.name}"
     heading = element(place.heading, one.title, id=f"{name}-title")
-    return element("section", heading, one.body, id=name, aria_labelledby=f"{name}-title", class_="part")
+    return element("section", heading, one.body, id=name, aria_labelledby=place.labels(f"{name}-title"), class_="part")
 
 
 def auto(text: str, tag: str = "span", **attributes: str) -> Markup:
@@ -64,7 +68,7 @@ def table(
     body = joined(element("tr", joined(_cell(k, cell, k in numbers) for k, cell in enumerate(row))) for row in rows)
     above = element("caption", caption) if caption else None
     inner = element("table", above, element("thead", element("tr", head)), element("tbody", body))
-    return element("div", inner, class_="scroll", tabindex=0, role="region", aria_label=caption or ", ".join(headers))
+    return element("div", inner, class_="scroll", tabindex=0, role="group", aria_label=caption or ", ".join(headers))
 
 
 def filled_table(

@@ -103,7 +103,7 @@ def _figure(content: Content, place: Place, number: int) -> Markup:
         sql(content.sql) if content.sql else None,
         data_element(content),
         class_="figure wide" if _width(content.picture) > WIDE else "figure",
-        aria_labelledby=name,
+        aria_labelledby=place.labels(name),
     )
 
 

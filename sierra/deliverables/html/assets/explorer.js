@@ -428,7 +428,7 @@
     const columns = found.columns.map((_, k) => found.rows.map((row) => row[k]));
     button.addEventListener("click", () => copy(csv({ headers: found.columns, columns }), button));
     if (found.notes) make("p", place, { class: "note", dir: "auto" }, found.notes);
-    const scroll = make("div", place, { class: "scroll", tabindex: "0", role: "region", "aria-label": "Answer" });
+    const scroll = make("div", place, { class: "scroll", tabindex: "0", role: "group", "aria-label": "Answer" });
     const table = make("table", scroll);
     const head = make("tr", make("thead", table));
     for (const name of found.columns) make("th", head, { scope: "col", dir: "auto" }, name);

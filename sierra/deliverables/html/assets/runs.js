@@ -271,7 +271,7 @@
 
   // Show a text of several lines, which scrolls if it is long.
   function text(place, title, content) {
-    make("pre", make("div", place, { class: "scroll", tabindex: "0", role: "region", "aria-label": title }), { dir: "auto" }, content);
+    make("pre", make("div", place, { class: "scroll", tabindex: "0", role: "group", "aria-label": title }), { dir: "auto" }, content);
   }
 
   function log(place, title, content) {
@@ -298,7 +298,7 @@
     if (!list) return facts(place, Object.entries(value));
     if (list.some((one) => one === null || typeof one !== "object")) return void make("p", place, { class: "code", dir: "auto" }, list.join(" "));
     const names = [...new Set(list.flatMap(Object.keys))].filter((name) => list.some((one) => one[name] !== null));
-    const table = make("table", make("div", place, { class: "scroll", tabindex: "0", role: "region", "aria-label": title }));
+    const table = make("table", make("div", place, { class: "scroll", tabindex: "0", role: "group", "aria-label": title }));
     const line = make("tr", make("thead", table));
     for (const name of names) make("th", line, { scope: "col", dir: "auto" }, name);
     const body = make("tbody", table);
