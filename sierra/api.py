@@ -772,7 +772,7 @@ class Project:
         """
         from sierra.execution import takeover
 
-        summary = self._described(takeover.follow(self.store, prefix, observer or observer_for(progress)))
+        summary = self._described(takeover.follow(self.store, self.record_id(prefix), observer or observer_for(progress)))
         return self._drawn(summary) if figures else summary
 
     def cancel(self, prefix: str, *, observer: Observer | None = None) -> list[Cancelled]:
@@ -785,7 +785,7 @@ class Project:
         from sierra.execution import takeover
         from sierra.execution.observer import Observer
 
-        return takeover.cancel(self.store, prefix, observer or Observer())
+        return takeover.cancel(self.store, self.record_id(prefix), observer or Observer())
 
     def diff(self, before: str, after: str) -> Comparison:
         """Return the differences between two batches, experiments, runs or executions, by prefixes of their ids.
@@ -799,7 +799,7 @@ class Project:
         """
         from sierra.explain.diff.compare import compare
 
-        return compare(self._loaded, self.store, before, after)
+        return compare(self._loaded, self.store, self.record_id(before), self.record_id(after))
 
     def diff_packages(self, before: str, after: str) -> PackageDifferences:
         """Return the differences between two batches of which at least one is in a package.
@@ -981,7 +981,7 @@ class Project:
         """
         from sierra.maintenance import remove
 
-        return remove.plan(self.store, prefixes)
+        return remove.plan(self.store, tuple(map(self.record_id, prefixes)))
 
     def remove(
         self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True, observer: Observer | None = None
@@ -997,7 +997,7 @@ class Project:
         """
         from sierra.maintenance import remove
 
-        return remove.remove(self.store, prefixes, agree, observer)
+        return remove.remove(self.store, tuple(map(self.record_id, prefixes)), agree, observer)
 
     def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
         """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`.

@@ -48,7 +48,7 @@ ClusterId = Annotated[
     typer.Argument(
         metavar="HASH",
         autocompletion=complete.sessions,
-        help="Batch id, or session id from `sierra ls --jobs`; a prefix is enough.",
+        help="Batch id, or session id from `sierra ls --jobs`; a prefix is enough. Or the name of a query.",
     ),
 ]
 Criteria = Annotated[

@@ -36,8 +36,8 @@ def diff(
         typer.Argument(
             metavar="A",
             autocompletion=complete.ids,
-            help="Id of a batch, experiment, run or execution; a prefix is enough. Or a package, FILE.zip, or a batch in one, "
-            "FILE.zip:HASH.",
+            help="Id of a batch, experiment, run or execution; a prefix is enough. Or the name of a query, "
+            "a package, FILE.zip, or a batch in one, FILE.zip:HASH.",
         ),
     ],
     after: Annotated[

@@ -13,6 +13,9 @@ QUERY = """
 [queries.sizes]
 criteria = "population_size=1,2"
 runs = 1
+[queries.four]
+criteria = "population_size=4"
+runs = 1
 [package]
 title = "A swarm"
 license = "MIT"
@@ -35,11 +38,23 @@ def _batch(project: Path, query: str) -> str:
     return str(found)
 
 
-@pytest.mark.parametrize("words", ["show NAME", "show NAME --files", "stats swarm coverage -b NAME", "why NAME"])
+CODES = {
+    "show NAME": 0,
+    "show NAME --files": 0,
+    "stats swarm coverage -b NAME": 0,
+    "why NAME": 0,
+    "rm NAME --dry-run": 0,
+    "diff NAME four": 1,
+    "attach NAME": 2,
+    "cancel NAME": 2,
+}
+
+
+@pytest.mark.parametrize("words", CODES)
 def test_a_name_stands_for_the_batch_of_the_query(project: Path, words: str) -> None:
     batch = _batch(project, "population_size=1,2")
     named, identified = (projects.quick(project, *words.replace("NAME", word).split()) for word in ("sizes", batch))
-    assert (named.returncode, named.stderr) == (0, identified.stderr)
+    assert (named.returncode, named.stderr) == (CODES[words], identified.stderr)
     assert named.stdout == identified.stdout
 
 
