@@ -22,8 +22,8 @@ def rm(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.ids,
-            help="Ids of batches, studies, experiments, runs, executions or registered claims; prefixes are enough. Or names of "
-            "queries.",
+            help="Ids of batches, studies, experiments, runs, executions or registered claims; prefixes are enough. Or "
+            "names of queries.",
         ),
     ],
     yes: Yes = False,

@@ -79,7 +79,8 @@ class Environment(Table):
     """Environment variables that runs get in addition to SIERRA's own, and variables that are recorded."""
 
     set: Mapping[VariableName, Text] = Field(
-        default_factory=dict, description="variables that every run gets; part of its identity; may use {project} and {port}"
+        default_factory=dict,
+        description="variables that every run gets; part of its identity; may use the placeholders of `command`",
     )
     pass_: tuple[str, ...] = Field(
         (), alias="pass", description="names of variables that runs get from the caller's environment; part of their identity"

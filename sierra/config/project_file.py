@@ -424,10 +424,11 @@ class Project(Table):
 
     @property
     def _words(self) -> tuple[str, ...]:
-        """Return all words of the commands of a run."""
+        """Return all words of the commands of a run, and its variables."""
         services = (word for one in self.services.values() for word in (*one.command, *one.ready.words))
         around = (word for command in (*self.before, *self.after) for word in command)
-        return (*self.command, *around, *services, *(self.robots.words if self.robots else ()))
+        variables = (*self.environment.set.values(), *(self.container.variables.values() if self.container else ()))
+        return (*self.command, *around, *services, *(self.robots.words if self.robots else ()), *variables)
 
     def _uses(self, name: str) -> bool:
         """Return True if a command uses a variable, or if a change does that does not belong to a variable."""

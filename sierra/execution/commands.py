@@ -194,14 +194,17 @@ def _with_inputs(word: str, project: Project, place: str) -> str:
     return ONE_INPUT.sub(filled, word)
 
 
+def _check_varied(name: str, declared: Declared, place: str) -> None:
+    if name in declared.others:
+        raise QueryError(f'{place} uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
+
+
 def _check_values(words: Sequence[str], declared: Declared, place: str) -> None:
     """Raise an error if the query does not vary a variable in the command, or if a value would be executed."""
     for number, word in enumerate(words):
         found = [name for _, name in NAMED.findall(word) if name not in OWN_PLACEHOLDERS]
         for name in found:
-            if name in declared.others:
-                called = "the command" if place == "command" else place
-                raise QueryError(f'{called} uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
+            _check_varied(name, declared, "the command" if place == "command" else place)
         if not (values := [name for name in found if name in declared.names]):
             continue
         if number == 0:
@@ -213,21 +216,38 @@ def _check_values(words: Sequence[str], declared: Declared, place: str) -> None:
             )
 
 
-def environment(platform: Platform, project: Project) -> dict[str, str]:
-    """Return the declared variables of a run: SIERRA's fixed ones, the platform's and the project's.
+def environment(
+    platform: Platform,
+    project: Project,
+    declared: Declared = Declared(),  # noqa: B008 - it is immutable
+    *,
+    contained: bool = False,
+) -> dict[str, str]:
+    """Return the declared variables of a run: SIERRA's fixed ones, the platform's and the project's. They are part of its id.
 
-    Raises ConfigError for a variable that SIERRA sets for each run.
+    A run that is `contained` also has the container's. Variables may have the placeholders of commands, but those that are
+    passed are texts as they are. Raises ConfigError for a variable that SIERRA sets for each run, and for an input that there
+    is not. Raises QueryError for a value that the query does not vary.
     """
-    boxed = project.container.variables if project.container else ()
+    boxed: Mapping[str, str] = project.container.variables if project.container else {}
     for table, names in (
         ("[environment]", (*project.environment.pass_, *project.environment.set)),
         ("[container] variables:", boxed),
     ):
-        if own := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
-            cure = "to choose the disk, set it where sierra is started" if own[0] == "TMPDIR" else "use another name"
-            raise ConfigError(f"{table} {own[0]}: SIERRA sets this variable for each run; {cure}")
-    passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
-    return {**FIXED, **platform.environment(), **passed, **project.environment.set}
+        if taken := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
+            cure = "to choose the disk, set it where sierra is started" if taken[0] == "TMPDIR" else "use another name"
+            raise ConfigError(f"{table} {taken[0]}: SIERRA sets this variable for each run; {cure}")
+    passed = {name: NAMED.sub(r"{\g<0>}", os.environ[name]) for name in project.environment.pass_ if name in os.environ}
+    own = {name: ("[environment]", text) for name, text in project.environment.set.items()}
+    own |= {name: ("[container] variables:", text) for name, text in boxed.items() if contained}
+    filled = {name: _checked_variable(f"{table} {name}", text, project, declared) for name, (table, text) in own.items()}
+    return {**FIXED, **platform.environment(), **passed, **filled}
+
+
+def _checked_variable(place: str, text: str, project: Project, declared: Declared) -> str:
+    for _, name in NAMED.findall(text):
+        _check_varied(name, declared, place)
+    return _with_inputs(text, project, place)
 
 
 def declared(
@@ -372,6 +392,11 @@ class CommandBuilder:
             "SIERRA_RUN_DIR": self._here,
             "SIERRA_SESSION": session,
         }
+        self._unfilled = {
+            name: text
+            for name, text in spec.environment.items()
+            if any(used and used not in self._placed for _, used in NAMED.findall(text))
+        }
         if not (box or self._on_robots):  # a robot has a PATH of its own
             self._environment["PATH"] = search_path(self._environment)
         if script and (box is None or box.gpu):
@@ -391,8 +416,9 @@ class CommandBuilder:
             members = tuple(self._members(files, seed, own))
             return Job(run.id, execution, (), {}, files, self._bounds, members=members)
         given = run_values.read(files)
-        argv = self._argv(self._spec.command, files, seed, given.values)
-        variables = {**self._environment, **own, **given.environment}
+        values = self._values(files, seed, given.values)
+        argv = self._argv(self._spec.command, files, values, alike=not given.values)
+        variables = {**self._environment, **self._own_variables(values), **own, **given.environment}
         client = self._shared or self._contained(argv, variables)
         return Job(
             run.id,
@@ -415,9 +441,16 @@ class CommandBuilder:
         for place, theirs in listed:
             given, number = run_values.read(theirs), str(place.number)
             command = groups.get(place.group, self._spec.command)
-            argv = self._argv(command, theirs, seed, {**given.values, robots.VALUE: number})
-            filled = zip(self._environment, with_texts(self._environment.values(), {robots.VALUE: number}), strict=True)
-            variables = {**dict(filled), **own, "SIERRA_ROBOT": number, "SIERRA_ROBOTS": count, **given.environment}
+            values = self._values(theirs, seed, {**given.values, robots.VALUE: number})
+            argv = self._argv(command, theirs, values)
+            variables = {
+                **self._environment,
+                **self._own_variables(values),
+                **own,
+                "SIERRA_ROBOT": number,
+                "SIERRA_ROBOTS": count,
+                **given.environment,
+            }
             yield Member(place.number, place.group, argv, variables, theirs, self._folders(theirs))
 
     def _folders(self, files: Files) -> Mapping[str, str] | None:
@@ -436,18 +469,26 @@ class CommandBuilder:
             )
         return {FOLDERS["project"]: project, FOLDERS["output"]: f"{self._here}/{RUN_OUTPUT}"}
 
-    def _argv(self, command: tuple[str, ...], files: Files, seed: str, given_values: Mapping[str, str]) -> tuple[str, ...]:
-        """Return the command of a run. If it does not depend on the run, it is built once per input file name."""
-        file = files[0][0]
-        if not given_values and (same := self._same.get(file)) is not None:
-            return same
+    def _values(self, files: Files, seed: str, given: Mapping[str, str]) -> dict[str, str]:
+        """Return the texts of a run's own placeholders."""
         here = self._here
-        own = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
-        values = {**given_values, **own}
+        return {**given, "input": f"{here}/{files[0][0]}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
+
+    def _own_variables(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Return the variables with placeholders that only a run itself can fill in."""
+        return {name: self._fill((text,), values)[0] for name, text in self._unfilled.items()}
+
+    def _argv(
+        self, command: tuple[str, ...], files: Files, values: Mapping[str, str], *, alike: bool = False
+    ) -> tuple[str, ...]:
+        """Return the command of a run. If runs are `alike`, it is built once per input file name."""
+        file = files[0][0]
+        if alike and (same := self._same.get(file)) is not None:
+            return same
         given = arguments(files) if SPLICED in command else ()
         argv = tuple(chain.from_iterable(given if word == SPLICED else self._fill((word,), values) for word in command))
         argv = self._conducted(self._located(argv), values) if self._spec.around else self._located(argv)
-        if not given_values and not any("{seed}" in word or word == SPLICED for word in self._spec.words):
+        if alike and not any("{seed}" in word or word == SPLICED for word in self._spec.words):
             self._same[file] = argv
         return argv
 

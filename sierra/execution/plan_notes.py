@@ -52,7 +52,7 @@ def outdated(root: Path, image: AnyImage | None) -> Iterator[str]:
 
 def doubts(designed: Design, command: Sequence[str], config: Project) -> Iterator[str]:
     """Yield warnings about settings that are allowed but probably not intended."""
-    mentioned = " ".join(command)
+    mentioned = " ".join((*command, *config.environment.set.values()))
     seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and not config.seed.environment and "{seed}" not in mentioned:
         hint = f"{_place_of_seed(config)}, or use {{seed}} in the command (SIERRA_SEED also has it)"

@@ -75,9 +75,9 @@ def plan(
     surroundings = around.declared(config, root, declared, contained=image is not None, made=made)
     around.check_ports(config, command, surroundings)
     groups = on_robots.of_groups(config, root, declared, made, contained=image is not None)
-    variables = {**commands.environment(platform, config), **(box.variables if box else {})}
+    variables = commands.environment(platform, config, declared, contained=box is not None)
     of_groups = tuple(word for argv in (groups or {}).values() for word in argv)
-    values = commands.used_values((*command, *of_groups, *surroundings.words), declared, config)
+    values = commands.used_values((*command, *of_groups, *surroundings.words, *variables.values()), declared, config)
     own = project_source.own_paths(project)
     code = project_source.code(project)
     held = source.paths(code.manifest)

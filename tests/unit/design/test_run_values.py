@@ -204,3 +204,67 @@ def test_doctor_accepts_a_project_without_a_template(tmp_path: Path) -> None:
     done = quick(root, "doctor")
     assert "template" in done.stdout
     assert "unknown placeholder" not in done.stdout
+
+
+PLACED = """
+command = "python3 tell.py"
+template = "in.json"
+seed = "/seed"
+runs = 2
+[variables]
+robots = "/robots"
+[environment]
+pass = ["CALLER"]
+set = { TOLD = "{robots} {seed} {input} {output} {{seed}} {other} {project}", SPEED = "{speed}" }
+"""
+
+
+TELL = """
+import os
+robots, seed, file, folder, literal, other, project = os.environ["TOLD"].split()
+same = (os.path.dirname(file) == os.path.dirname(folder), os.path.samefile(folder, "."), os.path.exists(project + "/tell.py"))
+with open("told.csv", "w") as told:
+    print("tick,robots,seed,placed_in,literal,other,same,caller", file=told)
+    print(0, robots, seed, os.path.basename(file), literal, other, all(same), os.environ.get("CALLER"), sep=",", file=told)
+"""
+
+
+def placed(folder: Path, config: str = PLACED) -> Path:
+    folder.mkdir()
+    (folder / "tell.py").write_text(TELL)
+    (folder / "in.json").write_text('{"robots": 1, "seed": 1}')
+    (folder / "sierra.toml").write_text(config.replace('SPEED = "{speed}"', 'SPEED = "{robots}"'))
+    return folder
+
+
+def test_variables_of_the_environment_have_the_placeholders_of_commands(tmp_path: Path) -> None:
+    root = placed(tmp_path / "p")
+    run(root, "robots=2,4")
+    right = "r.robots = t.robots AND r.seed = t.seed AND same AS fits"
+    rows = sql(root, f"SELECT r.seed, {right}, placed_in, literal, other FROM told t JOIN runs r USING (run)")
+    assert len({row.pop("seed") for row in rows}) == 2
+    expected = {"fits": True, "placed_in": "input.json", "literal": "{seed}", "other": "{other}"}
+    assert rows == [expected] * 4
+    assert run(root, "robots=2,4")[0]["executed"] == 0
+    assert quick(root, "replay", str(sql(root, "SELECT batch FROM batches")[0]["batch"])).returncode == 0
+
+
+def test_what_is_passed_from_the_caller_is_a_text_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CALLER", "{seed} {{robots}} {project}")
+    root = placed(tmp_path / "p")
+    run(root, "robots=2")
+    assert {row["caller"] for row in sql(root, "SELECT caller FROM told")} == {"{seed} {{robots}} {project}"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{input.other} {speed}", "[environment] TOLD: {input.other} in '{input.other} {speed}' is no template"),
+        ("{speed}", "[environment] TOLD uses {speed}; add speed=… to the query"),
+    ],
+)
+def test_a_placeholder_that_nothing_fills_in_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    config = PLACED.replace("{robots} {seed} {input} {output} {{seed}} {other} {project}", text)
+    root = placed(tmp_path / "p", config.replace('robots = "/robots"', 'robots = "/robots"\nspeed = {}'))
+    varied = ("speed=1",) if "other" in text else ()
+    assert message in refused(root, "robots=2", *varied)
