@@ -127,10 +127,10 @@ def test_values_and_a_template_can_be_mixed(tmp_path: Path) -> None:
     )
     (root / "arena.xml").write_text(TEMPLATE)
     run(root, "population_size=4", "noise=1")
-    run(root, "noise=1")  # the same specification, but without the argument
     words = told(root)[0][0]
     assert isinstance(words, list)
     assert words[1:] == ["-n", "4"]
+    run(root, "noise=1")  # the same specification, but without the argument
     assert [row["files"] for row in sql(root, "SELECT files FROM specs ORDER BY len(files)")] == [
         ["input.xml"],
         ["input.xml", "sierra_values.json"],
