@@ -5,7 +5,9 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from sierra.config.execution_tables import Container
@@ -166,7 +168,8 @@ class Service:
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
         try:
-            return follow(runner, recorder, self._store, self._session, tally, work, detach=detach, enough=enough)
+            with _without_byte_code():
+                return follow(runner, recorder, self._store, self._session, tally, work, detach=detach, enough=enough)
         finally:
             if not self._stays:
                 self.isolation.close()
@@ -226,3 +229,13 @@ class Service:
         """Return the PATH of the runs."""
         setup = self._setup
         return commands.declared(setup.spec.environment, setup.root, setup.project.root, image=self._image)["PATH"]
+
+
+@contextmanager
+def _without_byte_code() -> Iterator[None]:
+    """Import modules without writing `__pycache__`: that changes folders, which observed runs may have listed."""
+    before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    try:
+        yield
+    finally:
+        sys.dont_write_bytecode = before

@@ -293,3 +293,42 @@ def test_an_edit_meanwhile_fails_only_executions_that_use_the_file(root: Path, c
     said, _ = asking.communicate(timeout=100)
     failed = projects.sql(root, "SELECT count(*) AS failed FROM executions WHERE reason LIKE 'code or programs have changed%'")
     assert (asking.returncode, failed[0]["failed"] > 0) == (expected[0], bool(expected[1])), said
+
+
+LISTING = """\
+import os, sys, time
+while not os.path.exists(sys.argv[2] + "/go"):
+    time.sleep(0.01)
+names = len([name for name in os.listdir(sys.argv[2]) if name != "__pycache__"])
+with open("swarm.csv", "w") as file:
+    print("tick,value", f"0,{names}", sep="\\n", file=file)
+"""
+IMPORTING = """\
+import pathlib, sys
+import sierra
+from sierra.execution.observer import Observer
+class Late(Observer):
+    def progress(self, progress):
+        if "late" not in sys.modules:
+            import late
+            pathlib.Path(late.__file__).with_name("go").touch()
+sys.path.insert(0, sys.argv[1])
+print(sierra.open(".").run("population_size=1", runs=1, figures=False, observer=Late()).executed)
+"""
+
+
+def test_modules_that_sierra_imports_meanwhile_do_not_change_a_folder_that_a_run_lists(
+    tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require("strace")
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    library = tmp_path / "library"
+    library.mkdir()
+    (library / "late.py").write_text("")
+    config = projects.CONFIG.replace("sim.py {input}", f"sim.py {{input}} {library}")
+    root = projects.make(tmp_path / "project", config, simulator=LISTING)
+    called = subprocess.run(
+        [sys.executable, "-c", IMPORTING, library], cwd=root, capture_output=True, text=True, check=False, timeout=100
+    )
+    assert (called.returncode, called.stdout) == (0, "1\n"), called.stderr
+    assert not (library / "__pycache__").exists()
