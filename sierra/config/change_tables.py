@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, StringConstraints, model_validator
 
-from sierra.config.field_types import NAME, Argv, Label, Name, RawTable, Table, Text
+from sierra.config.field_types import NAME, Argv, Label, Labels, Name, RawTable, Table, Text
 
 VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
@@ -124,6 +124,7 @@ class Variable(ValueOfVariable):
     """
 
     label: Label = ""
+    labels: Labels = Field(default_factory=dict)
     unit: str = Field("", description="unit in figures")
     targets: Mapping[
         Name, Annotated[ValueOfVariable, BeforeValidator(set_to, json_schema_input_type=str | ValueOfVariable)]

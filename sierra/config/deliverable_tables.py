@@ -13,6 +13,7 @@ from sierra.config.field_types import (
     Alpha,
     Experiments,
     Finite,
+    Labels,
     ListOfWords,
     Measured,
     OfStatement,
@@ -81,7 +82,6 @@ OF_SIZE = Field(
     description="width of the figure, by the name of a template of papers, or width and height in inches; `slide` is 5 × 2.8 "
     "inches, to be enlarged; default: a column of 3.5 inches, or a page for many panels"
 )
-Labels = Annotated[Mapping[str, str], Field(description="names in the figure of groups and other values, by the value")]
 Title = Annotated[str, Field(description="title above the figure or the frames")]
 Layout = Annotated[
     Literal["spring", "kamada_kawai", "circular"],

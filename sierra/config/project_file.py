@@ -389,9 +389,13 @@ class Project(Table):
         return getattr(self, key, default)
 
     def labels(self, axis: Axis) -> dict[Value, Value]:
-        """Return the labels of controllers or scenarios, by their names; none for labels that do not tell the values apart."""
+        """Return the labels of the values of a variable; none for labels that do not tell the values apart."""
+        if axis.name in self.variables:
+            given = self.variables[axis.name].labels
+            labels: dict[Value, Value] = {one: given.get(str(one), str(one)) if given else one for one in axis.values}
+            return labels if len({*labels.values()}) == len(labels) else {}
         groups = {"controller": self.controllers, "scenario": self.scenarios}.get(axis.name, {})
-        labels: dict[Value, Value] = {}
+        labels = {}
         for value in axis.values:
             found = group_names.resolve(str(value), groups)
             labels[value] = (groups[found[0].declared[-1]].label if len(found) == 1 else "") or value

@@ -583,7 +583,7 @@ class Gallery:
     def _labelled(self, axis: Axis) -> Axis:
         variable = self._config.variables.get(axis.name)
         if variable:
-            return replace(axis, label=variable.label, unit=variable.unit)
+            axis = replace(axis, label=variable.label or axis.label, unit=variable.unit)
         labels = self._config.labels(axis)
         self._shown[axis.name] = labels
         return replace(axis, values=tuple(labels.get(value, value) for value in axis.values))

@@ -269,14 +269,19 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
     if not declared and not own_changes:
         return None
     variable = project.variables.get(criterion.name, Variable())
-    why, own = f"variable {criterion.name!r}", f"{{{criterion.name}}}"
-    first = (Set(variable.set, own, why=why),) if variable.set else ()
-    every = (*first, *changes(variable.changes, why, own))
+    every = _of_variable(criterion.name, variable)
     values = ranges.values(criterion.scale)
     axis = Axis(criterion.name, values, variable.label, variable.unit)
     if isinstance(criterion.scale, Computed):
         return axis, tuple(_with_changes(point, every, f"criterion {criterion.name!r}") for point in criterion.scale.points)
     return axis, tuple(Point(value, every) for value in values)
+
+
+def _of_variable(name: str, variable: Variable) -> tuple[Change, ...]:
+    """Return the changes that each value of a variable makes."""
+    why, own = f"variable {name!r}", f"{{{name}}}"
+    first = (Set(variable.set, own, why=why),) if variable.set else ()
+    return (*first, *changes(variable.changes, why, own))
 
 
 def _with_changes(point: Point, first: tuple[Change, ...], why: str) -> Point:
@@ -326,7 +331,7 @@ def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change
     for kind in GROUPED:
         for cell in cells:
             name = cell.values.get(kind)
-            if name is None or _groups(project, kind):
+            if name is None or kind in project.variables or _groups(project, kind):
                 continue
             in_command = any(f"{{{kind}}}" in word for word in command)
             if not in_command and not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
@@ -343,7 +348,12 @@ def mentions(change: Change, name: str) -> bool:
 
 
 def _unknown(name: str, project: Project, platform: Platform) -> str:
-    known = [*project.variables, *platform.criteria(), *(kind for kind in GROUPED if _groups(project, kind)), "montecarlo"]
+    known = [
+        *project.variables,
+        *platform.criteria(),
+        *(kind for kind in GROUPED if _groups(project, kind) and kind not in project.variables),
+        "montecarlo",
+    ]
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
     return f"unknown variable {name!r}; {hint} ([variables] in sierra.toml declares them)"
@@ -355,7 +365,8 @@ def _grouped(criterion: Criterion, project: Project) -> tuple[Axis, tuple[Point,
     values = tuple(map(str, criterion.scale.values))
     groups = [_group(project, criterion.name, value) for value in values]
     points = tuple(Point(group.name, group.changes, parameters=group.parameters) for group in groups)
-    return Axis(criterion.name, values, criterion.name.capitalize()), points
+    variable = project.variables.get(criterion.name, Variable())
+    return Axis(criterion.name, values, variable.label or criterion.name.capitalize(), variable.unit), points
 
 
 def _groups(project: Project, kind: str) -> Mapping[str, Group]:
@@ -375,7 +386,8 @@ def _group(project: Project, kind: str, name: str) -> ChosenGroup:
     """Return a group. Raises QueryError if its name is unknown, ambiguous or a category."""
     groups = _groups(project, kind)
     if not groups:
-        return ChosenGroup(name)
+        variable = project.variables.get(kind)
+        return ChosenGroup(name, _of_variable(kind, variable) if variable else ())
     if members := [other for other in groups if other.startswith(f"{name}.") and name in groups]:
         raise QueryError(f"{kind} {name!r} is a category; use one of {', '.join(members)}")
     found = group_names.resolve(name, groups)

@@ -59,11 +59,9 @@ def check_names(project: LoadedProject) -> None:
             raise ConfigError(
                 f"{project.file}: variable {name!r}: the store itself has a column of that name; use another name"
             )
-        if (group := name.lower()) in GROUPED:
-            raise ConfigError(
-                f"{project.file}: variable {name!r}: {group}s are not values but sets of changes; "
-                f"declare each in [{group}s.NAME]"
-            )
+        if (group := name.lower()) in GROUPED and (name != group or getattr(project.config, f"{group}s")):
+            cure = f"is [variables.{name}] or [{group}s.NAME], not both" if name == group else f"is written {group!r}"
+            raise ConfigError(f"{project.file}: variable {name!r}: a {group} {cure}")
     root = ProjectPaths(project.root)
     if root.store.exists() and not root.store.is_dir():
         raise Missing(f"{root.store} is a file, but the store must be a folder with this path")

@@ -94,5 +94,7 @@ def _outputs(state: BatchState) -> Iterator[Markup]:
 
 def _label(state: BatchState, kind: str, name: str | None) -> str | None:
     groups = state.project.config.controllers if kind == "controller" else state.project.config.scenarios
-    label = groups[name].label if name is not None and name in groups else ""
+    variable = state.project.config.variables.get(kind)
+    given = variable.labels if variable else {group: table.label for group, table in groups.items()}
+    label = given.get(name or "", "")
     return f"{label} ({name})" if label else name

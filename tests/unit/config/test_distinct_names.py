@@ -85,7 +85,7 @@ def test_variables_are_no_controllers_in_other_letters(recorded: Path, tmp_path:
     root = stores.copy(recorded, tmp_path / "project")
     with (root / "sierra.toml").open("a") as file:
         file.write('Scenario = "//noise"\n')
-    with pytest.raises(ConfigError, match="variable 'Scenario': scenarios are not values but sets of changes"):
+    with pytest.raises(ConfigError, match="variable 'Scenario': a scenario is written 'scenario'"):
         sierra.open(root).plan("noise=1")
 
 

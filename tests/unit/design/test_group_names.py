@@ -175,3 +175,48 @@ def test_figures_show_the_labels_of_controllers(folder: Path) -> None:
 
 def _texts(path: Path) -> list[str]:
     return ["".join(text.itertext()) for text in etree.parse(path).iter("{*}text")]
+
+
+VARIABLE = """
+scenario = {}
+[variables.controller]
+set = "//swarm/@controller"
+label = "Behaviour"
+labels = { crw = "random walk" }
+"""
+
+
+@pytest.fixture
+def varied(tmp_path: Path) -> Path:
+    config = projects.CONFIG.replace("{input}", "{input} {scenario}") + VARIABLE
+    return projects.make(tmp_path / "p", config, template=TEMPLATE, simulator=SIMULATOR)
+
+
+def test_a_controller_may_be_a_variable(varied: Path) -> None:
+    words = ("controller=crw,levy", "--scenario", "open")
+    assert [row["controller"] for row in inputs(varied, *words)] == ["crw", "levy"]
+    table = projects.quick(varied, "stats", "arena", "value").stdout
+    assert "random walk" in table
+    assert "crw" not in table
+    chosen = projects.quick(varied, "run", *words, "--runs", "1", "--only", "controller=random walk", "--dry-run").stdout
+    assert "\ncrw" in chosen
+    assert "\nlevy" not in chosen
+    alone = projects.quick(varied, "run", "noise=0.1", "--controller", "crw", "--scenario", "open", "--runs", "1", "--json")
+    assert json.loads(alone.stdout)["reused"] == 1
+
+
+def test_a_controller_is_a_variable_or_a_table(folder: Path) -> None:
+    (folder / "sierra.toml").write_text(projects.CONFIG + 'controller = "//swarm/@controller"\n' + CONFIG)
+    said = refused(folder, "population_size=2")
+    assert "variable 'controller': a controller is [variables.controller] or [controllers.NAME], not both" in said
+
+
+def test_names_of_numbers_are_shown_as_texts(tmp_path: Path) -> None:
+    labels = '\n[variables.count]\nset = "//swarm/@count"\nlabels = { 1 = "alone" }\n'
+    config = projects.CONFIG.replace('population_size = "//swarm/@count"\n', "") + labels
+    folder = projects.make(tmp_path / "p", config)
+    projects.run(folder, "count=1,2", "--runs", "2")
+    table = projects.quick(folder, "stats", "swarm", "coverage").stdout
+    assert [line.split()[1] for line in table.splitlines()] == ["count", "alone", "2"]
+    drawn = projects.quick(folder, "figures")
+    assert drawn.returncode == 0, drawn.stderr
