@@ -28,3 +28,17 @@ def test_what_draws_videos_loads_matplotlib_without_settings_of_the_environment(
         [sys.executable, "-c", f"import sierra.extensions.videos.{module}"], env=variables, capture_output=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--capture -q", "--quiet: not with --capture"),
+        ("--runs 2", "--runs: only with --capture"),
+        ("--capture 9e1c 722b", "--capture takes one id, not 2"),
+    ],
+)
+def test_options_that_do_not_fit_to_a_capture_are_refused_in_one_line(tmp_path: Path, words: str, message: str) -> None:
+    ended = projects.quick(projects.make(tmp_path / "p"), "video", *words.split())
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert message in ended.stderr

@@ -104,9 +104,6 @@ REFUSED: dict[str, tuple[str, str]] = {
     "inputs with 0 looks": ("run sizes --inputs x --max-runs 0", "leave out --max-runs"),
     "long files": ("show 9e1c --files --long", "leave out --long"),
     "a file and all files": ("show 9e1c swarm.csv --files", "leave out --long, PATH and --to"),
-    "a quiet capture": ("video --capture -q", "--quiet: not with --capture"),
-    "frames without a capture": ("video --runs 2", "--runs: only with --capture"),
-    "several captures": ("video --capture 9e1c 722b", "--capture takes one id, not 2"),
 }
 
 
