@@ -190,7 +190,21 @@ class Rename:
     why: str = ""
 
 
-Change = Set | Add | Remove | Rename
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """A change that puts `count` copies of the one element that `path` selects in its place, with the numbers from 0.
+
+    `count` may contain `{expressions}`; 0 removes the element. The following elements of its name go, or in a list of a tree,
+    all other items. In attributes and texts of the copies, `{index}` is the number of the copy.
+    """
+
+    path: str
+    count: str
+    expect: int | None = 1
+    why: str = ""
+
+
+Change = Set | Add | Remove | Rename | Repeat
 """A change to the template. `expect`: required number of matches (None: at least one). `why`: its origin, for messages."""
 
 

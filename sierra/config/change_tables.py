@@ -16,7 +16,7 @@ OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arch
 """Names in braces that have a meaning of their own in a command."""
 PORT_NAMES = ("port", *(f"port{number}" for number in range(2, 17)))
 """Names in braces that stand for free ports of a run, unless a variable or a list of `per_run` has the name."""
-NO_CHANGE = 'it changes nothing; give it "set", "changes", "argument" or "environment"'
+NO_CHANGE = 'it changes nothing; give it "set", "repeat", "changes", "argument" or "environment"'
 NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
 """Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""
 OF_TARGETS = "for single targets, by name: other changes than the ones here"
@@ -102,12 +102,17 @@ class PlaceOfSeed(Table):
 class ValueOfVariable(PlaceOfSeed):
     """The changes that a value of a variable makes for one target. The short form is the XPath alone."""
 
+    repeat: str | None = Field(
+        None,
+        description="XPath of the element or item that is repeated as often as the value says, in the place of those after it "
+        "with its name, or of all items of its list; `{index}` in its texts is the number of the copy, from 0",
+    )
     changes: Changes = ()
 
     @property
     def is_given(self) -> bool:
         """Return True if the variable itself says what its values change."""
-        return bool(self.set or self.changes or self.argument or self.environment)
+        return bool(self.set or self.repeat or self.changes or self.argument or self.environment)
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

@@ -43,6 +43,7 @@ from sierra.model import (
     Query,
     Remove,
     Rename,
+    Repeat,
     Set,
     Value,
 )
@@ -280,8 +281,9 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
 def _of_variable(name: str, variable: Variable) -> tuple[Change, ...]:
     """Return the changes that each value of a variable makes."""
     why, own = f"variable {name!r}", f"{{{name}}}"
+    copies = (Repeat(variable.repeat, own, why=why),) if variable.repeat else ()
     first = (Set(variable.set, own, why=why),) if variable.set else ()
-    return (*first, *changes(variable.changes, why, own))
+    return (*copies, *first, *changes(variable.changes, why, own))
 
 
 def _with_changes(point: Point, first: tuple[Change, ...], why: str) -> Point:
@@ -341,7 +343,7 @@ def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change
 def mentions(change: Change, name: str) -> bool:
     """Return True if an expression in a change uses a name."""
     match change:
-        case Set(value=text) | Add(xml=text) | Rename(to=text):
+        case Set(value=text) | Add(xml=text) | Rename(to=text) | Repeat(count=text):
             return re.search(rf"\{{[^}}]*\b{name}\b", text) is not None
         case Remove():
             return False

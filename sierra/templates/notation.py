@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from decimal import Decimal
 from enum import StrEnum
@@ -23,6 +24,19 @@ LONGEST = 400
 """Maximum number of characters of a number."""
 NUMBER = regex(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 """A number as all formats write it."""
+
+
+INDEX = "{index}"
+"""The text that stands for the number of a copy."""
+MOST_COPIES = 10_000
+
+
+def repetitions(count: str) -> int:
+    """Return a number of copies. Raises Unfit for a text that is none."""
+    number = int(count) if re.fullmatch(r"[0-9]{1,9}", count) else -1
+    if not 0 <= number <= MOST_COPIES:
+        raise Unfit(f"cannot be repeated {count[:40]!r} times; use a whole number from 0 to {MOST_COPIES}")
+    return number
 
 
 class Kind(StrEnum):

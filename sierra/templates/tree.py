@@ -14,6 +14,7 @@ A value of another type is an error. A list, a table or `null` cannot be set.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import ClassVar
@@ -21,13 +22,26 @@ from typing import ClassVar
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.errors import ConfigError, TemplateError
-from sierra.model import Add, Change, Remove, Rename, Set, Value
+from sierra.model import Add, Change, Remove, Rename, Repeat, Set, Value
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
 from sierra.templates.data_view import Scan
 from sierra.templates.json_notation import JsonNotation
 from sierra.templates.nearest_path import nearest
-from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, unfit_number
+from sierra.templates.notation import (
+    INDEX,
+    NUMBER,
+    Address,
+    Edit,
+    Kind,
+    Node,
+    Notation,
+    Plain,
+    Unfit,
+    is_float,
+    repetitions,
+    unfit_number,
+)
 from sierra.templates.same_number import is_lost, same
 from sierra.util.hashing import sha256
 from sierra.util.lazy_definitions import regex
@@ -228,6 +242,8 @@ class TreeDocument:
                     return self._removed(scan, address)
                 case Rename():
                     return self._renamed(scan, address, filled(change.to) if _ONE_NAME.fullmatch(change.to) else change.to)
+                case Repeat():
+                    return self._repeated(scan, address, filled(change.count))
         except Unfit as error:
             raise self._error(change, str(error)) from error
         except ConfigError as error:
@@ -281,6 +297,28 @@ class TreeDocument:
         renamed = {to if child is node else child.key: child.plain() for child in parent.children}
         return self._read(scan, text, address[:-1], lambda _: (Kind.MAPPING, renamed))
 
+    def _repeated(self, scan: Scan, address: Address, count: str) -> Scan:
+        """Put copies of an item into the place of all items of its list."""
+        *above, index = address or (0,)
+        parent = scan.at(tuple(above))
+        if not address or parent.kind is not Kind.LIST:
+            raise Unfit("is no item of a list; repeat works on these")
+        if count.startswith("{"):
+            return scan
+        item = scan.at(address)
+        copies = [_copy(item, number) for number in range(repetitions(count))]
+        for other in reversed(range(len(parent.children))):
+            scan = scan if other == index else self._removed(scan, (*above, other))
+        text, parent = scan.text, scan.at(tuple(above))
+        # Each is put after the item, at the same place of the text, which need not be read again for the next one.
+        each = [self.scan.notation.added(text, parent, None, new, None) for new in copies]
+        place = min((len(os.path.commonprefix([text, one])) for one in each), default=0)
+        new = (one[place : place + len(one) - len(text)] for one in each)
+        text = text[:place] + "".join(new) + text[place:]
+        items = (item.plain(), *(copy.plain() for copy in copies))
+        scan = self._read(scan, text, tuple(above), lambda _: (Kind.LIST, items))
+        return self._removed(scan, (*above, 0))
+
     def _read(self, scan: Scan, text: str, address: Address, change: Callable[[Plain], Plain]) -> Scan:
         """Return a changed text, read again, after checking that it is the old data with this change."""
         try:
@@ -323,6 +361,18 @@ def piece(json: str, filled: Callable[[str], str]) -> Node:
     except TemplateError as error:
         raise Unfit(f"cannot contain {json!r}; {error}") from error
     _fill_all(new, filled)
+    return new
+
+
+def _copy(node: Node, number: int) -> Node:
+    """Return a copy of a part of a document, with its number for `{index}`. Raises Unfit."""
+    if node.why:
+        raise Unfit(f"cannot be repeated: a part of it {node.why}")
+    children = [_copy(child, number) for child in node.children]
+    new = Node(node.kind, 0, 0, node.value, node.key, children=children)
+    if node.kind is Kind.TEXT:
+        new.value = node.value.replace(INDEX, str(number))
+        new.kind = Kind.NUMBER if node.value == INDEX else Kind.TEXT
     return new
 
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from lxml import etree
 
-from sierra.model import Add, Change, Remove, Rename, Set
+from sierra.model import Add, Change, Remove, Rename, Repeat, Set
+from sierra.templates.notation import INDEX, Unfit, repetitions
 from sierra.templates.xml_markup import attributes, decoded, name_in, tag_end
 from sierra.templates.xml_scan import Edits, Scan, Unspliced, prefix_of
 from sierra.templates.xml_view import XML, Element, Place, View, declarations, is_text, parser, reason
@@ -90,6 +92,11 @@ class XmlCopy:
                     element.tag = view.clark(to, element, change, etree.QName(element).namespace)
                     self._touched.add(element)
                     self._renamed.add(element)
+            case Repeat():
+                elements = view.elements(change)
+                self._check_read(other for element in elements for other in (element, *element.itersiblings(element.tag)))
+                for element in elements:
+                    self._repeat(element, change, filled(change.count))
         if not isinstance(change, Set) or change.attribute:
             self._declares = declarations(view.root) != view.namespaces
 
@@ -143,6 +150,26 @@ class XmlCopy:
         self._touched.add(parent)
         if raw_kept != raw:
             self._put(place, kept, raw_kept)
+
+    def _repeat(self, element: Element, change: Repeat, count: str) -> None:
+        """Put copies of an element into its place, and remove the following ones of its name."""
+        parent = element.getparent()
+        if parent is None:
+            raise self.view.error(change, "selects the root element", ", of which there is one")
+        if count.startswith("{"):
+            return
+        try:
+            copies = repetitions(count)
+        except Unfit as error:
+            raise self.view.error(change, str(error), "") from error
+        for other in list(element.itersiblings(element.tag)):
+            self._take_out(other)
+        for number in range(copies):
+            new = copy.deepcopy(element)
+            new.tail = None
+            _fill_all(new, partial(_numbered, str(number)))
+            self._insert(parent, new, parent.index(element))
+        self._take_out(element)
 
     def _insert(self, parent: Element, new: Element, index: int) -> None:
         """Insert a new child, with the indentation of its siblings."""
@@ -302,6 +329,10 @@ class XmlCopy:
             if attribute.declares and (outer.get(prefix) or "") == uri:
                 text = text[: attribute.start] + text[attribute.end + 1 :]
         return self.view.source.with_line_ends(self.view.source.with_references(text))
+
+
+def _numbered(number: str, text: str) -> str:
+    return text.replace(INDEX, number)
 
 
 def _indents(text: str) -> bool:

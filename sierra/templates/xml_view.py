@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias, TypeGuard
 from lxml import etree
 
 from sierra.errors import TemplateError
-from sierra.model import Add, Change, Remove, Rename, Set
+from sierra.model import Add, Change, Remove, Rename, Repeat, Set
 from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import is_lost, same
@@ -269,7 +269,7 @@ class View:
         return found
 
     def unfit(self, change: Change, node: Node, wanted: str) -> TemplateError:
-        verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename"}[type(change)]
+        verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename", Repeat: "repeat"}[type(change)]
         return self.error(change, f"selects {_kind(node)}", f"; {verb} works on {wanted}")
 
     def slots(self, change: Set, raw: Callable[[Place], str]) -> list[Slot]:

@@ -22,7 +22,7 @@ from sierra.config.project_file import Project
 from sierra.config.validate import options
 from sierra.design.platforms.base import Following, Placing, Platform, Reader, Renders
 from sierra.errors import SierraError
-from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Set
+from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Pose, Remove, Rename, Repeat, Set
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 from sierra.util.lazy_definitions import regex
 
@@ -241,7 +241,7 @@ def _are_changes(changes: tuple[Change, ...]) -> None:
     """Check that this is a tuple of changes, each with a path, a one-line `why` for messages, and valid values."""
     _is(changes, tuple)
     for change in changes:
-        _is(change, Set | Add | Remove | Rename)
+        _is(change, Set | Add | Remove | Rename | Repeat)
         holds(bool(change.path.strip()), f"{change} has no path")
         holds(change.expect is None or change.expect > 0, f"{change} expects less than one match")
         holds(bool(change.why), f"{change} has no `why`, which messages show")
