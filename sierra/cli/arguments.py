@@ -38,17 +38,22 @@ def names_of_given(options: Mapping[str, object]) -> str:
 
 
 ShownId = Annotated[
-    str,
+    str | None,
     typer.Argument(
-        metavar="HASH", autocompletion=complete.ids, help="Id of a batch, experiment, run or execution; a prefix is enough."
+        metavar="HASH",
+        autocompletion=complete.ids,
+        show_default=False,
+        help="Id of a batch, experiment, run or execution; a prefix is enough (default: the last batch).",
     ),
 ]
 ClusterId = Annotated[
-    str,
+    str | None,
     typer.Argument(
         metavar="HASH",
         autocompletion=complete.sessions,
-        help="Batch id, or session id from `sierra ls --jobs`; a prefix is enough. Or the name of a query.",
+        show_default=False,
+        help="Batch id, or session id from `sierra ls --jobs`; a prefix is enough. Or the name of a query (default: the last "
+        "batch with cluster jobs; to cancel, the only one).",
     ),
 ]
 Criteria = Annotated[

@@ -7,7 +7,7 @@ from sierra.cli.output import print_json
 
 
 def attach(
-    prefix: ClusterId,
+    prefix: ClusterId = None,
     figures: DrawFigures = None,
     as_json: AsJson = False,
 ) -> None:
@@ -17,7 +17,8 @@ def attach(
     printed as by sierra run. Ctrl-C asks whether to detach from the jobs or to cancel them.
 
     \b
-    Example:
+    Examples:
+      sierra attach
       sierra attach 9e1c
     """
     from sierra.cli import open_project, render_summary
@@ -25,9 +26,10 @@ def attach(
     from sierra.config import user
 
     project = open_project.project()
+    chosen = open_project.last_on_cluster(project) if prefix is None else prefix
     drawn = user.load().figures if figures is None else figures
     with watching(quiet=as_json) as display:
-        summary = project.attach(prefix, figures=drawn, observer=display)
+        summary = project.attach(chosen, figures=drawn, observer=display)
     if as_json:
         render_summary.print_notes(summary)
         print_json(render_summary.answer(project, summary, {}))

@@ -13,19 +13,24 @@ if TYPE_CHECKING:
 
 
 def cancel(
-    prefix: ClusterId,
+    prefix: ClusterId = None,
     as_json: AsJsonList = False,
 ) -> None:
     """Cancel cluster jobs. Finished runs are recorded.
 
+    Without HASH, exactly one batch must have cluster jobs.
+
     \b
-    Example:
+    Examples:
+      sierra cancel
       sierra cancel 9e1c
     """
     from sierra.cli import open_project
     from sierra.cli.progress import Display
 
-    done = open_project.project().cancel(prefix, observer=Display())
+    project = open_project.project()
+    chosen = open_project.last_on_cluster(project, only=True) if prefix is None else prefix
+    done = project.cancel(chosen, observer=Display())
     if as_json:
         print_json(done)
         return

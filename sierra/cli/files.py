@@ -33,11 +33,14 @@ WHICH = {
 
 def files(
     prefix: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            metavar="HASH", autocompletion=complete.ids, help="Id of anything that `sierra show` shows; a prefix is enough."
+            metavar="HASH",
+            autocompletion=complete.ids,
+            show_default=False,
+            help="Id of anything that `sierra show` shows; a prefix is enough (default: the last batch).",
         ),
-    ],
+    ] = None,
     paths: Annotated[
         list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Listed paths, or glob patterns.")
     ] = None,
@@ -59,14 +62,16 @@ def files(
       sierra show 9e1c --to recorded
       sierra show 9e1c "*.csv" stderr --to recorded
     """
-    from sierra.cli.open_project import project
+    from sierra.cli.open_project import given_or_last, project
     from sierra.store.export_recorded_files import extract, listing
 
     besides = given(Beside)
     if besides and to is None:
         raise UsageError(f"{besides[0].option} needs --to FOLDER")
     opened = project()
-    listed = listing(opened.store, opened.record_id(prefix), paths or (), check=to is None and (as_json or not paths))
+    listed = listing(
+        opened.store, opened.record_id(given_or_last(prefix, opened)), paths or (), check=to is None and (as_json or not paths)
+    )
     if to is not None:
         outcomes = list(extract(opened.store, listed, to))
         _doubt(opened, to)

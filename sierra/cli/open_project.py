@@ -12,9 +12,10 @@ from types import ModuleType
 
 from sierra.api import Project
 from sierra.cli.output import note
-from sierra.errors import UsageError
+from sierra.errors import NotFound, UsageError
 from sierra.store import index_files
 from sierra.util.first_import import Load, load_with
+from sierra.util.hashing import short
 
 ALLOCATOR = "ARROW_DEFAULT_MEMORY_POOL"
 
@@ -67,6 +68,33 @@ def _load(module: ModuleType, load: Load) -> None:
         sys.meta_path.remove(hidden)
         del os.environ[ALLOCATOR]
         os.environ.update({} if before is None else {ALLOCATOR: before})
+
+
+def given_or_last(word: str | None, opened: Project) -> str:
+    """Return the id or name that was given; without one, the id of the last batch, after a note that names it.
+
+    Raises Missing if no batch is recorded.
+    """
+    return _noted(opened.batch()) if word is None else word
+
+
+def last_on_cluster(opened: Project, *, only: bool = False) -> str:
+    """Return the id of the last batch that has cluster jobs, after a note that names it.
+
+    Raises NotFound if there is none and, with `only`, UsageError if there are several.
+    """
+    on_clusters = [batch for batch in opened.batches if batch.clusters]
+    if not on_clusters:
+        raise NotFound("no batch has jobs on a cluster; sierra ls lists recorded batches")
+    if only and len(on_clusters) > 1:
+        listed = ", ".join(f"{short(batch.batch)} ({batch.query})" for batch in on_clusters)
+        raise UsageError(f"{len(on_clusters)} batches have jobs on a cluster; name one of them: {listed}")
+    return _noted(on_clusters[-1].batch, "the only one with cluster jobs" if only else "the last one with cluster jobs")
+
+
+def _noted(batch: str, which: str = "the last one") -> str:
+    note(f"batch {short(batch)}, {which}")
+    return batch
 
 
 class _NoPandas:

@@ -26,7 +26,9 @@ def package(
     batches: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="BATCH", autocompletion=complete.ids, help="Ids of batches, or names of queries; prefixes are enough."
+            metavar="BATCH",
+            autocompletion=complete.ids,
+            help="Ids of batches, or names of queries; prefixes are enough (default: the last batch, unless with --claims).",
         ),
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE.zip", help="The file to write.")] = None,
@@ -82,6 +84,7 @@ def package(
 
     \b
     Examples:
+      sierra package -o results.zip
       sierra package 9e1c -o results.zip
       sierra package --claims -o results.zip
       sierra package 9e1c -o results.zip --image both
@@ -91,7 +94,7 @@ def package(
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.lazy_commands import given
-    from sierra.cli.open_project import project
+    from sierra.cli.open_project import given_or_last, project
     from sierra.errors import Identifying
 
     def agree(preview: Preview) -> bool:
@@ -125,9 +128,11 @@ def package(
     if (pythons or machines) and not wheels:
         raise UsageError("--python and --arch choose wheels; add --wheels")
     chosen = {"pythons": _listed(pythons), "machines": _listed(machines)}
+    opened = project()
+    packed_batches = batches or ([] if claims else [given_or_last(None, opened)])
     try:
-        packed = project().package(
-            *(batches or ()),
+        packed = opened.package(
+            *packed_batches,
             path=output,
             claims=claims,
             agree=agree,

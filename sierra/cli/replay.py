@@ -24,7 +24,7 @@ SHOWN = 3
 
 
 def replay(
-    prefix: ShownId,
+    prefix: ShownId = None,
     runs: Annotated[
         int | None, typer.Option("--runs", metavar="K", min=1, help="Only the first K runs of each experiment.")
     ] = None,
@@ -60,6 +60,7 @@ def replay(
 
     \b
     Examples:
+      sierra replay
       sierra replay 9e1c
       sierra replay 9e1c --runs 2 --json
       sierra replay 9e1c --set-tolerance swarm.coverage=rel:1e-9
@@ -75,9 +76,10 @@ def replay(
     project = open_project.project()
     if junit is not None and not junit.parent.is_dir():
         raise Missing(f"{junit}: the folder {junit.parent} does not exist")
+    chosen = open_project.given_or_last(prefix, project)
     with watching(quiet=as_json) as display:
         answer = project.replay(
-            prefix,
+            chosen,
             runs=runs,
             jobs=jobs,
             runner=runner,

@@ -51,13 +51,15 @@ SQL_LINES = 20
 
 def show(
     prefix: Annotated[
-        str,
+        str | None,
         typer.Argument(
             metavar="HASH|FILE",
             autocompletion=complete.anything,
-            help="Id, as `sierra ls` prints it; a prefix is enough. Or the name of a query, or a figure's file.",
+            show_default=False,
+            help="Id, as `sierra ls` prints it; a prefix is enough. Or the name of a query, or a figure's file (default: the "
+            "last batch).",
         ),
-    ],
+    ] = None,
     paths: Annotated[
         list[str] | None,
         typer.Argument(
@@ -84,6 +86,7 @@ def show(
 
     \b
     Examples:
+      sierra show
       sierra show 722b00
       sierra show 722b00 --long
       sierra show 722b00 --files
@@ -91,7 +94,7 @@ def show(
       sierra show 722b00 "*.csv" stderr --to recorded
       sierra show figures/722b00d418/swarm_coverage_summary.pdf
     """
-    from sierra.cli.open_project import project
+    from sierra.cli.open_project import given_or_last, project
     from sierra.execution.around import described
     from sierra.execution.shown_records import ShownBatch, ShownExecution, ShownRun
     from sierra.store.spec_rows import run_spec
@@ -105,10 +108,11 @@ def show(
             )
         files(prefix, paths, to, as_json)
         return
-    if (os.sep in prefix or "." in prefix) and Path(prefix).exists():
+    if prefix is not None and (os.sep in prefix or "." in prefix) and Path(prefix).exists():
         _print_deliverable(project().deliverable(prefix), long=long, as_json=as_json)
         return
-    shown = project().show(prefix)
+    opened = project()
+    shown = opened.show(given_or_last(prefix, opened))
     record = shown.as_dict()
     if as_json:
         print_json(record)

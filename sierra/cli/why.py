@@ -18,7 +18,7 @@ LINES = 10
 
 
 def why(
-    prefix: ShownId,
+    prefix: ShownId = None,
     as_json: AsJson = False,
 ) -> None:
     """Explain why runs were executed or not.
@@ -29,12 +29,14 @@ def why(
 
     \b
     Examples:
+      sierra why
       sierra why 9e1c
       sierra why 4fc167aa --json
     """
-    from sierra.cli.open_project import project
+    from sierra.cli.open_project import given_or_last, project
 
-    answer = project().why(prefix)
+    opened = project()
+    answer = opened.why(given_or_last(prefix, opened))
     if as_json:
         print_json(_answer(answer))
     else:

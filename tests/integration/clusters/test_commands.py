@@ -98,8 +98,10 @@ def test_a_detached_run_returns_immediately_and_names_the_next_commands(waiting:
 def test_attach_follows_a_detached_batch_to_its_end(waiting: Waiting) -> None:
     waiting.submit()
     waiting.open()
-    done = waiting.project.quick("attach", waiting.batch())
+    done = waiting.project.quick("attach")
     assert done.returncode == 0, done.stderr
+    assert f"note: batch {waiting.batch()}" in done.stderr
+    assert ", the last one with cluster jobs\n" in done.stderr
     assert "6 runs: 6 executed, 0 reused\n" in done.stdout
     assert "figures:" in done.stdout
     assert waiting.status() == []
@@ -321,7 +323,7 @@ def test_cancel_keeps_finished_runs(waiting: Waiting) -> None:
         waiting.gate.with_name(f"gate.{run}").touch()
     until(lambda: len(packed(waiting.project.folder, Ended)) == 3, "elements tell that runs have ended")
     waiting.project.until_executed(6)
-    done = waiting.project.quick("cancel", waiting.batch())
+    done = waiting.project.quick("cancel")
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"session {left['session']}: 3 runs kept, 3 not executed\n"
     assert (waiting.alive(), waiting.good(), waiting.project.work()) == (0, 3, [])
