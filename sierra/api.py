@@ -204,7 +204,8 @@ class Project:
         isolates the runs; it overrides the project's. `observer` receives the progress of planning.
 
         A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs. Raises
-        QueryError, UsageError, TemplateError, and Missing for a program that is not found.
+        QueryError, UsageError, TemplateError. A program that is not found is named by the plan's `lacking`; to execute such a
+        plan raises Missing.
 
         >>> plan = project.plan("population_size=1,2,4", runs=3)
         >>> len(plan.batch.experiments), len(plan.batch.runs)
@@ -341,6 +342,7 @@ class Project:
         from sierra.execution import execute
         from sierra.execution.run_options import RunOptions
 
+        plan.check_programs()
         selected = None if only is None else condition.select(only, plan.batch, plan.project.config).runs
         options = RunOptions(
             slots(jobs),
@@ -405,6 +407,7 @@ class Project:
                 look, jobs=jobs, fail_fast=fail_fast, figures=False, observer=told, runner=runner, supervisor=supervisor
             )
 
+        plan.check_programs()
         self.runner_of(plan, runner)
         store = Store.create(self.paths.store)
         outcome = study.conduct(self._loaded, store, planned, plan, study.Actions(larger, execute), told)
@@ -526,12 +529,15 @@ class Project:
         >>> project.build(project.plan("population_size=1,2", runs=2)).build is None
         True
         """
+        plan.check_programs()
         if plan.build is None or plan.build.reason is None:
             return plan
         from sierra.execution.observer import Observer
         from sierra.execution.ready_build import ready
 
-        return ready(plan, Store.create(self.paths.store), observer or Observer())
+        built = ready(plan, Store.create(self.paths.store), observer or Observer())
+        built.check_programs()
+        return built
 
     def sql(self, text: str, *, within: str | None = None, **parameters: object) -> Result:
         """Return the result of one SQL statement: an Arrow table that notebooks show (see `Result`).

@@ -56,6 +56,8 @@ def paper(
         _check(opened, as_json=as_json)
         return
     plans = list({(plan.batch.id, plan.target): plan for plan in map(opened.resolve, opened.paper_queries())}.values())
+    for plan in plans:
+        plan.check_programs()
     if dry_run:
         _preview(opened, plans, as_json=as_json)
         return

@@ -368,7 +368,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
         on_clusters=len(found.on_clusters),
         clusters=tuple(seen(store, found.on_clusters)) if store and found.on_clusters else (),
         reasons={text(reason, PREVIEW): count for reason, count in reasons.most_common()},
-        notes=plan.notes,
+        notes=(*plan.notes, *([f"nothing can be executed or reused here: {plan.lacking}"] if plan.lacking else [])),
         new_because=tuple(new_runs(why_new(plan, store))) if new else (),
         other_programs=tuple(one.whole for one in other_programs(plan, store)) if other and store else None,
         build=built,
@@ -378,7 +378,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
         _print(plan, preview, selection, found.to_execute, explain=explain)
         if proposal:
             show_estimate(proposal, explain=explain, script=options.dry_run)
-    for message in (*plan.notes, *(proposal.notes if proposal else ())) if options.dry_run else ():
+    for message in (*preview.notes, *(proposal.notes if proposal else ())) if options.dry_run else ():
         note(message)
     return preview
 
@@ -417,6 +417,7 @@ def _print(
 def _check(project: Project, plan: Plan, options: Options) -> None:
     """Check what can be known before the first of several batches executes. Raises SierraError."""
     _check_log(plan)
+    plan.check_programs()
     project.runner_of(plan, options.runner, detach=options.detach, jobs=options.jobs)
     if options.operator is not None and not plan.project.config.trials.supervised:
         raise UsageError(f"--operator {options.operator}: nobody supervises these runs; set supervised = true in [trials]")

@@ -110,9 +110,10 @@ def _unselected(plan: Plan, store: Store, found: FileCheck, options: RunOptions)
 
 
 def check_packages(plan: Plan) -> None:
-    """Raise Missing if the runs need Python packages that are not installed."""
+    """Raise Missing if the runs need a program or Python packages that are not installed."""
     from sierra.provenance import required_packages
 
+    plan.check_programs()
     if plan.batch.spec.robots is not None:  # their own Pythons execute the runs
         return
     if absent := required_packages.missing(plan.project.config, contained=plan.engine.name != "none"):

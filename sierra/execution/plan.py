@@ -11,6 +11,7 @@ from sierra.containers import container_setup
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage
 from sierra.design.query.query_request import QueryRequest
+from sierra.errors import Missing
 from sierra.execution import commands
 from sierra.execution.build.state import BuildState
 from sierra.execution.checkout import Checkout
@@ -67,11 +68,18 @@ class Plan:
     """Files beside the inputs of runs; empty for a recorded batch, whose files the store has."""
     build: BuildState | None = None
     """State of the products of `[build]`; None without it."""
+    lacking: str = ""
+    """Reason why this machine cannot execute the runs, such as a program that was not found; empty if it can."""
 
     @property
     def target(self) -> str | None:
         """Return the target that the batch is requested for; None if there is none."""
         return self.project.config.target if self.source else self.request.target  # a recorded batch has the recorded one
+
+    def check_programs(self) -> None:
+        """Raise Missing if this machine lacks a program that the runs need."""
+        if self.lacking:
+            raise Missing(self.lacking)
 
     def _repr_html_(self) -> str:
         from sierra.util import html

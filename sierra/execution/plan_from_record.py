@@ -27,7 +27,7 @@ from sierra.execution.build import recorded as recorded_build
 from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
 from sierra.execution.plan import Plan
-from sierra.execution.resolve_plan import this_environment
+from sierra.execution.resolve_plan import found_or, this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
 from sierra.ingest.base import Used, check_formats, described
 from sierra.ingest.recording_context import rules_of
@@ -281,7 +281,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         raise Missing(f"batch {short(found.id)}: none of its sessions has finished; submit its query instead: {row.query}")
     recalled = recall(store, found.id, last.programs, last.ingest_rules)
     checkout = recalled.checkout(project, store)
-    used = checkout.programs()
+    used, lacking = found_or(NOTHING, checkout.programs)
     batch = _batch(store, row, recalled.spec)
     text = last.query or row.query
     return Plan(
@@ -312,6 +312,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         readers=recalled.readers,
         seen=guard(project.root, b"", used),
         build=recalled.build.state(recalled.manifest) if recalled.build else None,
+        lacking=lacking,
     )
 
 

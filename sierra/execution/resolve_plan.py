@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,7 +56,8 @@ def plan(
     Executes nothing, except that it asks a Python for its path, the loader for libraries, and an engine for its image. Writes
     nothing, except that git writes the source's tree.
 
-    Raises an error for a mistake in project, query, template, source or programs.
+    Raises an error for a mistake in project, query, template or source. The plan tells if this machine lacks a program; no id
+    depends on that.
     """
     project = project.for_target(resolve_query.target(project, request))
     query = resolve_query.resolve(project, request)
@@ -115,9 +116,9 @@ def plan(
         raise ConfigError(f"files: each run has a generated {min(twice)} in its folder; rename the file")
     plan_checks.check_arguments(batch, config, command, declared)
     built = _build_state(project, replace(spec, environment=variables, named_inputs=(), shared_files=None), code, contained)
-    used = _used(spec, code, root, data, built)
+    used, lacking = found_or(data, lambda: _used(spec, code, root, data, built))
     checkout = _committed(root, spec, code, used) if code.checkout else None
-    executed = checkout.programs() if checkout else used
+    executed, lacking = found_or(used, checkout.programs) if checkout and not lacking else (used, lacking)
     named = {text.replace(IN_PROJECT, "") for text in input_texts.set_by(designed)} | input_texts.given_by(designed, command)
     uncounted = referenced_files.named_by_values(named, texts, root, held, used)
     return Plan(
@@ -142,6 +143,7 @@ def plan(
         seen=guard(root, b"" if checkout else code.manifest, executed),
         shared_files=beside,
         build=built,
+        lacking=lacking,
         notes=(
             *code.notes,
             *plan_notes.doubts(designed, spec.words, config),
@@ -208,6 +210,14 @@ def _built(used: Programs, built: BuildState, spec: RunSpec) -> Programs:
         made = ", ".join(built.recipe.processors)
         raise Missing(f'runs need {name}, but [build] is for {made}; add "{processors.here()}" to arch in [build]')
     return replace(used, all=tuple(one for one in used.all if one not in left_out))
+
+
+def found_or(files: Programs, find: Callable[[], Programs]) -> tuple[Programs, str]:
+    """Return the programs that a function finds, and an empty text. If one is missing, return `files` and the reason."""
+    try:
+        return find(), ""
+    except Missing as error:
+        return files, str(error)
 
 
 def this_environment(config: Project) -> EnvironmentRow:

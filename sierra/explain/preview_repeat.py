@@ -58,4 +58,6 @@ def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[s
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:
     [row] = store.select(BatchRow, "SELECT * FROM batches WHERE batch = $b", b=batch)
     [runs] = store.values(int, "SELECT max(number) + 1 AS runs FROM batch_runs WHERE batch = $b", b=batch)
-    return resolve_plan.plan(project, repeated(row._asdict(), runs, targets.recorded(store, batch)))
+    plan = resolve_plan.plan(project, repeated(row._asdict(), runs, targets.recorded(store, batch)))
+    plan.check_programs()
+    return plan
