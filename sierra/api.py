@@ -1232,12 +1232,14 @@ class Project:
         threshold: float | None = None,
         times: str | None = None,
         statistics: Sequence[str] = (),
+        where: str = "",
     ) -> Result:
         """Return statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
 
         `statistics` chooses some by name: `mean`, `median`, `iqm`, `sd`, `iqr`, `mad`, `range`, quantiles such as `q90`, and
         plug-ins; for `time_to` also `km_median` and `restricted_mean`, in which runs that never reach the threshold count as
         censored. Each has the columns `NAME`, `NAME_low`, `NAME_high` and `NAME_interval`, the method of its 95 % interval.
+        `where` is an SQL condition on the rows that count.
 
         First, `measure` reduces each run to one value: `final`, `mean` of its rows, `time_mean` (by trapezoids, or by
         steps with `times="carry"`), or `time_to` a `threshold`; `auto` is `final`, or `mean` in a table of events: without a
@@ -1256,7 +1258,9 @@ class Project:
 
         batch = self.batch(prefix)
         return run_statistics.StatisticsResult(
-            run_statistics.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times, statistics)
+            run_statistics.statistics(
+                self._loaded, self.store, batch, output, column, measure, threshold, times, statistics, where=where
+            )
         )
 
     def paper_table(self, statistics: Result, format: str = "latex", *, caption: str = "", label: str = "") -> str:

@@ -23,6 +23,16 @@ class Measure(StrEnum):
     time_to = "time_to"
 
 
+class Format(StrEnum):
+    """The format of a result."""
+
+    table = "table"
+    csv = "csv"
+    json = "json"
+    markdown = "markdown"
+    parquet = "parquet"
+
+
 MEASURES: dict[Measure, MeasureName] = {
     Measure.final: "final",
     Measure.mean: "mean",

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import MEASURES, Long, MeasureOfRun, OneColumn, OneOutput, Threshold, names_of_given
+from sierra.cli.arguments import MEASURES, Format, Long, MeasureOfRun, OneColumn, OneOutput, Threshold, names_of_given
 from sierra.cli.figures import from_here
 from sierra.cli.output import note, print_json, terminal_width
 from sierra.cli.output import table as table_of
-from sierra.cli.sql import Format, Printable, write, write_text
+from sierra.cli.sql import Printable, write, write_text
 from sierra.cli.stats import PAPER, Shown
 from sierra.errors import Missing, UsageError
 

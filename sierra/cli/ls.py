@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import AsJsonList, Long
+from sierra.cli.arguments import AsJsonList, Format, Long
 from sierra.cli.output import print_json, table
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.execution.list_batches import ListedBatch
+
+OPTIONAL = ("controller", "scenario", "target", "overrides", "changed", "study", "package")
+"""The columns that the table for people leaves out if they are empty."""
 
 
 def ls(
@@ -27,6 +30,9 @@ def ls(
     ] = None,
     jobs: Annotated[bool, typer.Option("--jobs", help="List cluster jobs instead.")] = False,
     long: Long = False,
+    format: Annotated[
+        Format, typer.Option("--format", "-f", help="Output format; all except table have full ids and all columns.")
+    ] = Format.table,
     as_json: AsJsonList = False,
 ) -> None:
     """List batches, most recent last, or cluster jobs.
@@ -38,10 +44,14 @@ def ls(
     \b
     Examples:
       sierra ls
+      sierra ls --format csv
       sierra ls --jobs
       sierra ls --jobs 9e1c --json
     """
+    as_json = as_json or format is Format.json
     if jobs:
+        if format not in (Format.table, Format.json):
+            raise UsageError("--jobs prints a table or JSON; leave out --format")
         from sierra.cli.open_project import refuse_in_package
         from sierra.cli.status import status
 
@@ -51,33 +61,41 @@ def ls(
     if prefix is not None:
         raise UsageError(f"without --jobs, all batches are listed; sierra show {prefix} shows one")
     from sierra.cli.open_project import project
-    from sierra.util.hashing import short
 
     batches = project().batches
     if as_json:
         print_json(batches)
-        return
-    columns: dict[str, Sequence[object]] = {
+    elif format is Format.table:
+        columns = _columns(batches, long=long)
+        shown = {name: values for name, values in columns.items() if name not in OPTIONAL or any(values)}
+        table(tuple(shown), zip(*shown.values(), strict=True), right=("experiments", "runs"), width=0 if long else None)
+    else:
+        import pyarrow as pa
+
+        from sierra.cli.sql import Printable, write
+
+        write(Printable.of_arrow(pa.table(_columns(batches, long=True))), format, None)
+
+
+def _columns(batches: Sequence[ListedBatch], *, long: bool) -> dict[str, Sequence[object]]:
+    """Return the columns of the list; with `long`, ids are not shortened."""
+    from sierra.util.hashing import short
+
+    return {
         "batch": [one.batch if long else short(one.batch) for one in batches],
         "submitted": [one.submitted or one.created for one in batches],
         "query": [one.query for one in batches],
-        **_where_any("controller", [one.controller or "" for one in batches]),
-        **_where_any("scenario", [one.scenario or "" for one in batches]),
-        **_where_any("target", [", ".join(one.targets) for one in batches]),
-        **_where_any("overrides", [" ".join(one.overrides) for one in batches]),
-        **_where_any("changed", [", ".join(one.changed) for one in batches]),
-        **_where_any("study", [_looks(one) for one in batches]),
-        **_where_any("package", [(one.package or "") if long else short(one.package or "") for one in batches]),
+        "controller": [one.controller or "" for one in batches],
+        "scenario": [one.scenario or "" for one in batches],
+        "target": [", ".join(one.targets) for one in batches],
+        "overrides": [" ".join(one.overrides) for one in batches],
+        "changed": [", ".join(one.changed) for one in batches],
+        "study": [_looks(one) for one in batches],
+        "package": [(one.package or "") if long else short(one.package or "") for one in batches],
         "experiments": [one.experiments for one in batches],
         "runs": [one.runs for one in batches],
         "state": [_state(one) for one in batches],
     }
-    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"), width=0 if long else None)
-
-
-def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Return a column as a dictionary; an empty dictionary if all its texts are empty."""
-    return {name: texts} if any(texts) else {}
 
 
 def _looks(one: ListedBatch) -> str:

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import TargetOfBatch
+from sierra.cli.arguments import Format, TargetOfBatch
 from sierra.cli.output import note
-from sierra.cli.sql import Format, Printable, write
+from sierra.cli.sql import Printable, write
 
 
 def models(

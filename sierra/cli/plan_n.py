@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import MEASURES, MeasureOfRun, OneColumn, OneOutput, Threshold
+from sierra.cli.arguments import MEASURES, Format, MeasureOfRun, OneColumn, OneOutput, Threshold
 from sierra.cli.compare import PAIRED, Pairs
 from sierra.cli.output import note, print_json
-from sierra.cli.sql import Format, Printable, write
+from sierra.cli.sql import Printable, write
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:

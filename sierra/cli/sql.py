@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import Long
+from sierra.cli.arguments import Format, Long
 from sierra.cli.output import as_json, cells, note, short_id, table, terminal_width
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
@@ -24,16 +23,6 @@ if TYPE_CHECKING:
     from sierra.store.store import Store
 
 SHOWN_ROWS = 200
-
-
-class Format(StrEnum):
-    """The format of a result."""
-
-    table = "table"
-    csv = "csv"
-    json = "json"
-    markdown = "markdown"
-    parquet = "parquet"
 
 
 def sql(

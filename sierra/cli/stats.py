@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import Measure, MeasureOfRun, TargetOfBatch, Threshold, names_of_given
-from sierra.cli.sql import Format, Printable, write, write_text
+from sierra.cli.arguments import Format, Measure, MeasureOfRun, TargetOfBatch, Threshold, names_of_given
+from sierra.cli.sql import Printable, write, write_text
 from sierra.errors import UsageError
 
 
@@ -88,6 +88,9 @@ def stats(
             "or a plug-in (several: separated by commas, or repeated).",
         ),
     ] = None,
+    where: Annotated[
+        str, typer.Option("--where", metavar="CONDITION", help="Use only the rows that fulfil this SQL condition.")
+    ] = "",
     format: Annotated[
         Shown,
         typer.Option(
@@ -130,6 +133,7 @@ def stats(
       sierra stats swarm coverage --measure time_to --threshold 0.5
       sierra stats swarm coverage --measure time_to --threshold 0.5 --times own
       sierra stats swarm coverage --statistic median,q90
+      sierra stats swarm coverage --where "tick >= 100" --measure mean
       sierra stats swarm coverage --times own --format csv -o coverage.csv
       sierra stats --models mean_field -b 722b00
     """
@@ -138,6 +142,7 @@ def stats(
 
     if with_models:
         others = {"COLUMN": column, "--measure": measure, "--threshold": threshold, "--times": times, "--statistic": statistic}
+        others |= {"--where": where}
         if refused := names_of_given({**others, "--caption": caption, "--label": label}):
             raise UsageError(f"--models compares all that a model predicts; leave out {refused}")
         if format.value not in set(Format):
@@ -169,6 +174,7 @@ def stats(
         threshold=threshold,
         times=times and times.value,
         statistics=named(statistic or (["mean"] if format in PAPER else [])),
+        where=where,
     )
     if format in PAPER:
         write_text(opened.paper_table(table, format.value, caption=caption, label=label), file)
