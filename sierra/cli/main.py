@@ -6,6 +6,7 @@ import atexit
 import gc
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn, Protocol, runtime_checkable
 
@@ -15,6 +16,8 @@ from sierra.util import open_files, signals
 from sierra.util.shortage import shortage
 
 INTERRUPTED = 130
+ERRORS = 20
+"""The largest number of errors of one file that are printed."""
 YOUNG = 200_000
 """The number of new objects after which Python looks for unreachable ones.
 
@@ -63,6 +66,7 @@ def _ended() -> object:
     except SierraError as error:
         said = str(error)
         code = _say(said, error.exit_code)
+        _say_more(getattr(error, "__notes__", ()))
     except KeyboardInterrupt:
         code = _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
@@ -151,6 +155,14 @@ def _report(error: Exception) -> str:
     with tempfile.NamedTemporaryFile("w", prefix="fault-", suffix=".txt", dir=folder, delete=False) as file:
         traceback.print_exception(error, file=file)
     return file.name
+
+
+def _say_more(errors: Sequence[str]) -> None:
+    """Print the other errors of a file, so that all can be corrected at once."""
+    for text in errors[: ERRORS - 1]:
+        _say(text, 0)
+    if len(errors) >= ERRORS:
+        _say(f"… and {len(errors) - ERRORS + 1} more", 0)
 
 
 def _say(message: str, code: int) -> int:

@@ -14,14 +14,14 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Iterable, Mapping
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sierra.config import extensions
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
-from sierra.config.validate import options
+from sierra.config.validate import gathered, options
 from sierra.errors import ConfigError, PluginError, SierraError
 from sierra.util.lazy_definitions import dataclass
 
@@ -140,10 +140,13 @@ class Kind:
 
     def check(self, tables: Tables) -> None:
         """Check all tables of this kind. Raises ConfigError for an unknown name, or options that are invalid."""
-        for name, table in tables.items():
+
+        def check(name: str) -> None:
             if name not in self.names():
                 raise ConfigError(f"[{self.table}.{name}]: {self.unknown(name)}")
-            self.options(name, table)
+            self.options(name, tables[name])
+
+        gathered(partial(check, name) for name in tables)
 
     def _checked(self, offer: Offer) -> type:
         """Return the class of another package. Raises PluginError if it cannot be loaded or breaks the contract."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -67,7 +67,7 @@ from sierra.config.output_tables import STATUSES, Equivalence, Output, Success, 
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
-from sierra.config.validate import options
+from sierra.config.validate import gathered, options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.model import ACCEPTED, Axis, Value
 from sierra.store.layout import CONFIG, PYPROJECT, RUN_STDERR, RUN_STDOUT
@@ -595,15 +595,18 @@ def check_plugins(project: Project) -> None:
     from sierra.config import figure_options
     from sierra.config.plugin_registry import COMPARISONS, CRITERIA, ENGINES, LINKS, PLATFORMS, READERS, STATISTICS, TEMPLATES
 
-    PLATFORMS.check(project.platforms)
-    TEMPLATES.check(project.template_formats)
-    ENGINES.check(project.engines)
-    LINKS.check(project.links)
-    READERS.check(project.readers)
-    figure_options.check(project.figures)
-    STATISTICS.check(project.statistics)
-    COMPARISONS.check(project.comparison_methods)
-    CRITERIA.check(project.criteria)
+    checks: tuple[Callable[[], None], ...] = (
+        partial(PLATFORMS.check, project.platforms),
+        partial(TEMPLATES.check, project.template_formats),
+        partial(ENGINES.check, project.engines),
+        partial(LINKS.check, project.links),
+        partial(READERS.check, project.readers),
+        partial(figure_options.check, project.figures),
+        partial(STATISTICS.check, project.statistics),
+        partial(COMPARISONS.check, project.comparison_methods),
+        partial(CRITERIA.check, project.criteria),
+    )
+    gathered(checks)
 
 
 def parse(table: object, origin: str) -> Project:
@@ -613,9 +616,9 @@ def parse(table: object, origin: str) -> Project:
     those of shipped schedulers here too.
     """
     project = options(model_of(table), table, origin)
-    _check_clusters(project, origin)
-    _check_names_of_targets(project, origin)
-    each = {name: _resolved(project, name, origin) for name in project.targets}
+    gathered(partial(check, project, origin) for check in (_check_clusters, _check_names_of_targets))
+    resolved = gathered(partial(_resolved, project, name, origin) for name in project.targets)
+    each = dict(zip(project.targets, resolved, strict=True))
     for name in project.variables if each else ():
         if not any(one.changes_with(name) for one in (project, *each.values())):
             raise ConfigError(f"{origin}: variables.{name}: {NO_CHANGE}, here or in [variables.{name}.targets.{min(each)}]")
@@ -641,9 +644,12 @@ def _resolved(project: Project, name: str, origin: str) -> Project:
 
 def _check_clusters(project: Project, origin: str, within: tuple[str, ...] = ()) -> None:
     """Check the tables of clusters of shipped schedulers. Raises ConfigError."""
-    for name, runner in project.runners.items():
-        scheduler = runner.get("scheduler", name)
+
+    def check(name: str) -> None:
+        scheduler = project.runners[name].get("scheduler", name)
         if isinstance(scheduler, str) and scheduler in directives.CHECKED:
-            cluster = options(ClusterTable, runner, origin, (*within, "runners", name))
+            cluster = options(ClusterTable, project.runners[name], origin, (*within, "runners", name))
             where = ".".join((*within, "runners"))
             check_directives(cluster, partial(directives.complaint, scheduler), f"{origin}: {where}", name)
+
+    gathered(partial(check, name) for name in project.runners)

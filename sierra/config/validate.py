@@ -5,10 +5,12 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from operator import itemgetter
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from sierra.config import extensions, group_names
 from sierra.config.cluster_table import SETTINGS, ClusterTable
@@ -21,6 +23,7 @@ KEYS_OF_PROJECTS = {"outputs", "figures"}
 """Keys by which a model of a whole `sierra.toml` is known."""
 TARGET = regex(r"targets\.[^.]+\.[^.]+")
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+T = TypeVar("T")
 KINDS = {
     "int_type": "should be a whole number",
     "float_type": "should be a number",
@@ -40,13 +43,69 @@ STRICT = {"strict": True}
 
 
 def options(model: type[OptionsT], table: object, origin: str, within: tuple[str, ...] = ()) -> OptionsT:
-    """Validate a table strictly: a text is not a number. Messages name `origin`, and `within` in it. Raises ConfigError."""
+    """Validate a table strictly: a text is not a number. Messages name `origin`, and `within` in it. Raises ConfigError.
+
+    The error is that of the first invalid key; those of the others are its notes.
+    """
     try:
-        return model.model_validate(_frozen(table, origin), strict=True, context=STRICT)
+        table = _frozen(table, origin)
+        return model.model_validate(table, strict=True, context=STRICT)
     except RecursionError as error:
         raise ConfigError(f"{origin}: {TOO_DEEP}") from error
     except ValidationError as error:
-        raise ConfigError(f"{origin}: {_explain(error, model, within)}") from error
+        first, *others = (f"{origin}: {_explain(each, model, within)}" for each in _independent(error, table))
+        raise _with_notes(ConfigError(first), others) from error
+
+
+def gathered(checks: Iterable[Callable[[], T]]) -> list[T]:
+    """Return the results of all checks. Raises the first ConfigError, with the others as its notes."""
+    results: list[T] = []
+    errors: list[ConfigError] = []
+    for check in checks:
+        try:
+            results.append(check())
+        except ConfigError as error:
+            errors.append(error)
+    if errors:
+        first, *others = errors
+        raise _with_notes(first, (text for error in others for text in (str(error), *getattr(error, "__notes__", ()))))
+    return results
+
+
+def _with_notes(error: ConfigError, texts: Iterable[str]) -> ConfigError:
+    """Add texts to an error as notes; return the error."""
+    for text in texts:
+        error.add_note(text)
+    return error
+
+
+def _independent(error: ValidationError, table: object) -> Iterator[ErrorDetails]:
+    """Yield one error for each invalid key, in the order of the file, without those that follow from an error inside of it.
+
+    A key that may have several types has an error for each of them.
+    """
+    errors: dict[tuple[int | str, ...], tuple[list[int], ErrorDetails]] = {}
+    for each in error.errors():
+        key, position = _located(table, each)
+        errors.setdefault(key, (position, each))
+    outer = {key[:length] for key in errors for length in range(len(key))}
+    inner = [errors[key] for key in errors if key not in outer]
+    yield from (each for _, each in sorted(inner, key=itemgetter(0)))
+
+
+def _located(table: object, error: ErrorDetails) -> tuple[tuple[int | str, ...], list[int]]:
+    """Return the key in the file that an error is about, and its position: a number for each table that it is in."""
+    key: list[int | str] = []
+    position: list[int] = []
+    for part in error["loc"]:
+        names = list(table) if isinstance(table, Mapping) else list(range(len(table))) if isinstance(table, tuple) else []
+        if part not in names:
+            lacking = [part] if error["type"] == "missing" else []
+            return (*key, *lacking), [*position, *(len(names) for _ in lacking)]
+        key.append(part)
+        position.append(names.index(part))
+        table = table[part]  # type: ignore[index]
+    return tuple(key), position
 
 
 def _frozen(value: object, origin: str) -> object:
@@ -62,9 +121,8 @@ def _frozen(value: object, origin: str) -> object:
             return value
 
 
-def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, ...] = ()) -> str:
-    """Return the first error in one line; for an unknown key, with the most similar valid key."""
-    complaint = error.errors()[0]
+def _explain(complaint: ErrorDetails, model: type[BaseModel], within: tuple[str, ...] = ()) -> str:
+    """Return an error in one line; for an unknown key, with the most similar valid key."""
     where = ".".join(str(part) for part in (*within, *complaint["loc"]))
     if complaint["type"] == "extra_forbidden" and model.model_fields.keys() >= KEYS_OF_PROJECTS:
         key = ".".join(map(str, complaint["loc"]))

@@ -151,7 +151,8 @@ def _project() -> Iterator[Check]:
         project = sierra.open()
         loaded = project_file.read(find_project.find_store(Path()))
     except SierraError as error:
-        yield Check("project", "absent" if error.exit_code == 3 else "missing", str(error))
+        every = "; ".join((str(error), *getattr(error, "__notes__", ())))
+        yield Check("project", "absent" if error.exit_code == 3 else "missing", every)
         return
     yield Check("project", "ok", str(project.root))
     if loaded.config.target or loaded.config.command or not loaded.targets:
