@@ -545,13 +545,15 @@ class Project:
         `$name` in the statement takes its value from the keyword `name`. `within` is a prefix of a batch's id: then the
         tables show only the runs and outputs of that batch. Otherwise they show those of all batches, regardless of their code.
         If a column v has numbers in some runs and texts in others, the texts are in v_text, and the schema's metadata
-        `sierra:note` reports it. Raises SqlError.
+        `sierra:note` reports it. Raises SqlError, and UsageError for `batch` where `within` is meant.
 
         >>> project.sql("SELECT max(coverage) AS most FROM swarm WHERE tick = $t", within=summary.batch, t=0).num_rows
         1
         """
         from sierra.store.public_result import Result
 
+        if "batch" in parameters and "$batch" not in text:
+            raise UsageError(f"the statement has no $batch; to query one batch, write within={parameters['batch']!r}")
         return Result(self.store.sql(text, within=None if within is None else self.batch(within), **parameters))
 
     def frame(self, table: str, *, within: str | None = None, **parameters: object) -> pd.DataFrame:

@@ -557,8 +557,8 @@ class Gallery:
         )
         return True
 
-    def output(self, figure: Figure) -> OutputTable:
-        """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
+    def output(self, figure: Figure, key: str = "table") -> OutputTable:
+        """Return the output that a figure names, or the only one with its columns. Raises NotFound, which names the `key`."""
         if why := self.frame.failure():
             raise AllFailed(why)
         if name := self._from_sql(figure.sql) if figure.sql else figure.table:
@@ -577,7 +577,7 @@ class Gallery:
             )
         if len(having) != 1:
             names = [name for name in self._outputs if not self.frame.is_of_accepted(name)]
-            raise NotFound(f"name the output of the figure: set table to one of {', '.join(names) or '(none was written)'}")
+            raise NotFound(f"name the output: set {key} to one of {', '.join(names) or '(none was written)'}")
         return having[0]
 
     def _labelled(self, axis: Axis) -> Axis:

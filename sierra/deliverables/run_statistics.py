@@ -251,7 +251,7 @@ def values_of_runs(
     _check_reduction(measure, threshold, None)
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
-        found = gallery.output(Figure(table=output, column=(column,) if column else ()))
+        found = gallery.output(Figure(table=output, column=(column,) if column else ()), "table (--table)")
         chosen = column or gallery.only_column(found)
         measure = measure or ("mean" if gallery.takes_mean(found) else "final")
         offset = 0 if measure == "time_to" else frame.offset(found.name, chosen)

@@ -142,6 +142,8 @@ def test_each_run_and_its_replay_get_all_inputs(
     root = make(tmp_path / "project")
     if runner != "local":
         request.getfixturevalue("slurm")
+    if runner == "pbs":
+        require("qsub")
     if engine != "none":
         require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
         require("Debian's python3, as /usr/bin/python3", there=containers.PYTHON.exists())

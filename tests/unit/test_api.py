@@ -14,6 +14,7 @@ import duckdb
 import pytest
 
 import sierra
+from sierra.errors import UsageError
 from sierra.execution import progress_display
 from sierra.execution.observer import Progress
 from tests import projects
@@ -100,6 +101,9 @@ def test_frame_accepts_a_table_name_or_a_statement(project: sierra.Project, summ
     assert frame.shape[0] == 20
     assert {"tick", "coverage", "population_size"} <= set(frame.columns)
     assert project.frame("SELECT $x AS x", x=3)["x"].tolist() == [3]
+    assert project.frame("SELECT $batch AS x", batch="a")["x"].tolist() == ["a"]
+    with pytest.raises(UsageError, match="to query one batch, write within='4fc1'"):
+        project.frame("swarm", batch="4fc1")
     with pytest.raises(sierra.SqlError, match="swrm"):
         project.frame("swrm")
 

@@ -82,8 +82,10 @@ def asked(project: Simulated, say: Callable[[str], None] = lambda text: None) ->
 
 @pytest.mark.parametrize("runner", ["slurm", pytest.param("pbs", marks=pytest.mark.nightly)])
 def test_the_first_and_last_run_are_timed_to_distribute_the_others(
-    simulate: Callable[..., Simulated], slurm: Slurm, runner: str
+    simulate: Callable[..., Simulated], slurm: Slurm, require: Callable[..., str], runner: str
 ) -> None:
+    if runner == "pbs":
+        require("qsub")
     project = simulate()
     first = project.quick("run", "size=1,2", "--runs", "12", "--on", runner, "--no-figures")
     assert first.returncode == 0, first.stderr

@@ -73,6 +73,8 @@ def test_runs_on_nodes_have_the_same_set_of_files_as_local_ones(
     tmp_path: Path, slurm: Slurm, require: Callable[..., str], observe: str, count: int, runner: str
 ) -> None:
     require("strace")
+    if runner == "pbs":
+        require("qsub")
     here, there = made(tmp_path / "here", observe), made(tmp_path / "there", observe)
     if observe == "all":
         projects.commit(here)

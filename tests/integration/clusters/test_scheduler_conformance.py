@@ -23,7 +23,11 @@ pytestmark = pytest.mark.real
 
 @pytest.mark.each_case
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
-def test_shipped_schedulers_conform_over_slurm(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
+def test_shipped_schedulers_conform_over_slurm(
+    name: str, slurm: clusters.Slurm, tmp_path: Path, require: Callable[..., str]
+) -> None:
+    if name == "pbs":
+        require("qsub")
     runners.check(schedulers.find(name)(ClusterTable()), tmp_path)
 
 

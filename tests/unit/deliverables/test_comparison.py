@@ -443,3 +443,13 @@ def test_the_figure_is_recorded_and_follows_from_the_store_until_data_change(
     checked = projects.quick(root, "figures", first, "--check")
     assert checked.returncode == 1
     assert f"{figure.stem}: the store has other data now" in checked.stdout
+
+
+def test_the_option_that_names_the_output_is_asked_for(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "p", simulator=projects.SIMULATOR + "import shutil\nshutil.copy('swarm.csv', 'copy.csv')\n")
+    projects.run(root, "population_size=1,2", "--runs", "2")
+    refused = projects.quick(root, "compare", "--by", "population_size", "--no-figure")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "name the output: set table (--table) to one of copy, swarm" in refused.stderr
+    words = ("--by", "population_size", "--table", "copy", "--no-figure")
+    assert projects.quick(root, "compare", *words).returncode == 0
