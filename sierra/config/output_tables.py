@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from sierra.config import extensions
+from sierra.config import extensions, line_patterns
 from sierra.config.field_types import (
     Alpha,
     Finite,
@@ -40,6 +40,7 @@ from sierra.config.field_types import (
     regular_expression,
 )
 from sierra.model import Measure
+from sierra.store.layout import RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass, regex
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
@@ -65,7 +66,9 @@ KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
 }
 """Keys of `[outputs.NAME]` that are only for certain formats, besides those of extensions that have them in `Output.takes`."""
 ROTATED_FORMATS = ("csv", "jsonl")
-LATER_KEYS = (*KEYS_OF_FORMATS, "na", "time_order")
+NOT_WITH_LINES = ("format", "delimiter", "header", "columns", "skip", "comment", "header_lines", "units_row", "widths")
+"""Keys of `[outputs.NAME]` that contradict `lines`, whose groups are the columns."""
+LATER_KEYS = (*KEYS_OF_FORMATS, "na", "time_order", "lines")
 """Keys of `[outputs.NAME]` that were added after rules had been recorded."""
 Comment = str | Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
 Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
@@ -118,7 +121,8 @@ class Output(Table):
     file: Inside = Field(
         min_length=1,
         description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column; "
-        "`data.csv{rotation}` is a file with its older parts, such as `data.csv.1` and `data.csv.2.gz`, as one table",
+        "`data.csv{rotation}` is a file with its older parts, such as `data.csv.1` and `data.csv.2.gz`, as one table; `stdout` "
+        "is the standard output of the run",
     )
     format: (
         Annotated[
@@ -167,6 +171,12 @@ class Output(Table):
         description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`; "
         "in GraphML, `nodes`, `edges`, or `graph` for both; in SQLite, a table or a SELECT statement; "
         "in HDF5, the path of a dataset or group; in NetCDF, variables separated by commas",
+    )
+    lines: str = Field(
+        "",
+        description="regular expression for lines of a text file, such as `step=(?P<step>\\d+) score=(?P<score>\\S+)`: each "
+        "line in which it matches is a row, and its named groups are the columns; without look-around and back-references; "
+        "several outputs may have different `lines` of the same file",
     )
     flatten: bool | None = Field(
         None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
@@ -257,6 +267,14 @@ class Output(Table):
             raise ValueError(f"file: a name in braces occurs twice: {self.file!r}")
         if self.ticks_per_second is not None and not self.time:
             raise ValueError('ticks_per_second needs time = "COLUMN"')
+        if self.lines:
+            if given := [key for key in NOT_WITH_LINES if key not in _unused(self, NOT_WITH_LINES)]:
+                raise ValueError(f"lines and {given[0]} exclude each other: lines makes the columns; remove {given[0]}")
+            line_patterns.check(self.lines)
+        elif self.is_stdout and self.format is None:
+            raise ValueError(
+                'file = "stdout" needs format, such as "csv", or lines, a regular expression for lines that are rows'
+            )
         if self.widths and self.delimiter:
             raise ValueError("widths and delimiter exclude each other")
         if self.decimal == "," == self.delimiter:
@@ -282,6 +300,16 @@ class Output(Table):
         return extensions.every("series").get(self.kind, "")
 
     @property
+    def shares_file(self) -> bool:
+        """Return True if several such outputs may read parts of the same file."""
+        return bool(self.series or self.lines)
+
+    @property
+    def is_stdout(self) -> bool:
+        """Return True if the file is the standard output of the run."""
+        return self.file.removeprefix("./") == RUN_STDOUT
+
+    @property
     def own_columns(self) -> tuple[str, ...]:
         """Return the names of columns that keys of this format declare."""
         return ()
@@ -296,7 +324,7 @@ class Output(Table):
 
     def doubt(self) -> str:
         """Return a warning about runs on robots, whose outputs are read only when the robots have moved; "" for none."""
-        return ""
+        return "robots have no common standard output; let each robot write a file" if self.is_stdout else ""
 
     @property
     def rotated(self) -> bool:
@@ -332,7 +360,12 @@ class Output(Table):
 
     @property
     def kind(self) -> str:
-        """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name."""
+        """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name.
+
+        Lines that are rows are written as a CSV before they are read.
+        """
+        if self.lines:
+            return "csv"
         ending = self.base.rsplit(".", 1)[-1].lower()
         return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
 
@@ -398,13 +431,15 @@ def newest_of(path: str) -> str | None:
 
 
 def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
-    """Check that no two outputs have the same file, unless its format has several tables. Raises ValueError."""
+    """Check that no two outputs have the same file, unless each makes a table of another part. Raises ValueError."""
     owners: dict[str, str] = {}
     for name, output in outputs.items():
         file = output.file.removeprefix("./")
         first = owners.setdefault(file, name)
-        if first != name and not (outputs[first].kind == output.kind and output.series):
-            raise ValueError(f"{first!r} and {name!r} have the same file {file!r}; a file becomes one table")
+        share = outputs[first].kind == output.kind and outputs[first].shares_file and output.shares_file
+        if first != name and not share:
+            both = f"{first!r} and {name!r} have the same file {file!r}"
+            raise ValueError(f"{both}; a file becomes one table, unless each output has lines of it")
     return outputs
 
 

@@ -185,7 +185,7 @@ class CsvAsFound(Rewriter):
         if not self._remade and len(head) == 1:
             return head[0][1]
         ended = head[-1][1].endswith(b"\n")
-        return _joined(names, "," if self._remade else delimiter, ended=ended, quoting=csv.QUOTE_ALL)
+        return csv_line(names, "," if self._remade else delimiter, ended=ended, quoting=csv.QUOTE_ALL)
 
     def _check_units(self, line: Line | None, columns: int, delimiter: str) -> None:
         """Check that a line has units, and not the numbers of a row."""
@@ -200,7 +200,7 @@ class CsvAsFound(Rewriter):
     def _rows(self, body: Iterable[Line], delimiter: str) -> Iterator[Line]:
         """Yield each row, written again."""
         for number, ended, cells in self._aligned_cells(body) if self._aligned else _csv_cells(body, delimiter):
-            yield number, _joined([self._changed(cell, number) for cell in cells], ",", ended=ended)
+            yield number, csv_line([self._changed(cell, number) for cell in cells], ",", ended=ended)
 
     def _aligned_cells(self, body: Iterable[Line]) -> Iterator[Row]:
         for line in body:
@@ -249,7 +249,8 @@ def _cut(number: int, text: str, widths: Sequence[int]) -> tuple[str, ...]:
     return tuple(text[end - width : end].strip() for end, width in zip(ends, widths, strict=True))
 
 
-def _joined(cells: Sequence[str], delimiter: str, *, ended: bool, quoting: int = csv.QUOTE_MINIMAL) -> bytes:
+def csv_line(cells: Sequence[str], delimiter: str = ",", *, ended: bool = True, quoting: int = csv.QUOTE_MINIMAL) -> bytes:
+    """Return the line of a CSV with these cells."""
     text = io.StringIO(newline="")
     csv.writer(text, delimiter=delimiter, lineterminator="\n" if ended else "", quoting=quoting).writerow(cells)  # type: ignore[arg-type]
     return text.getvalue().encode("utf-8", "surrogateescape")

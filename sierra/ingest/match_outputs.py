@@ -26,6 +26,7 @@ from sierra.config.output_tables import (
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import robot_files
 from sierra.ingest.base import Used
+from sierra.ingest.matching_lines import UnmatchedLines
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Form, Shape
 from sierra.model import OutputFile, Result
@@ -68,6 +69,7 @@ class OutputMatcher:
         self._readers = {name: json.dumps(reader, sort_keys=True) for name, reader in readers.items()}
         self.kept: dict[str, dict[str, None]] = {}
         """The files that are recorded as files although they look like tables, by reason."""
+        self.unmatched = UnmatchedLines()
 
     def of(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """Yield the files of one execution that become tables: first the declared ones, then files with a table's suffix."""
@@ -87,7 +89,7 @@ class OutputMatcher:
             if shown(file.path) != file.path:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
-                for name in owners if declared and self._outputs[declared].series else owners[:1]:
+                for name in owners if self._outputs[declared].shares_file else owners[:1]:
                     yield name, self._shape(name, self._outputs[name]), file
             elif result.robots and robot_files.place_of(file.path) is not None:
                 of_robots.setdefault(file.path.partition("/")[2], []).append(file)
@@ -219,7 +221,7 @@ def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:
 def unnamed_format(output: Output) -> str | None:
     """Return the format that would make a table of an output, if it is only read if it is named."""
     ending = output.file.rpartition(".")[2].lower()
-    return ending if output.format is None and ending in NAMED_FORMATS else None
+    return ending if output.format is None and ending in NAMED_FORMATS and not output.lines else None
 
 
 def automatic_format(path: str) -> str | None:

@@ -55,6 +55,7 @@ class Form:
     widths: tuple[int, ...] = ()
     rows: str = ""
     unnest: str = ""
+    lines: str = ""
     flatten: bool | None = None
     own: tuple[tuple[str, Any], ...] = ()
     """The keys that only outputs of this format have, with their values."""

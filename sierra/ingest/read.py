@@ -91,6 +91,10 @@ def _reader(shape: Shape, files: Sequence[Written]) -> type[TableReader] | type[
         from sierra.ingest.parquet import Converted
 
         return Converted
+    if shape.form.lines:
+        from sierra.ingest.matching_lines import MatchingLines
+
+        return MatchingLines
     plain = shape.form == PLAIN and shape.delimiter != BLANKS and not any(is_compressed(file.name) for file in files)
     if issubclass(found, Rewriter) or plain or shape.format not in AS_FOUND:
         return found

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.ingest import robot_files
+from sierra.ingest.base import UnreadableError
 from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.ingest.recording_context import Context
+from sierra.ingest.rewriting import Source
 from sierra.ingest.success import Judgement
 from sierra.model import ACCEPTED, OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT
@@ -83,8 +86,8 @@ class TableIngest:
         files = one.result.outputs if one.status is Status.OK else ()
         for path, found in ((file.path, found) for file in files for found in self.of(execution, file)):
             output = self.outputs.get(found.output or "")
-            if output and found.rows is not None and found.rows < output.min_rows:
-                return Judgement(one.result, Status.FAILED, too_few(path, found.rows, str(found.output), output))
+            if output and found.rows is not None and (few := too_few(path, found.rows, str(found.output), output)):
+                return Judgement(one.result, Status.FAILED, few)
         return one
 
 
@@ -98,8 +101,12 @@ def _layout(reading: Reading, file: Written) -> str:
     ).dump()
 
 
-def too_few(path: str, rows: int, name: str, output: Output) -> str:
-    """Return the message that a file has fewer rows than its output requires."""
+def too_few(path: str, rows: int, name: str, output: Output) -> str | None:
+    """Return the message that a file has fewer rows than its output requires; None if it has enough."""
+    if output.lines and output.required and not rows:
+        return f"{path}: no line matches {output.lines!r} (lines in [outputs.{name}]; required = false allows this)"
+    if rows >= output.min_rows:
+        return None
     return f"{path}: {rows} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
 
 
@@ -142,28 +149,39 @@ def tabled(
 
     made = TableIngest(context.outputs)
     files: dict[str, list[Written]] = {}
+    patterns: dict[Written, list[str]] = {}
     for judged in executions:
         for output, shape, file in assigning.of(judged.result) if judged.status.is_result else ():
             name = output if judged.status is Status.OK else output + ACCEPTED
             if judged.status is Status.ACCEPTED and not file.ended and shape.format in TEXTS:
                 continue  # it was cut off in its last line, which may look whole
+            if shape.declared and context.outputs[output].is_stdout and not file.bytes:
+                continue  # it printed nothing
             if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
                 made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(file.path), name=name))
             shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
-            files.setdefault(name, []).append(_written(judged.result, file, context.outputs.get(output)))
+            files.setdefault(name, []).append(written := _written(judged.result, file, context.outputs.get(output)))
+            if shape.form.lines:
+                patterns.setdefault(written, []).append(shape.form.lines)
     if not files:
         return made
+    for written, several in patterns.items():
+        with contextlib.suppress(UnreadableError):  # the reader says so
+            assigning.unmatched.add(written.run, Source(written), several)
     connection = connect()
     try:
         for name, found in files.items():
             twice = dict(_twice(found, shapes[name]))
             for execution, fault in twice.items():
                 made.faults.setdefault(execution, fault)
-            written = [one for one in found if one.execution not in twice]
-            reading = read(connection, written, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
+            single = [one for one in found if one.execution not in twice]
+            reading = read(connection, single, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
             shapes[name] = reading.shape
-            for one in written:
+            optional = shapes[name].form.lines and not context.outputs[shapes[name].name.removesuffix(ACCEPTED)].required
+            for one in single:
                 rows = reading.rows.get(key := (one.execution, one.name))
+                if optional and rows == 0:
+                    continue
                 read_in = (rows, reading.counted.get(key), _layout(reading, one)) if rows is not None else (None, None, None)
                 made.files.setdefault(key, []).append(TableFile(name, *read_in))
             for execution, fault in reading.faults.items():

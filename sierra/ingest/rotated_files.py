@@ -79,7 +79,7 @@ def _check_parts(files: Sequence[Written], base: str) -> None:
 
 def _head(content: bytes, shape: Shape) -> tuple[Sequence[bytes], int]:
     """Return the header of a part without comments, and the number of lines until its end; nothing if it has none."""
-    if shape.format != "csv" or not shape.header:
+    if shape.format != "csv" or not shape.header or shape.form.lines:
         return (), 0
     form = shape.form
     marks = tuple(comment.encode() for comment in form.comments)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.store.duckdb_file_io import steady
+from sierra.store.duckdb_messages import duckdb_error, first_line
 from sierra.store.local_connection import local
 from sierra.store.rest_rows import RestRows
 from sierra.util import open_files
@@ -170,6 +171,18 @@ def _locked(key: tuple[int | str | None, ...], folders: tuple[str, ...], memory:
 def _spills() -> str:
     """Return a path of a folder that DuckDB makes and removes as needed. It allows reads there, so the name is random."""
     return steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}")))
+
+
+def refused_by_re2(pattern: str) -> str:
+    """Return why RE2, which matches regular expressions in DuckDB, does not take a pattern; "" if it does."""
+    connection = connect()
+    try:
+        connection.execute("SELECT regexp_matches('', $pattern)", {"pattern": pattern}).fetchall()
+    except duckdb_error() as error:
+        return first_line(error).partition("Error: ")[2] or first_line(error)
+    finally:
+        connection.close()
+    return ""
 
 
 def connect(memory: int | None = None, *, spills: str | None = None) -> DuckDBPyConnection:

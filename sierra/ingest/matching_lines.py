@@ -1,0 +1,169 @@
+"""The reader of lines in which a regular expression matches: each is a row, and the named groups are its columns.
+
+The rows are written as a CSV. RE2 matches the lines (see `sierra.config.line_patterns`), as Arrow calls it; DuckDB splits the
+original file once more, and counts the lines that match there. A line that leaves doubt is an error: if the expression matches
+twice in it, if a match ends within a number, or if a value is not UTF-8 or has control characters, such as those of colours.
+Other lines are in no table, whatever they contain; `UnmatchedLines` counts them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import reduce
+from typing import TYPE_CHECKING
+
+from sierra.config import line_patterns
+from sierra.ingest.base import UnreadableError
+from sierra.ingest.csv_as_found import BOM, CsvAsFound, Line, csv_line
+from sierra.ingest.delimiters import reads_as_number
+from sierra.ingest.messages import shown
+from sierra.ingest.model import PLAIN, Shape
+from sierra.ingest.rewriting import PIECE, Source
+from sierra.util.lazy_definitions import dataclass, field, regex
+from sierra.util.text import counted, one_line, verb
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+WHOLE = "sierra_whole"
+"""The name of the group around a pattern, so that the place of the whole match is known."""
+CONTROL = regex(r"[\x00-\x08\x0a-\x1f\x7f]")
+GOES_ON = regex(rb"[0-9]|\.[0-9]|[eE][-+]?[0-9]")
+"""What a number goes on with, after its last digit."""
+SHOWN = 80
+BLOCK = 16 << 20
+"""The approximate number of bytes of lines that are counted at a time."""
+COUNT = """
+SELECT count(*) FROM (SELECT unnest(string_split($text, chr(10))) AS line)
+WHERE regexp_matches(CASE WHEN ends_with(line, chr(13)) THEN left(line, -1) ELSE line END, $pattern)
+"""
+"""SQL: the number of lines of a text that match. The text after the last line feed is an empty line, which never matches."""
+
+
+class MatchingLines(CsvAsFound):
+    """The reader of lines in which a regular expression matches."""
+
+    def plain(self) -> Shape:
+        return replace(self.shape, form=PLAIN, delimiter=",")
+
+    def _written(self, source: Source) -> Iterator[Line]:
+        """Yield the lines of the CSV; the last one has a line feed only if the file ends with one."""
+        line = 1, csv_line(line_patterns.columns(self.shape.form.lines))
+        for following in self._rows_of(source):
+            yield line
+            line = following
+        ended = source.file.ended or source.compressed
+        yield line if ended else (source.file.lines + 1, line[1].removesuffix(b"\n"))
+
+    def _rows_of(self, source: Source) -> Iterator[Line]:
+        for first, lines in _blocks(source):
+            for place, values in _matches(lines, self.shape.form.lines, first):
+                yield first + place, csv_line([self._changed(value, first + place) for value in values])
+
+    def count(self, source: Source, written: int) -> int:
+        content, at, matching = source.content().removeprefix(BOM), 0, 0
+        while at < len(content):
+            end = content.find(b"\n", at + BLOCK) + 1 or len(content)
+            block = {"text": content[at:end].decode("utf-8", "replace"), "pattern": self.shape.form.lines}
+            [[number]] = self.sql.execute(COUNT, block).fetchall()
+            matching, at = matching + int(number), end
+        return matching + 1
+
+    def advice(self, source: Source) -> str:
+        return ""
+
+
+@dataclass(slots=True)
+class UnmatchedLines:
+    """The lines that are not blank, and in which no `lines` of any output of their file matches."""
+
+    lines: int = 0
+    runs: set[str] = field(default_factory=set)
+    files: dict[str, None] = field(default_factory=dict)
+    example: str = ""
+
+    def add(self, run: str, source: Source, patterns: Iterable[str]) -> None:
+        """Count the lines of a file that no pattern matches."""
+        for _, lines in _blocks(source):
+            others = [line for line, matches in zip(lines, _any(lines, patterns), strict=True) if line.strip() and not matches]
+            if others:
+                self.lines += len(others)
+                self.runs.add(run)
+                self.files[shown(source.file.name)] = None
+                self.example = self.example or one_line(_text(others[0]).strip())[:SHOWN]
+
+    def notes(self) -> Iterator[str]:
+        if self.lines:
+            where = next(iter(self.files)) if len(self.files) == 1 else counted(len(self.files), "file")
+            of = f"{counted(self.lines, 'line')} of {where} in {counted(len(self.runs), 'run')}"
+            yield f"{of} {verb(self.lines, 'is', 'are')} in no table, because no lines of [outputs] match: {self.example!r}"
+
+
+def _blocks(source: Source) -> Iterator[tuple[int, Sequence[bytes]]]:
+    """Yield some lines at a time, without their ends, with the number of the first one."""
+    first, size, lines = 1, 0, list[bytes]()
+    for number, line in enumerate(source.lines(), 1):
+        lines.append((line.removeprefix(BOM) if number == 1 else line).removesuffix(b"\n").removesuffix(b"\r"))
+        size += len(line)
+        if size >= PIECE:
+            yield first, lines
+            first, size, lines = number + 1, 0, []
+    if lines:
+        yield first, lines
+
+
+def _matches(lines: Sequence[bytes], pattern: str, first: int) -> Iterator[tuple[int, Sequence[str]]]:
+    """Yield the places of the lines that match, with the texts of the groups. Raises UnreadableError for a line in doubt."""
+    import pyarrow.compute as pc
+
+    texts = _array(lines)
+    several = pc.count_substring_regex(texts, pattern=pattern).to_pylist()
+    spans = pc.extract_regex_span(texts, pattern=f"(?P<{WHOLE}>{pattern})")
+    matching = pc.indices_nonzero(spans.is_valid()).to_pylist()
+    for place, groups in zip(matching, spans.drop_null().to_pylist(), strict=True):
+        if fault := _fault(lines[place], several[place], groups):
+            raise UnreadableError(f"line {first + place}: {fault}")
+        del groups[WHOLE]
+        yield place, [_within(lines[place], span) for span in groups.values()]
+
+
+def _fault(line: bytes, times: int, groups: dict[str, Sequence[int] | None]) -> str:
+    """Return the doubt about a line that matches; "" if there is none."""
+    text = _text(line)
+    if "\ufffd" in text and text.encode() != line:
+        return f"is not UTF-8: {text[:SHOWN]!r}"
+    if times > 1:
+        return f"lines matches {times} times in it, but it is one row; begin lines with ^ or end it with $: {text[:SHOWN]!r}"
+    end = sum(groups[WHOLE] or ())
+    for name, span in groups.items():
+        value = "" if name == WHOLE else _within(line, span)
+        if CONTROL.search(value):
+            return f"the column {name!r} has control characters: {value[:SHOWN]!r}"
+        if value[-1:].isdigit() and reads_as_number(value) and sum(span or ()) == end and GOES_ON.match(line, end):
+            return f"the column {name!r} would be {value!r}, but the number goes on: {text[:SHOWN]!r}"
+    return ""
+
+
+def _any(lines: Sequence[bytes], patterns: Iterable[str]) -> Sequence[bool]:
+    """Return for each line if a pattern matches in it."""
+    import pyarrow.compute as pc
+
+    texts = _array(lines)
+    matches: Sequence[bool] = reduce(pc.or_, (pc.match_substring_regex(texts, pattern=each) for each in patterns)).to_pylist()
+    return matches
+
+
+def _array(lines: Sequence[bytes]) -> pa.Array:
+    import pyarrow as pa
+
+    return pa.array([_text(line) for line in lines], pa.large_string())
+
+
+def _within(line: bytes, span: Sequence[int] | None) -> str:
+    """Return the text of a group; "" for a group that is not in the match. `span`: its first byte and its length."""
+    return "" if span is None else line[span[0] : span[0] + span[1]].decode("utf-8", "replace")
+
+
+def _text(line: bytes) -> str:
+    return line.decode("utf-8", "replace")
