@@ -141,7 +141,7 @@ class Past:
         reasons = {judge(result, self.outputs, self.success)[1]}
         for row in self.artifacts:
             output = self.outputs.get(row.output or "")
-            if output and row.rows is not None and row.rows < output.min_rows:
+            if output and row.rows is not None:
                 reasons.add(too_few(row.path, row.rows, str(row.output), output))
         return self.last.reason in reasons
 
@@ -233,9 +233,18 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
         if row.ingest_rules in rules:
             elsewhere = tuple(sorted(written.get(row.execution, ())))
             known = robots.get(row.execution, {})
-            files, ended = tuple(artifacts[row.judgement]), (tuple(left.get(row.execution, ())), after.get(row.execution))
+            files = tuple(_with_stdout(artifacts[row.judgement], context))
+            ended = (tuple(left.get(row.execution, ())), after.get(row.execution))
             one = Past(row, *rules[row.ingest_rules], files, elsewhere, known, *ended)
             yield replace(one, tabled=_is_tabled(one, context))
+
+
+def _with_stdout(artifacts: Sequence[ArtifactRow], context: Context) -> Iterator[ArtifactRow]:
+    """Yield the artifacts, with the log of standard output also as a file if it is an output now, and was none before."""
+    yield from artifacts
+    wanted = any(output.is_stdout for output in context.outputs.values())
+    if wanted and not any(row.path == RUN_STDOUT and row.kind != "log" for row in artifacts):
+        yield from (row._replace(kind="file") for row in artifacts if row.path == RUN_STDOUT)
 
 
 def _endings(snapshot: Snapshot, executions: Sequence[str]) -> tuple[dict[str, list[str]], dict[str, float]]:
@@ -254,6 +263,9 @@ def _endings(snapshot: Snapshot, executions: Sequence[str]) -> tuple[dict[str, l
 
 def _is_tabled(one: Past, context: Context) -> bool:
     """Check that the files that become tables are already recorded as these tables, read in the same way, with their rows."""
+    empty = (context.outputs.get(row.output or "") for row in one.artifacts if row.rows == 0)
+    if any(output is not None and output.lines for output in empty):
+        return False  # without a line that matches, it is a table only if it is required
     result = one.result(one.last.execution, Path(), {})
     if Status.ACCEPTED in (one.last.status, judge(result, context.outputs, context.success)[0]):
         return False
@@ -285,7 +297,7 @@ def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | Non
     for row in needed(one, context):
         if row.sha256 not in sizes:
             return NOT_KEPT.format(path=row.path)
-        if row.kind == "log" and sizes[row.sha256] != row.size:
+        if sizes[row.sha256] != row.size:
             return CUT.format(path=row.path)
     return None
 
@@ -329,7 +341,8 @@ def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iter
                 _Group(store, session, context, assigning, shapes, outcome).judge(some)
             finally:
                 worker.remove(str(session.reevaluation))
-    outcome.notes += [*assigning.renamed.values(), *as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
+    outcome.notes += [*assigning.renamed.values(), *as_files(assigning.kept), *assigning.unmatched.notes()]
+    outcome.notes += [*TableWarnings(store, context, shapes).all()]
     return outcome
 
 
