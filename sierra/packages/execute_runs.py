@@ -61,6 +61,7 @@ ARCH_MARK = "@sierra-arch@"
 CONDUCTED = "\2"  # as in worker.py: the second word is a plan in JSON
 STORE = ".sierra"
 HASH = re.compile("[0-9a-f]{64}")
+STDOUT = "stdout"  # the standard output of a run, in its folder and among its recorded outputs
 IMAGES = "environment/images"  # the folder in a package that may have images, by id
 ENGINES = ("podman", "apptainer")
 HOST = "host"
@@ -601,7 +602,7 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
         raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
     if trouble:
         return Outcome(run, FAILED, f"{trouble}: {last}")
-    found = renamed({one["path"]: one["sha256"] for one in end["outputs"]}, run.outputs, batch)
+    found = renamed(digests_of(run, end, folder), run.outputs, batch)
     lost, new = sorted(run.outputs.keys() - found.keys()), sorted(found.keys() - run.outputs.keys())
     unlike = sorted(path for path in run.outputs.keys() & found.keys() if run.outputs[path] != found[path])
     certain = [path for path in unlike if path not in batch.by_value]
@@ -611,6 +612,15 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
         return Outcome(run, DIFFERENT, ", ".join(reasons))
     loose = [f"{path} differs at the byte level ({batch.by_value[path]}); level 3 compares values" for path in unlike]
     return Outcome(run, NOT_COMPARABLE, ", ".join(loose)) if loose else Outcome(run, IDENTICAL, "")
+
+
+def digests_of(run: Run, end: Mapping[str, Any], folder: Path) -> dict[str, str]:
+    """Return the digests of the files that a run left, with its standard output if that was recorded as an output."""
+    digests = {one["path"]: one["sha256"] for one in end["outputs"]}
+    if STDOUT in run.outputs and STDOUT not in digests:
+        log = folder / STDOUT
+        digests[STDOUT] = hashlib.sha256(log.read_bytes() if log.is_file() else b"").hexdigest()
+    return digests
 
 
 def renamed(found: Mapping[str, str], recorded: Mapping[str, str], batch: Batch) -> dict[str, str]:

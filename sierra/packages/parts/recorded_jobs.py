@@ -170,6 +170,8 @@ class Jobs:
 
 def _declared(rules: Output) -> str:
     """Return what an output declares so that different bytes may be equal; "" if nothing."""
+    if rules.lines:
+        return "lines: other lines may differ"
     if rules.volatile:
         return f"volatile: {', '.join(rules.volatile)}"
     if rules.tolerance:
