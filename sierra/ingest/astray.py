@@ -40,6 +40,8 @@ def failure(result: Result, outputs: Mapping[str, Output]) -> str | None:
 
 def lacking(name: str, output: Output, places: Sequence[str], files: Collection[str] = ()) -> str:
     """Return the reason why a run without a required output has failed. `files`: the files in its working directory."""
+    if output.is_stdout:
+        return f"printed nothing on standard output (output {name!r})"
     reason = f"did not write {output.file!r} (output {name!r})"
     if pattern := open_names.patterns([[output.file], files]).get(output.file):
         other = next(file for file in files if fnmatch.fnmatchcase(file, pattern))

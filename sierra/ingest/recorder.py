@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import volatile_and_rates
 from sierra.containers import engines
-from sierra.ingest import astray, compare_observations, compare_robots, shared_use, stderr
+from sierra.ingest import astray, compare_observations, compare_robots, shared_use, standard_output, stderr
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -145,7 +145,7 @@ class Recorder:
 
     def add(self, result: Result) -> Status:
         """Add one result and return its preliminary status. An interrupted execution is not recorded."""
-        result = self._ended(result)
+        result = standard_output.added(self._ended(result), self.context.outputs)
         result = replace(result, elsewhere=written(result))
         status, reason = judge(result, self.context.outputs, self.context.success)
         if status is Status.INTERRUPTED:
@@ -184,7 +184,7 @@ class Recorder:
                     continue
                 self._once.add(str(row[column]))
             self._other_rows.setdefault(table, []).append(row)
-        self._copies += copies
+        self._copies += (standard_output.added(copy, self.context.outputs) for copy in copies)
 
     def add_late(self, late: Iterable[LateFiles]) -> None:
         """Add files of executions that are recorded already, or will be with the next write."""
@@ -280,6 +280,7 @@ class Recorder:
             *compare_robots.notes(self._store, self.context.batch),
             *self._assigning.renamed.values(),
             *as_files(kept),
+            *self._assigning.unmatched.notes(),
             *remarks.all(),
             *equal_runs.of_batch(self._store, self.context.batch, *volatile_and_rates(self.context.outputs)),
         ]
