@@ -710,3 +710,5 @@ class Result:
     """Its ports in the places of `{port}`, `{port2}`, …, as far as its command, inputs and variables have these."""
     after_marker: float | None = None
     """It was ended so many seconds after its marker was met, which counts as an end by itself; None if it was not."""
+    printed: tuple[int, str] | None = None
+    """Of a result without a folder: the size and the SHA-256 of its standard output."""

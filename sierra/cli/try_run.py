@@ -152,7 +152,10 @@ def _facts(trial: Trial) -> Iterator[tuple[str, str]]:
     else:
         yield "used", trial.used.words + (f" (incomplete: {trial.used.incomplete})" if trial.used.incomplete else "")
         yield "read", few(trial.used.files, NAMED) or "no file of the project"
-    wrote = [counted(len(trial.files), "file"), *(f"{name}: {size(length)}" for name, length in (trial.logs or {}).items())]
+    wrote = [
+        counted(len({one.path for one in trial.files}), "file"),
+        *(f"{name}: {size(length)}" for name, length in (trial.logs or {}).items()),
+    ]
     yield "wrote", ", ".join(wrote)
     if trial.elsewhere:
         yield "elsewhere", f"{few(trial.elsewhere, NAMED)} (a batch does not record these files)"

@@ -8,7 +8,7 @@ Other lines are in no table, whatever they contain; `UnmatchedLines` counts them
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from typing import TYPE_CHECKING
@@ -26,6 +26,8 @@ from sierra.util.text import counted, one_line, verb
 if TYPE_CHECKING:
     import pyarrow as pa
 
+Groups = Mapping[str, Sequence[int] | None]
+"""The first byte and the length of each group in a line; None for one that is not in the match."""
 WHOLE = "sierra_whole"
 """The name of the group around a pattern, so that the place of the whole match is known."""
 CONTROL = regex(r"[\x00-\x08\x0a-\x1f\x7f]")
@@ -39,6 +41,11 @@ SELECT count(*) FROM (SELECT unnest(string_split($text, chr(10))) AS line)
 WHERE regexp_matches(CASE WHEN ends_with(line, chr(13)) THEN left(line, -1) ELSE line END, $pattern)
 """
 """SQL: the number of lines of a text that match. The text after the last line feed is an empty line, which never matches."""
+TWICE = """
+SELECT min(place) FROM (SELECT unnest($lines::VARCHAR[]) AS line, unnest(range(len($lines))) AS place)
+WHERE len(regexp_extract_all(line, $pattern)) > 1
+"""
+"""SQL: the place of the first line in which a pattern matches several times; Arrow would let `^` match after each match."""
 
 
 class MatchingLines(CsvAsFound):
@@ -58,8 +65,20 @@ class MatchingLines(CsvAsFound):
 
     def _rows_of(self, source: Source) -> Iterator[Line]:
         for first, lines in _blocks(source):
-            for place, values in _matches(lines, self.shape.form.lines, first):
+            matches = list(_matches(lines, self.shape.form.lines))
+            twice = self._twice([_text(lines[place]) for place, _ in matches])
+            for nth, (place, groups) in enumerate(matches):
+                if fault := _fault(lines[place], groups, twice=nth == twice):
+                    raise UnreadableError(f"line {first + place}: {fault}")
+                values = (_within(lines[place], groups[name]) for name in groups if name != WHOLE)
                 yield first + place, csv_line([self._changed(value, first + place) for value in values])
+
+    def _twice(self, lines: Sequence[str]) -> int | None:
+        """Return the place of the first line in which the pattern matches several times; None if there is none."""
+        [[place]] = (
+            self.sql.execute(TWICE, {"lines": lines, "pattern": self.shape.form.lines}).fetchall() if lines else [[None]]
+        )
+        return None if place is None else int(place)
 
     def count(self, source: Source, written: int) -> int:
         content, at, matching = source.content().removeprefix(BOM), 0, 0
@@ -113,28 +132,21 @@ def _blocks(source: Source) -> Iterator[tuple[int, Sequence[bytes]]]:
         yield first, lines
 
 
-def _matches(lines: Sequence[bytes], pattern: str, first: int) -> Iterator[tuple[int, Sequence[str]]]:
-    """Yield the places of the lines that match, with the texts of the groups. Raises UnreadableError for a line in doubt."""
+def _matches(lines: Sequence[bytes], pattern: str) -> Iterator[tuple[int, Groups]]:
+    """Yield the places of the lines that match, with the places of the groups in them."""
     import pyarrow.compute as pc
 
-    texts = _array(lines)
-    several = pc.count_substring_regex(texts, pattern=pattern).to_pylist()
-    spans = pc.extract_regex_span(texts, pattern=f"(?P<{WHOLE}>{pattern})")
-    matching = pc.indices_nonzero(spans.is_valid()).to_pylist()
-    for place, groups in zip(matching, spans.drop_null().to_pylist(), strict=True):
-        if fault := _fault(lines[place], several[place], groups):
-            raise UnreadableError(f"line {first + place}: {fault}")
-        del groups[WHOLE]
-        yield place, [_within(lines[place], span) for span in groups.values()]
+    spans = pc.extract_regex_span(_array(lines), pattern=f"(?P<{WHOLE}>{pattern})")
+    return zip(pc.indices_nonzero(spans.is_valid()).to_pylist(), spans.drop_null().to_pylist(), strict=True)
 
 
-def _fault(line: bytes, times: int, groups: dict[str, Sequence[int] | None]) -> str:
+def _fault(line: bytes, groups: Groups, *, twice: bool) -> str:
     """Return the doubt about a line that matches; "" if there is none."""
     text = _text(line)
     if "\ufffd" in text and text.encode() != line:
         return f"is not UTF-8: {text[:SHOWN]!r}"
-    if times > 1:
-        return f"lines matches {times} times in it, but it is one row; begin lines with ^ or end it with $: {text[:SHOWN]!r}"
+    if twice:
+        return f"lines matches several times in it, but it is one row; begin lines with ^ or end it with $: {text[:SHOWN]!r}"
     end = sum(groups[WHOLE] or ())
     for name, span in groups.items():
         value = "" if name == WHOLE else _within(line, span)

@@ -35,6 +35,9 @@ def added(result: Result, outputs: Mapping[str, Output]) -> Result:
         return _failed(result, OF_ROBOTS)
     if any(file.path.split("/")[0] == RUN_STDOUT for file in result.outputs):
         return _failed(result, OWN)
+    if result.printed is not None:
+        size, sha256 = result.printed
+        return replace(result, outputs=(*result.outputs, OutputFile(RUN_STDOUT, size, sha256, 0, True, "")))
     log, target = Path(result.directory, RUN_STDOUT), Path(result.directory, RUN_OUTPUT, RUN_STDOUT)
     if log.parent.is_symlink() or target.parent.is_symlink() or log.is_symlink() or (log.exists() and not log.is_file()):
         return _failed(result, NO_FILE)

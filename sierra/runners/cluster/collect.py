@@ -254,7 +254,7 @@ class Collector:
                 return
             results.append(self._with_shared_clock(track, result))
         elif self._recorded.get(key, "") != track.pack.attempt:
-            copies.append(self._with_shared_clock(track, event.result))
+            copies.append(self._with_shared_clock(track, event.copy()))
         track.begun.discard(execution)
         track.stalled.pop(execution, None)
         track.runs += 1

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from sierra.worker.array_task import Other, Packed
 
 CHUNK = 1 << 20
+NOTHING = (0, hashlib.sha256().hexdigest())
+"""The size and the SHA-256 of an empty log, which has no file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,11 @@ class Ended:
     """Path, size and SHA-256 of each file, in the order of the payload."""
     at: int
     """Offset of the payload in the file."""
+
+    def copy(self) -> Result:
+        """Return the result with the digest of standard output, for a copy of a run, whose files are not extracted."""
+        printed = ((size, sha256) for path, size, sha256 in self.files if path == RUN_STDOUT)
+        return replace(self.result, printed=next(printed, NOTHING))
 
 
 Event = array_task.Record | Stalled | Ended

@@ -33,6 +33,7 @@ GOOD: list[tuple[str, bytes, dict[str, Any], list[dict[str, Any]]]] = [
     ("other lines that are not UTF-8 or have NUL", b"\xff\x00\n" + TEXT + b"\x1b[1m\n", {"lines": STEP}, TWO),
     ("ASCII and other letters", "ü step=1 score=0.5 ü\nstep=2 score=1.5\n".encode(), {"lines": STEP}, TWO),
     ("decimal commas", b"v=0,5\nv=1\n", {"lines": "v=(?P<v>[0-9,]+)", "decimal": ","}, [{"v": 0.5}, {"v": 1.0}]),
+    ("two that only one place can be", b"v=1v=2\nv=3v=\n", {"lines": r"^v=(?P<v>\d)"}, [{"v": 1}, {"v": 3}]),
     ("missing values", b"v=NA\nv=2\n", {"lines": r"v=(?P<v>\w+)", "na": ("NA",)}, [{"v": None}, {"v": 2}]),
     ("groups that are not in a match", b"a=1\na=2 b=3\n", {"lines": r"a=(?P<a>\d+)(?: b=(?P<b>\d+))?"},
      [{"a": 1, "b": None}, {"a": 2, "b": 3}]),
@@ -57,7 +58,7 @@ BAD: list[tuple[str, bytes, str, str]] = [
     ("not UTF-8", b"x\nstep=1 score=\xff\n", STEP, "line 2: is not UTF-8: 'step=1 score=\ufffd'"),
     ("NUL", b"step=1 score=2\x00\n", STEP, r"line 1: the column 'score' has control characters: '2\x00'"),
     ("colours", b"\nscore=\x1b[1m2\x1b[0m\n", r"score=(?P<score>\S+)", "line 2: the column 'score' has control characters"),
-    ("two matches", b"v=1 v=2\n", r"v=(?P<v>\d+)", "line 1: lines matches 2 times in it, but it is one row"),
+    ("two matches", b"v=1\nv=1 v=2\n", r"v=(?P<v>\d+)", "line 2: lines matches several times in it, but it is one row"),
     ("part of a number", b"v=1\nv=0.53\n", r"v=(?P<v>\d+)", "line 2: the column 'v' would be '0', but the number goes on"),
     ("number without its exponent", b"v=1.5e-7\n", r"v=(?P<v>[.\d]+)", "would be '1.5', but the number goes on: 'v=1.5e-7'"),
 ]  # fmt: skip

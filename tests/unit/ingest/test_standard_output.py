@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from sierra.config.output_tables import Output
+from sierra.ingest.standard_output import added
+from sierra.model import Result
 from tests.projects import quick, sql
 
 PROGRAM = """\
@@ -175,3 +178,10 @@ def test_package_executes_and_compares_standard_output_without_sierra(tmp_path: 
     words = [sys.executable, "reproduce.py", "--execute", "--level=2", "--yes"]
     ended = subprocess.run(words, cwd=tmp_path / "x", capture_output=True, text=True, check=False)
     assert "6 identical" in ended.stdout, ended.stdout + ended.stderr
+
+
+def test_standard_output_of_a_copy_of_a_run_counts_by_its_digest() -> None:
+    outputs = {"steps": Output.model_validate({"file": "stdout", "format": "csv"})}
+    result = Result("r", "e", "", 0.0, 1.0, 0, None, None, None, None, None, "", 0, (), printed=(3, "ab" * 32))
+    assert [(file.path, file.bytes, file.sha256) for file in added(result, outputs).outputs] == [("stdout", 3, "ab" * 32)]
+    assert added(result, {}) == result
