@@ -163,6 +163,11 @@ WHERE a.kind = 'file' AND (e.session = $session) = $own
 """
 
 
+def _format(output: Output) -> str:
+    """Return the format of a table in one word."""
+    return "lines" if output.lines else output.kind
+
+
 def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutputs:
     """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones."""
     with store.snapshot(batch) as snapshot:
@@ -178,7 +183,7 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
             layouts.setdefault(row.output, []).append(row)
         sizes = {row.output: row for row in snapshot.select(_Rows, ROWS)}
         tables = tuple(
-            _table(snapshot, found, sizes[name], outputs.get(name), (outputs.get(name) or _undeclared(found)).kind)
+            _table(snapshot, found, sizes[name], outputs.get(name), _format(outputs.get(name) or _undeclared(found)))
             for name, found in sorted(layouts.items())
         )
         rows = snapshot.select(_Unread, UNREAD)

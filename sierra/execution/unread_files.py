@@ -209,6 +209,8 @@ def _rows_of(one: Alike) -> Mapping[str, str] | None:
 def _declared(name: str, output: Output) -> tuple[str, bool]:
     """Return why files of a declared output became no table, and whether each session notes it."""
     ending = unnamed_format(output)
+    if output.lines:
+        return f"no line matches lines in [outputs.{name}]", False
     if ending is None and output.kind != FILE_FORMAT:
         return f"declared, but it could not be read with the keys of [outputs.{name}]", False
     if ending is None:

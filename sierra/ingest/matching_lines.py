@@ -64,14 +64,15 @@ class MatchingLines(CsvAsFound):
         yield line if ended else (source.file.lines + 1, line[1].removesuffix(b"\n"))
 
     def _rows_of(self, source: Source) -> Iterator[Line]:
+        changes = self._remade
         for first, lines in _blocks(source):
             matches = list(_matches(lines, self.shape.form.lines))
             twice = self._twice([_text(lines[place]) for place, _ in matches])
             for nth, (place, groups) in enumerate(matches):
                 if fault := _fault(lines[place], groups, twice=nth == twice):
                     raise UnreadableError(f"line {first + place}: {fault}")
-                values = (_within(lines[place], groups[name]) for name in groups if name != WHOLE)
-                yield first + place, csv_line([self._changed(value, first + place) for value in values])
+                values = [_within(lines[place], span) for name, span in groups.items() if name != WHOLE]
+                yield first + place, csv_line([self._changed(value, first + place) for value in values] if changes else values)
 
     def _twice(self, lines: Sequence[str]) -> int | None:
         """Return the place of the first line in which the pattern matches several times; None if there is none."""
@@ -152,7 +153,7 @@ def _fault(line: bytes, groups: Groups, *, twice: bool) -> str:
         value = "" if name == WHOLE else _within(line, span)
         if CONTROL.search(value):
             return f"the column {name!r} has control characters: {value[:SHOWN]!r}"
-        if value[-1:].isdigit() and reads_as_number(value) and sum(span or ()) == end and GOES_ON.match(line, end):
+        if sum(span or ()) == end and GOES_ON.match(line, end) and value[-1:].isdigit() and reads_as_number(value):
             return f"the column {name!r} would be {value!r}, but the number goes on: {text[:SHOWN]!r}"
     return ""
 

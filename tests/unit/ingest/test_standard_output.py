@@ -82,6 +82,7 @@ def test_each_kind_of_line_is_a_table_and_others_are_noted_once(tmp_path: Path) 
         {"output": "ends", "path": "stdout", "runs": 6, "rows": 1, "counted": 1},
         {"output": "steps", "path": "stdout", "runs": 6, "rows": 5, "counted": 5},
     ]
+    assert "table ends from stdout (lines, declared): 1 row" in asked(root, 0, "outputs").stdout
     types = "SELECT DISTINCT typeof(step) AS a, typeof(score) AS b FROM steps"
     assert sql(root, types) == [{"a": "BIGINT", "b": "DOUBLE"}]
     is_sound(root)
@@ -130,6 +131,8 @@ def test_run_without_sound_rows_on_standard_output_fails(tmp_path: Path, program
 def test_optional_lines_may_lack(tmp_path: Path, program: str) -> None:
     root = made(tmp_path, (STEPS if "step" in program else "") + f"{ENDS}required = false\n", program)
     asked(root)
+    if program == "print('finished')":
+        assert "no line matches lines in [outputs.ends]" in asked(root, 0, "outputs").stdout
     assert (reasons(root), len(sql(root, "SELECT * FROM artifacts WHERE output = 'ends' AND rows = 0"))) == ([], 0)
     is_sound(root)
 
