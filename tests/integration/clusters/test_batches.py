@@ -87,6 +87,17 @@ def test_what_nodes_see_of_the_ends_of_runs_is_told(tmp_path: Path, slurm: Slurm
     assert found == [{"kind": kind, "n": 2} for kind in ("after marker", "error", "left running")]
 
 
+def test_what_runs_print_on_nodes_becomes_a_table(tmp_path: Path, slurm: Slurm) -> None:
+    printed = "[outputs.printed]\nfile = 'stdout'\nlines = 'count=(?P<n>\\d+)'\n"
+    simulator = projects.SIMULATOR + "print('begin', f'count={count}', sep='\\n')\n"
+    root = projects.make(tmp_path / "p", projects.CONFIG + printed + CLUSTER, simulator=simulator)
+    done = projects.sierra(root, "run", "population_size=1,2", "--runs", "2", "--on", "slurm", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "note: 4 lines of stdout in 4 runs are in no table" in done.stderr
+    found = rows(sierra.open(root), "SELECT n, count(*) AS runs FROM printed GROUP BY n ORDER BY n")
+    assert found == [{"n": 1, "runs": 2}, {"n": 2, "runs": 2}]
+
+
 @pytest.mark.nightly
 def test_a_study_waits_for_the_batch_of_each_look(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
