@@ -255,6 +255,20 @@ def test_runs_that_hang_after_their_marker_are_ended_and_count(tmp_path: Path, p
     assert containers.left(folder) == []
 
 
+PRINTED = "[outputs.printed]\nfile = 'stdout'\nlines = 'score=(?P<score>\\S+)'\n"
+
+
+@pytest.mark.each_case
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_what_runs_print_in_a_container_becomes_a_table(tmp_path: Path, python: Path, isolation: str) -> None:
+    simulator = containers.SIMULATOR + "echo begin; echo score=0.5\n"
+    folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=simulator)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(PRINTED)
+    assert "4 runs: 4 executed" in says(folder, *RUN)
+    assert rows(folder, "SELECT score, count(*) AS runs FROM printed GROUP BY score") == [{"score": 0.5, "runs": 4}]
+
+
 @pytest.mark.each_case
 @pytest.mark.parametrize(("isolation", "around"), [("worker", ""), ("run", 'after = "true"\n')])
 def test_processes_that_still_run_in_a_container_are_named(tmp_path: Path, python: Path, isolation: str, around: str) -> None:
