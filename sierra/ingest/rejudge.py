@@ -33,6 +33,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import Output, Success
 from sierra.errors import Damaged
+from sierra.ingest import standard_output
 from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
@@ -51,6 +52,7 @@ from sierra.store.store import Snapshot, Store
 from sierra.util.chunking import by_weight
 from sierra.util.fs import inside
 from sierra.util.hashing import digest_plain
+from sierra.util.kept_log import KEPT
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.worker import worker
 
@@ -292,8 +294,18 @@ def _is_hopeless(one: Past, context: Context) -> bool:
     return not (one.success.marker or one.success.stderr or one.failed_by_rules(result))
 
 
+def _has_own_stdout(artifacts: Sequence[ArtifactRow]) -> bool:
+    """Check if a run left a file with the name of standard output that is not what it printed."""
+    logs = ((row.size, row.sha256) for row in artifacts if row.path == RUN_STDOUT and row.kind == "log")
+    size, sha256 = next(logs, (0, ""))
+    files = [row for row in artifacts if row.path == RUN_STDOUT and row.kind != "log"]
+    return any(row.size != size or (0 < size <= KEPT and row.sha256 != sha256) for row in files)
+
+
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
     """Return why the store does not have enough to evaluate an execution again; None if it has."""
+    if any(output.is_stdout for output in context.outputs.values()) and _has_own_stdout(one.artifacts):
+        return standard_output.OWN
     for row in needed(one, context):
         if row.sha256 not in sizes:
             return NOT_KEPT.format(path=row.path)

@@ -154,6 +154,15 @@ def test_changed_lines_are_read_from_what_is_recorded(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
+def test_file_of_the_name_is_never_taken_for_what_a_run_printed(tmp_path: Path) -> None:
+    root = made(tmp_path, "", PROGRAM + "open('stdout', 'w').write('step=1 score=1\\n')\n")
+    asked(root)
+    made(root, STEPS, (root / "sim.py").read_text())
+    assert json.loads(asked(root, 1, *ASK, "--json").stdout)["executed"] == 6
+    assert "wrote a file or folder 'stdout'" in reasons(root)[0]
+
+
+@pytest.mark.integration
 def test_replay_compares_the_tables_and_not_the_other_lines(tmp_path: Path) -> None:
     clock = "import time\nprint('took', time.time())\n"
     root = made(tmp_path / "same", STEPS + ENDS, PROGRAM + clock)
