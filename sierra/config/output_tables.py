@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from sierra.config import extensions, line_patterns
+from sierra.config import extensions
 from sierra.config.field_types import (
     Alpha,
     Finite,
@@ -270,6 +270,8 @@ class Output(Table):
         if self.lines:
             if given := [key for key in NOT_WITH_LINES if key not in _unused(self, NOT_WITH_LINES)]:
                 raise ValueError(f"lines and {given[0]} exclude each other: lines makes the columns; remove {given[0]}")
+            from sierra.config import line_patterns
+
             line_patterns.check(self.lines)
         elif self.is_stdout and self.format is None:
             raise ValueError(

@@ -12,8 +12,10 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
+from functools import cached_property
 from itertools import chain, count
 from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
 
 from sierra.config.output_tables import (
     FILE_FORMAT,
@@ -26,12 +28,14 @@ from sierra.config.output_tables import (
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import robot_files
 from sierra.ingest.base import Used
-from sierra.ingest.matching_lines import UnmatchedLines
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Form, Shape
 from sierra.model import OutputFile, Result
 from sierra.store.schema import check_name
 from sierra.util.text import natural
+
+if TYPE_CHECKING:
+    from sierra.ingest.matching_lines import UnmatchedLines
 
 AUTOMATIC_AT_MOST = 20
 """The limit on undeclared tables of one run; if a run has more such files, all of them are recorded as files."""
@@ -69,7 +73,17 @@ class OutputMatcher:
         self._readers = {name: json.dumps(reader, sort_keys=True) for name, reader in readers.items()}
         self.kept: dict[str, dict[str, None]] = {}
         """The files that are recorded as files although they look like tables, by reason."""
-        self.unmatched = UnmatchedLines()
+
+    @cached_property
+    def unmatched(self) -> UnmatchedLines:
+        """The lines that are in no table."""
+        from sierra.ingest.matching_lines import UnmatchedLines
+
+        return UnmatchedLines()
+
+    def on_lines(self) -> Iterator[str]:
+        """Yield a note on the lines that are in no table, if lines were looked at."""
+        yield from self.unmatched.notes() if "unmatched" in vars(self) else ()
 
     def of(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """Yield the files of one execution that become tables: first the declared ones, then files with a table's suffix."""

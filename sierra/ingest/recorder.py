@@ -280,7 +280,7 @@ class Recorder:
             *compare_robots.notes(self._store, self.context.batch),
             *self._assigning.renamed.values(),
             *as_files(kept),
-            *self._assigning.unmatched.notes(),
+            *self._assigning.on_lines(),
             *remarks.all(),
             *equal_runs.of_batch(self._store, self.context.batch, *volatile_and_rates(self.context.outputs)),
         ]

@@ -353,7 +353,7 @@ def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iter
                 _Group(store, session, context, assigning, shapes, outcome).judge(some)
             finally:
                 worker.remove(str(session.reevaluation))
-    outcome.notes += [*assigning.renamed.values(), *as_files(assigning.kept), *assigning.unmatched.notes()]
+    outcome.notes += [*assigning.renamed.values(), *as_files(assigning.kept), *assigning.on_lines()]
     outcome.notes += [*TableWarnings(store, context, shapes).all()]
     return outcome
 

@@ -14,7 +14,6 @@ A value of another type is an error. A list, a table or `null` cannot be set.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import ClassVar
@@ -312,7 +311,7 @@ class TreeDocument:
         text, parent = scan.text, scan.at(tuple(above))
         # Each is put after the item, at the same place of the text, which need not be read again for the next one.
         each = [self.scan.notation.added(text, parent, None, new, None) for new in copies]
-        place = min((len(os.path.commonprefix([text, one])) for one in each), default=0)
+        place = min((_common(text, longer) for longer in each), default=0)
         new = (one[place : place + len(one) - len(text)] for one in each)
         text = text[:place] + "".join(new) + text[place:]
         items = (item.plain(), *(copy.plain() for copy in copies))
@@ -362,6 +361,11 @@ def piece(json: str, filled: Callable[[str], str]) -> Node:
         raise Unfit(f"cannot contain {json!r}; {error}") from error
     _fill_all(new, filled)
     return new
+
+
+def _common(text: str, longer: str) -> int:
+    """Return the number of characters with which both texts begin."""
+    return next((place for place, (a, b) in enumerate(zip(text, longer, strict=False)) if a != b), len(text))
 
 
 def _copy(node: Node, number: int) -> Node:

@@ -12,7 +12,6 @@ from functools import partial
 from lxml import etree
 
 from sierra.model import Add, Change, Remove, Rename, Repeat, Set
-from sierra.templates.notation import INDEX, Unfit, repetitions
 from sierra.templates.xml_markup import attributes, decoded, name_in, tag_end
 from sierra.templates.xml_scan import Edits, Scan, Unspliced, prefix_of
 from sierra.templates.xml_view import XML, Element, Place, View, declarations, is_text, parser, reason
@@ -153,6 +152,8 @@ class XmlCopy:
 
     def _repeat(self, element: Element, change: Repeat, count: str) -> None:
         """Put copies of an element into its place, and remove the following ones of its name."""
+        from sierra.templates.notation import INDEX, Unfit, repetitions
+
         parent = element.getparent()
         if parent is None:
             raise self.view.error(change, "selects the root element", ", of which there is one")
@@ -167,7 +168,7 @@ class XmlCopy:
         for number in range(copies):
             new = copy.deepcopy(element)
             new.tail = None
-            _fill_all(new, partial(_numbered, str(number)))
+            _fill_all(new, partial(_replaced, INDEX, str(number)))
             self._insert(parent, new, parent.index(element))
         self._take_out(element)
 
@@ -331,8 +332,8 @@ class XmlCopy:
         return self.view.source.with_line_ends(self.view.source.with_references(text))
 
 
-def _numbered(number: str, text: str) -> str:
-    return text.replace(INDEX, number)
+def _replaced(old: str, new: str, text: str) -> str:
+    return text.replace(old, new)
 
 
 def _indents(text: str) -> bool:

@@ -152,7 +152,7 @@ def test_only_keys_that_say_how_runs_execute_can_be_in_a_target(key: str) -> Non
         ),
         (
             "[targets.robots]\n[variables.speed]\nlabel = 'Speed'",
-            'variables.speed: it changes nothing; give it "set", "changes", "argument" or "environment", '
+            'variables.speed: it changes nothing; give it "set", "repeat", "changes", "argument" or "environment", '
             "here or in [variables.speed.targets.robots]",
         ),
         (
