@@ -99,7 +99,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         (COMMAND, 'command = "python3 \'sim.py"', "command: No closing quotation"),
         (COMMAND, 'command = "python3 sim.py {inputs}"', "unknown placeholder {inputs}"),
         ("noise =", "number =", "variable 'number': the store itself has a column of that name"),
-        ("noise =", "controller =", "declare each in [controllers.NAME]"),
+        ("noise =", "Controller =", "a controller is written 'controller'"),
         ("//random/@seed", "//rnd/@seed", "//rnd/@seed matches nothing"),
         ("", '[[changes]]\nset = "//nothing"\nvalue = 3', "//nothing matches nothing"),
     ],

@@ -31,7 +31,7 @@ def batch(folder: Path) -> str:
 @pytest.mark.parametrize(
     ("before", "more", "message"),
     [
-        ('before = ["mesh", "a"]\n', "", "before.0 should be a list"),
+        ('before = ["mesh"]\n', "", "before.0 should be a list"),
         ("before = [[]]\n", "", "before.0 should not be empty"),
         ('before = "sh {inputs}"\n', "", "before: unknown placeholder {inputs} in '{inputs}'; known are {input}, "),
         ('after = "sh {arguments}"\n', "", "after: unknown placeholder {arguments}"),
