@@ -349,7 +349,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
     found = forecast(plan, store, runs, retry=options.retry)
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
-    other = explain and has_other_files(reasons)
+    other = explain and not plan.lacking and has_other_files(reasons)
     if new or other:
         from sierra.explain.why_new_runs import other_programs, why_new
     proposal = project.proposal(plan, project.runner_of(plan, options.runner), detach=options.detach, runs=runs)

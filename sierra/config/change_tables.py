@@ -92,10 +92,10 @@ class PlaceOfSeed(Table):
 
     set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself, or the seed")
     argument: Argument = Field(
-        (), description="words of the command with the value, as in `--robots {value}`; a value is never split into words"
+        (), description="words of the command with the value or the seed, as in `--robots {value}`; a value is never split"
     )
     environment: EnvironmentName | None = Field(
-        None, description="name of the environment variable of runs that gets the value"
+        None, description="name of the environment variable of runs that gets the value or the seed"
     )
 
 

@@ -88,9 +88,7 @@ Layout = Annotated[
     Field(description="layout if `place` is not given, of the edges of all times; the same in all panels and at all times"),
 ]
 Footnote = Annotated[str, Field(description="text below the figure or table, after what SIERRA writes there")]
-RowsOf = Annotated[
-    str, Field(description="a SELECT statement instead of a `table`; each table in it has a column `batch`, the batch's label")
-]
+RowsOf = Annotated[str, Field(description="a SELECT statement instead of a `table`, as in `[tables.NAME]`")]
 
 
 class DerivedTable(Table):
@@ -247,7 +245,9 @@ class TableForPaper(Table):
     columns: ListOfWords = Field(
         (), alias="column", description="column, or columns, of which there are statistics; default: the only one"
     )
-    sql: RowsOf = ""
+    sql: str = Field(
+        "", description="a SELECT statement; each table that it reads has a column `batch`, with the label of the batch"
+    )
     statistics: ListOfWords = Field(
         ("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`"
     )

@@ -19,7 +19,6 @@ from sierra.config.field_types import (
     Grace,
     InProject,
     NotNegative,
-    OwnCommand,
     Positive,
     Size,
     SizeOrNone,
@@ -204,7 +203,7 @@ Processor = Annotated[str, AfterValidator(_processor)]
 class BuildTable(Table):
     """The command that makes programs or libraries of the project from its source, before runs use them."""
 
-    command: Annotated[OwnCommand, Field(min_length=1)]
+    command: Command = Field(description="the program and its arguments; {project}, {python} and {arch} are filled in")
     produces: Annotated[tuple[InProject, ...], ONE_OR_MORE, Field(min_length=1)] = Field(
         description="the products: paths or globs (`**`: any folders), relative to the project; git must ignore them"
     )
@@ -260,7 +259,9 @@ class Ready(Table):
 class ServiceTable(Table):
     """A program that runs in the background as long as each run, for example a display, a bridge or a licence server."""
 
-    command: Annotated[OwnCommand, Field(min_length=1)]
+    command: Command = Field(
+        description="the program and its arguments; {port} is a free port, and the placeholders of `command` are filled in"
+    )
     ready: Ready = Field(description="when it is ready, and the next one is started")
     timeout: Positive = Field(30.0, description="time until it must be ready, in seconds")
     scope: Literal["run", "batch"] = Field(

@@ -60,7 +60,7 @@ OF_PYTHON = Field(description="the command for Python 3.8 or newer where runs ex
 OF_RUNS = Field(description="runs per experiment")
 OfController = Annotated[str | None, Field(description="name of the controller, unless another one is requested")]
 OfScenario = Annotated[str | None, Field(description="name of the scenario, unless another one is requested")]
-OF_TARGET = Field(description="name of the target; default: the keys outside `targets`, as they are")
+OF_TARGET = Field(description="name of the target; default: `target` at the top level, or else no target")
 Labels = Annotated[Mapping[str, str], Field(description="names of groups and other values in figures, by the value")]
 OfTable = Annotated[str, Field(description="name of the output or derived table; default: the only one with the columns")]
 OfColumn = Annotated[str, Field(description="column; default: the only one")]

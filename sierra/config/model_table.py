@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from sierra.config.field_types import OF_WALL, Argv, Label, ListOfWords, OfColumn, OfStatement, Positive, Reduced
+from sierra.config.field_types import OF_WALL, Argv, Label, ListOfWords, OfStatement, Positive, Reduced
 
 SOURCES = ("expression", "sql", "file", "command")
 
@@ -29,7 +29,7 @@ class Model(Reduced):
         "`{project}` the project's folder, `{python}` the Python that runs SIERRA",
     )
     wall: Annotated[Positive, OF_WALL] = 60.0
-    column: Annotated[OfColumn, Field(min_length=1)]
+    column: Annotated[str, Field(min_length=1)] = Field(description="the predicted column")
     label: Label = ""
     figures: ListOfWords = Field(
         (), description="names of the figures that it is drawn in; default: all figures of the column that fit"

@@ -32,8 +32,6 @@ from sierra.config.field_types import (
     Inside,
     Name,
     NotNegative,
-    OfColumn,
-    OfTable,
     Positive,
     Reduced,
     Table,
@@ -548,8 +546,8 @@ def _status(end: str) -> int:
 class Equivalence(Reduced):
     """A metric by which a replay compares nondeterministic runs, over all runs of an experiment."""
 
-    table: OfTable
-    column: OfColumn
+    table: str = Field(description="name of the output or derived table")
+    column: str = Field(description="column of the table")
     measure: Measure = Field("final", description="how a run is reduced to one number, as in figures")
     margin: Positive | None = Field(
         None, description="maximum difference between means that are still equivalent, in the column's unit"

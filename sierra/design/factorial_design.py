@@ -103,7 +103,7 @@ def design(
     seed, run_changes = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
     per_run = (*seed, *run_changes)
     _check_lists(project, spans.axes)
-    _check_effect(project, cells, per_run, platform.command())
+    _check_effect(project, cells, per_run, (*platform.command(), *project.environment.set.values()))
     designed = Design(
         query=query,
         axes=spans.axes,
@@ -299,8 +299,8 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
     setters: dict[tuple[str, str | None], str] = {}
     replaced = {_place(change) for _, points in spanned for point in points for change in point.replaces}
     for axis, points in spanned:
-        for change in {change for point in points for change in point.changes if isinstance(change, Set)}:
-            place = (change.path, change.attribute)
+        for change in {change for point in points for change in point.changes if isinstance(change, Set | Repeat)}:
+            place = _place(change) or (re.sub(r"\[[^\]]*\]$", "", change.path), "repeat")
             if axis.name in GROUPED and place in replaced:
                 continue
             other = setters.setdefault(place, axis.name)
@@ -333,9 +333,10 @@ def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change
     for kind in GROUPED:
         for cell in cells:
             name = cell.values.get(kind)
-            if name is None or kind in project.variables or _groups(project, kind):
+            if name is None or _groups(project, kind):
                 continue
-            in_command = any(f"{{{kind}}}" in word for word in command)
+            variable = project.variables.get(kind)
+            in_command = any(f"{{{kind}}}" in word for word in command) or (variable and variable.environment)
             if not in_command and not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
                 raise QueryError(f"{kind} {name!r} changes nothing; sierra.toml does not declare it ([{kind}s.{name}])")
 
@@ -448,12 +449,17 @@ def _cells(
     for ordinal, places in enumerate(every):
         placed = spans.at(places)
         values = {axis.name: axis.values[place] for axis, place in zip(spans.axes, places, strict=True)}
-        own = (change for _, point in placed for change in point.changes)
+        own = sorted((change for _, point in placed for change in point.changes), key=_is_value)
         stream = max((point.stream for _, point in placed), default=0)
         together = {**_together(common.values, placed), **values}
         document = Changed(common.template, (*common.changes, *own, *query.sets), together)
         following = follow(document)
         yield Cell(ordinal, together, (*document.changes, *following), stream), placed, following
+
+
+def _is_value(change: Change) -> bool:
+    """Return False for copies, which are made before the values of other variables are set in them."""
+    return not isinstance(change, Repeat)
 
 
 def _layers(

@@ -23,7 +23,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES
+from sierra.config.change_tables import NOT_VARIED, OWN_PLACEHOLDERS, PORT_NAMES
 from sierra.config.project_file import Project
 from sierra.containers.engines.base import (
     HERE,
@@ -47,6 +47,7 @@ from sierra.execution.build_products import matches
 from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
 from sierra.provenance import pythons
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
+from sierra.templates.arithmetic import CHOSEN
 from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files
 from sierra.util import processors
 from sierra.util.hashing import digest_plain
@@ -66,6 +67,10 @@ NUMBERED_PORT = regex(r"(?<!\{)\{(port[0-9]+)\}")
 ABOVE = regex(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
 CODE = regex(r"(ba|da|z|k|fi)?sh|python[0-9.]*|perl|ruby|node|lua[0-9.]*|Rscript")
 """Names of programs that execute the word after an option such as `-c`."""
+OF_ITSELF = regex(r"\{run\.(\.*)(\w+)\}", re.ASCII)
+"""A placeholder that only a run itself fills in; with a second dot, it is a text: `{run..seed}` is `{run.seed}`."""
+OF_SINGLE = ("input", "output", "run", "seed")
+"""The names that have a value of their own in each run."""
 SPLICED = "{arguments}"
 """The word of a command that stands for several: those in the input file `ARGUMENTS`."""
 FIXED = {
@@ -237,17 +242,43 @@ def environment(
         if taken := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
             cure = "to choose the disk, set it where sierra is started" if taken[0] == "TMPDIR" else "use another name"
             raise ConfigError(f"{table} {taken[0]}: SIERRA sets this variable for each run; {cure}")
-    passed = {name: NAMED.sub(r"{\g<0>}", os.environ[name]) for name in project.environment.pass_ if name in os.environ}
+    passed = {name: _literal(os.environ[name]) for name in project.environment.pass_ if name in os.environ}
     own = {name: ("[environment]", text) for name, text in project.environment.set.items()}
     own |= {name: ("[container] variables:", text) for name, text in boxed.items() if contained}
-    filled = {name: _checked_variable(f"{table} {name}", text, project, declared) for name, (table, text) in own.items()}
+    filled = {name: _checked_variable(name, table, text, project, declared) for name, (table, text) in own.items()}
     return {**FIXED, **platform.environment(), **passed, **filled}
 
 
-def _checked_variable(place: str, text: str, project: Project, declared: Declared) -> str:
-    for _, name in NAMED.findall(text):
-        _check_varied(name, declared, place)
-    return _with_inputs(text, project, place)
+def _checked_variable(name: str, table: str, text: str, project: Project, declared: Declared) -> str:
+    """Return a variable in which `{run.NAME}` stands for what only a run itself knows."""
+    place = f"{table} {name}"
+
+    def own(match: re.Match[str]) -> str:
+        used = match[2]
+        if not used:
+            return match[0][1:-1] if match[1] in declared.names and not PLACEHOLDER.fullmatch(match[0]) else match[0]
+        _check_varied(used, declared, place)
+        if used in CHOSEN and used not in declared.names:
+            raise QueryError(f"{place} uses {{{used}}}, but no {used} is chosen; write {{{{{used}}}}} for the text {{{used}}}")
+        if used not in (*OF_SINGLE, *declared.names):
+            return match[0]
+        if name in NOT_VARIED:
+            raise ConfigError(
+                f"{place}: {{{used}}} differs between runs, but {name} says where programs are, before runs begin"
+            )
+        return f"{{run.{used}}}"
+
+    return NAMED.sub(own, _with_inputs(_literal(text), project, place))
+
+
+def _literal(text: str) -> str:
+    """Return a variable whose text `{run.NAME}` stays a text."""
+    return OF_ITSELF.sub(r"{run.\1.\2}", text)
+
+
+def as_written(variables: Mapping[str, str]) -> list[str]:
+    """Return the variables that runs fill in, with the placeholders of commands."""
+    return [OF_ITSELF.sub(r"{\2}", text) for text in variables.values() if OF_ITSELF.search(text)]
 
 
 def declared(
@@ -392,11 +423,7 @@ class CommandBuilder:
             "SIERRA_RUN_DIR": self._here,
             "SIERRA_SESSION": session,
         }
-        self._unfilled = {
-            name: text
-            for name, text in spec.environment.items()
-            if any(used and used not in self._placed for _, used in NAMED.findall(text))
-        }
+        self._unfilled = [name for name, text in spec.environment.items() if OF_ITSELF.search(text)]
         if not (box or self._on_robots):  # a robot has a PATH of its own
             self._environment["PATH"] = search_path(self._environment)
         if script and (box is None or box.gpu):
@@ -418,7 +445,7 @@ class CommandBuilder:
         given = run_values.read(files)
         values = self._values(files, seed, given.values)
         argv = self._argv(self._spec.command, files, values, alike=not given.values)
-        variables = {**self._environment, **self._own_variables(values), **own, **given.environment}
+        variables = {**self._environment, **self._own_variables(self._environment, values), **own, **given.environment}
         client = self._shared or self._contained(argv, variables)
         return Job(
             run.id,
@@ -443,9 +470,11 @@ class CommandBuilder:
             command = groups.get(place.group, self._spec.command)
             values = self._values(theirs, seed, {**given.values, robots.VALUE: number})
             argv = self._argv(command, theirs, values)
+            texts = with_texts(self._environment.values(), {robots.VALUE: number})
+            filled = dict(zip(self._environment, texts, strict=True))
             variables = {
-                **self._environment,
-                **self._own_variables(values),
+                **filled,
+                **self._own_variables(filled, values),
                 **own,
                 "SIERRA_ROBOT": number,
                 "SIERRA_ROBOTS": count,
@@ -474,9 +503,13 @@ class CommandBuilder:
         here = self._here
         return {**given, "input": f"{here}/{files[0][0]}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
 
-    def _own_variables(self, values: Mapping[str, str]) -> dict[str, str]:
+    def _own_variables(self, variables: Mapping[str, str], values: Mapping[str, str]) -> dict[str, str]:
         """Return the variables with placeholders that only a run itself can fill in."""
-        return {name: self._fill((text,), values)[0] for name, text in self._unfilled.items()}
+
+        def filled(match: re.Match[str]) -> str:
+            return f"{{run.{match[1][1:]}{match[2]}}}" if match[1] else values.get(match[2], match[0])
+
+        return {name: OF_ITSELF.sub(filled, variables[name]) for name in self._unfilled}
 
     def _argv(
         self, command: tuple[str, ...], files: Files, values: Mapping[str, str], *, alike: bool = False

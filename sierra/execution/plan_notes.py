@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from sierra import templates
@@ -52,7 +52,7 @@ def outdated(root: Path, image: AnyImage | None) -> Iterator[str]:
 
 def doubts(designed: Design, command: Sequence[str], config: Project) -> Iterator[str]:
     """Yield warnings about settings that are allowed but probably not intended."""
-    mentioned = " ".join((*command, *config.environment.set.values()))
+    mentioned = " ".join(command)
     seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and not config.seed.environment and "{seed}" not in mentioned:
         hint = f"{_place_of_seed(config)}, or use {{seed}} in the command (SIERRA_SEED also has it)"
@@ -62,6 +62,13 @@ def doubts(designed: Design, command: Sequence[str], config: Project) -> Iterato
             yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} uses the first"
     if config.template_paths and not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
         yield "the command does not contain {input}: all experiments are the same unless it finds the generated file itself"
+
+
+def not_repeated(designed: Design, config: Project, templates: Iterable[Path]) -> Iterator[str]:
+    """Yield a note for each variable that repeats an element, but has no value in this query."""
+    others = [name for name, table in config.variables.items() if table.repeat and name not in {a.name for a in designed.axes}]
+    if others and any(b"{index}" in path.read_bytes() for path in templates):
+        yield f"the query does not vary {', '.join(others)}: {{index}} stays as it is in the input"
 
 
 def unreadable_outputs(config: Project) -> Iterator[str]:

@@ -78,7 +78,8 @@ def plan(
     groups = on_robots.of_groups(config, root, declared, made, contained=image is not None)
     variables = commands.environment(platform, config, declared, contained=box is not None)
     of_groups = tuple(word for argv in (groups or {}).values() for word in argv)
-    values = commands.used_values((*command, *of_groups, *surroundings.words, *variables.values()), declared, config)
+    filled = commands.as_written(variables)
+    values = commands.used_values((*command, *of_groups, *surroundings.words, *filled), declared, config)
     own = project_source.own_paths(project)
     code = project_source.code(project)
     held = source.paths(code.manifest)
@@ -119,7 +120,9 @@ def plan(
     used, lacking = found_or(data, lambda: _used(spec, code, root, data, built))
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed, lacking = found_or(used, checkout.programs) if checkout and not lacking else (used, lacking)
-    named = {text.replace(IN_PROJECT, "") for text in input_texts.set_by(designed)} | input_texts.given_by(designed, command)
+    named = {text.replace(IN_PROJECT, "") for text in input_texts.set_by(designed)} | input_texts.given_by(
+        designed, (*command, *filled)
+    )
     uncounted = referenced_files.named_by_values(named, texts, root, held, used)
     return Plan(
         project=project,
@@ -146,7 +149,8 @@ def plan(
         lacking=lacking,
         notes=(
             *code.notes,
-            *plan_notes.doubts(designed, spec.words, config),
+            *plan_notes.not_repeated(designed, config, texts),
+            *plan_notes.doubts(designed, (*spec.words, *filled), config),
             *plan_notes.unreadable_outputs(config),
             *plan_notes.outdated(root, image),
             *plan_notes.texts_of_numbers(designed, config, template),

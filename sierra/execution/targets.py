@@ -27,7 +27,8 @@ def check(project: LoadedProject, query: Query) -> None:
     if project.declared is None:
         return
     config, name = project.config, project.config.target
-    lacking = [
+    chosen = [kind for kind in GROUPED if kind in config.variables and (getattr(query, kind) or getattr(config, kind))]
+    lacking = [kind for kind in chosen if not config.changes_with(kind)] + [
         one.name
         for one in query.criteria
         if one.name in config.variables

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TODAY = datetime.datetime.now(datetime.UTC).date().isoformat()
+TODAY = "2031-05-06"
 FILES = {
     "sierra/util/version.py": '"""The version."""\n\n__version__ = "0.3.0"\n',
     "CITATION.cff": f"version: 0.3.0\ndate-released: {TODAY}\n",
@@ -28,6 +28,10 @@ def repository(tmp_path: Path) -> Path:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     (tmp_path / ".ci" / "run").chmod(0o755)
+    date = tmp_path.with_name(f"{tmp_path.name}-programs") / "date"
+    date.parent.mkdir()
+    date.write_text(f"#!/bin/sh\necho {TODAY}\n")
+    date.chmod(0o755)
     script = tmp_path / "tests" / "system" / "release.sh"
     script.parent.mkdir(parents=True)
     shutil.copy2(ROOT / "tests" / "system" / "release.sh", script)
@@ -49,7 +53,9 @@ def _commit(folder: Path) -> None:
 def _release(folder: Path) -> subprocess.CompletedProcess[str]:
     _git(folder, "config", "user.name", "a")
     _git(folder, "config", "user.email", "a@b")
-    return subprocess.run(["tests/system/release.sh"], cwd=folder, capture_output=True, text=True, check=False)
+    programs = folder.with_name(f"{folder.name}-programs")
+    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    return subprocess.run(["tests/system/release.sh"], cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_a_version_that_passes_all_checks_is_tagged(repository: Path) -> None:

@@ -37,7 +37,7 @@ PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
 """The keys of kinds that have an x axis, a y axis and categories."""
 STATISTICAL = ("seaborn", "pandas")
 """The libraries that draw the kinds in `seaborn_plots`; they come with the extra `figures`."""
-RUN = Field(description="number of the run that is shown, the same for all experiments; default: the mean of all runs")
+RUN = Field(description="number of the run that is shown, the same for all experiments")
 ROWS = Field(description="count rows instead of runs")
 """Options that several kinds have."""
 MODELS = "models"

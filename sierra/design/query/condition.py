@@ -124,7 +124,8 @@ def among(text: str, names: Sequence[str], cells: Cells, labelled: Cells, origin
 def _with_names(text: str, labels: Labels) -> str:
     """Return a condition in which labels are replaced by names. A text that is both is a name."""
     for variable, of_values in labels.items():
-        names = {str(label): str(value) for value, label in of_values.items() if label not in of_values}
+        own = set(map(str, of_values))
+        names = {str(label): str(value) for value, label in of_values.items() if str(label) not in own}
         if names:
             words = "|".join(re.escape(label) for label in sorted(names, key=len, reverse=True))
             item = rf"(?:(?:{words})(?=\s*(?:,|$)|\sand\s)|[^<>=!\s,]+)"

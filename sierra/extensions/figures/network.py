@@ -17,7 +17,7 @@ from sierra.store.sql_names import identifier, node_name
 
 
 class NetworkOptions(Table):
-    """Figures of kind `network`. In the mean of all runs, a missing edge counts as 0."""
+    """Figures of kind `network`. Without `run`, the mean of all runs is shown, in which a missing edge counts as 0."""
 
     at: Finite | Literal["last"] | None = Field(
         None, description="time of the edges, or `last`: the last time of each run; default: the edges of all times"

@@ -220,3 +220,19 @@ def test_names_of_numbers_are_shown_as_texts(tmp_path: Path) -> None:
     assert [line.split()[1] for line in table.splitlines()] == ["count", "alone", "2"]
     drawn = projects.quick(folder, "figures")
     assert drawn.returncode == 0, drawn.stderr
+
+
+def test_a_label_that_is_another_value_selects_nothing_else(tmp_path: Path) -> None:
+    labels = '\n[variables.count]\nset = "//swarm/@count"\nlabels = { 1 = "2", 2 = "4" }\n'
+    config = projects.CONFIG.replace('population_size = "//swarm/@count"\n', "") + labels
+    folder = projects.make(tmp_path / "p", config)
+    lines = projects.quick(folder, "run", "count=1,2", "--only", "count=2", "--dry-run").stdout.splitlines()
+    after_header = next(number for number, line in enumerate(lines, 1) if line.startswith("count"))
+    assert lines[after_header].split()[0] == "2"
+
+
+def test_a_controller_without_a_change_for_the_target_is_refused(tmp_path: Path) -> None:
+    more = '\n[variables.controller.targets.sim]\nset = "//swarm/@controller"\n[targets.sim]\n[targets.real]\n'
+    folder = projects.make(tmp_path / "p", projects.CONFIG + more)
+    assert projects.quick(folder, "run", "noise=1", "--controller", "a", "--target", "sim", "--dry-run").returncode == 0
+    assert "'controller' has no change for target 'real'" in refused(folder, "noise=1", "--controller", "a", "--target", "real")

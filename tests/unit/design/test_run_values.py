@@ -250,10 +250,12 @@ def test_variables_of_the_environment_have_the_placeholders_of_commands(tmp_path
 
 
 def test_what_is_passed_from_the_caller_is_a_text_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CALLER", "{seed} {{robots}} {project}")
+    monkeypatch.setenv("CALLER", "{seed} {run.seed} {run..robots} {robots} {Robots}")
     root = placed(tmp_path / "p")
     run(root, "robots=2")
-    assert {row["caller"] for row in sql(root, "SELECT caller FROM told")} == {"{seed} {{robots}} {project}"}
+    assert {row["caller"] for row in sql(root, "SELECT caller FROM told")} == {
+        "{seed} {run.seed} {run..robots} {robots} {Robots}"
+    }
 
 
 @pytest.mark.parametrize(
@@ -261,10 +263,28 @@ def test_what_is_passed_from_the_caller_is_a_text_as_it_is(tmp_path: Path, monke
     [
         ("{input.other} {speed}", "[environment] TOLD: {input.other} in '{input.other} {speed}' is no template"),
         ("{speed}", "[environment] TOLD uses {speed}; add speed=… to the query"),
+        ("{robots} {speed} {controller}", "[environment] TOLD uses {controller}, but no controller is chosen"),
     ],
 )
 def test_a_placeholder_that_nothing_fills_in_is_refused(tmp_path: Path, text: str, message: str) -> None:
     config = PLACED.replace("{robots} {seed} {input} {output} {{seed}} {other} {project}", text)
     root = placed(tmp_path / "p", config.replace('robots = "/robots"', 'robots = "/robots"\nspeed = {}'))
-    varied = ("speed=1",) if "other" in text else ()
+    varied = ("speed=1",) if " {speed}" in text else ()
     assert message in refused(root, "robots=2", *varied)
+
+
+def test_programs_are_not_looked_for_where_values_say(tmp_path: Path) -> None:
+    root = placed(tmp_path / "p", PLACED.replace("SPEED =", "PATH ="))
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"{speed}"', '"/x/{robots}:/bin"'))
+    assert "[environment] PATH: {robots} differs between runs, but PATH says where programs are" in refused(root, "robots=2")
+
+
+def test_files_that_values_name_in_variables_are_noted(tmp_path: Path) -> None:
+    config = 'command = "sh sim.sh"\nruns = 1\n[source]\npaths = ["sim.sh"]\n[variables]\nmap = {}\n[environment]\n'
+    root = make(tmp_path / "p", config + 'set = { MAP = "{project}/maps/{map}.csv" }\n')
+    (root / "sim.sh").write_text('cp "$MAP" out.csv\n')
+    (root / "maps").mkdir()
+    (root / "maps" / "a.csv").write_text("tick,value\n0,1\n")
+    done = quick(root, "run", "map=a", "--dry-run")
+    assert "maps/a.csv" in done.stderr
+    assert "changes of" in done.stderr

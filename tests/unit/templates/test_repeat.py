@@ -157,3 +157,44 @@ def test_the_number_of_agents_is_a_variable(tmp_path: Path) -> None:
         {"agents": 1, "rows": 20, "last": "r0"},
         {"agents": 4, "rows": 80, "last": "r3"},
     ]
+
+
+LISTED = """
+template = "scene.json"
+command = "python3 sim.py {input}"
+seed = "/seed"
+runs = 1
+[variables]
+agents = { repeat = "/agents/item[1]" }
+others = { repeat = "/agents/item[2]" }
+size = "/agents/item[1]/size"
+"""
+
+
+@pytest.fixture
+def listed(tmp_path: Path) -> Path:
+    root = projects.make(tmp_path / "p", LISTED, simulator=SIMULATOR)
+    (root / "scene.json").write_text('{"seed": 1, "speed": 2, "agents": [{"name": "r{index}", "size": 0}, {"name": "b"}]}')
+    return root
+
+
+def test_copies_are_made_before_values_are_set(listed: Path) -> None:
+    made = []
+    for number, words in enumerate((("agents=3", "size=7"), ("size=7", "agents=3"))):
+        folder = f"../inputs{number}"
+        done = projects.quick(listed, "run", *words, "--inputs", folder)
+        assert done.returncode == 0, done.stderr
+        [file] = (listed / folder).rglob("input.json")
+        made.append([agent["size"] for agent in json.loads(file.read_text())["agents"]])
+    assert made == [[7, 0, 0], [7, 0, 0]]
+
+
+def test_two_variables_do_not_repeat_items_of_one_list(listed: Path) -> None:
+    done = projects.quick(listed, "run", "agents=3", "others=2", "--dry-run")
+    assert done.returncode == 2
+    assert "'agents' and 'others' both set" in done.stderr
+
+
+def test_a_query_that_does_not_vary_the_number_is_noted(listed: Path) -> None:
+    done = projects.quick(listed, "run", "size=7", "--dry-run")
+    assert "note: the query does not vary agents, others: {index} stays as it is in the input" in done.stderr

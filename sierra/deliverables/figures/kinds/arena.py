@@ -91,7 +91,7 @@ FROM finite, sized WHERE x BETWEEN x0 AND x1 AND y BETWEEN y0 AND y1 GROUP BY AL
 
 
 class MatrixOptions(Table):
-    """Figures of kind `matrix`."""
+    """Figures of kind `matrix`. Without `run`, the mean of all runs is shown."""
 
     at: Annotated[
         tuple[Finite, ...], BeforeValidator(lambda v: v if isinstance(v, tuple) else (v,), json_schema_input_type=Times)

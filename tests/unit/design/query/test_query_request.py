@@ -60,7 +60,10 @@ def test_the_request_of_a_recorded_batch_gives_the_same_batch(project: Path) -> 
         ('{"criteria": ["population_size=1"], "run": 1}', "query.json: unknown key 'run'; did you mean 'runs'?"),
         ('{"request": {"criteria": ["x=1"], "runs": "x"}}', 'query.json: request.runs should be a whole number, not "x"'),
         ('{"request": {"criteria": ["x=1"], "run": 1}}', "query.json: unknown key 'request.run'; did you mean 'runs'?"),
-        ('{"request": {"criteria": ["x=1"], "overrides": [{"xpath": ""}]}}', "query.json: request.overrides.0.xpath should"),
+        (
+            '{"request": {"criteria": ["x=1"], "overrides": [{"xpath": "", "value": "1"}]}}',
+            "query.json: request.overrides.0.xpath should",
+        ),
     ],
 )
 def test_an_invalid_file_is_refused_in_one_line(project: Path, text: str, said: str) -> None:
