@@ -14,6 +14,8 @@ from functools import cache
 from sierra.config.field_types import NAME, check_distinct
 
 EXAMPLE = r"step=(?P<step>\d+)"
+WHOLE = "sierra_whole"
+"""The name of the group around a pattern, so that the place of the whole match is known."""
 
 
 def columns(pattern: str) -> Sequence[str]:
@@ -38,6 +40,8 @@ def check(pattern: str) -> None:
         raise ValueError(f"lines: {pattern!r} has a group without a name; write (?P<name>…) for a column, or else (?:…)")
     if unsound := [name for name in names if not re.fullmatch(NAME, name)]:
         raise ValueError(f"lines: the group {unsound[0]!r} is no name of a column; use letters, digits and _")
+    if WHOLE in names:
+        raise ValueError(f"lines: SIERRA needs the name {WHOLE!r} itself; choose another one for the group")
     check_distinct(names, "lines")
     if reason := _refused(pattern):
         rather = "write it without look-around, back-references and possessive or very long repetitions"

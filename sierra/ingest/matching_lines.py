@@ -2,7 +2,7 @@
 
 The rows are written as a CSV. RE2 matches the lines (see `sierra.config.line_patterns`), as Arrow calls it; DuckDB splits the
 original file once more, and counts the lines that match there. A line that leaves doubt is an error: if the expression matches
-twice in it, if a match ends within a number, or if a value is not UTF-8 or has control characters, such as those of colours.
+twice in it, if a value is only a part of a number, is not UTF-8 or has control characters, such as those of colours.
 Other lines are in no table, whatever they contain; `UnmatchedLines` counts them.
 """
 
@@ -28,11 +28,15 @@ if TYPE_CHECKING:
 
 Groups = Mapping[str, Sequence[int] | None]
 """The first byte and the length of each group in a line; None for one that is not in the match."""
-WHOLE = "sierra_whole"
-"""The name of the group around a pattern, so that the place of the whole match is known."""
 CONTROL = regex(r"[\x00-\x08\x0a-\x1f\x7f]")
-GOES_ON = regex(rb"[0-9]|\.[0-9]|[eE][-+]?[0-9]")
+GOES_ON = regex(rb"\d|[.,_]\d|[eE][-+]?\d|[dD][-+]\d")
 """What a number goes on with, after its last digit."""
+HEXADECIMAL = regex(rb"[xX][0-9a-fA-F]")
+BEGINS_EARLIER = regex(rb"\d[.,_]?\Z|(?<![\w.)\]}])\.\Z|(?<![\w)\]}])(?:[-+]|\xe2\x88\x92)\Z")
+"""What is before a number without a sign that is only a part of one: digits, a decimal point, a sign (also that of Unicode)."""
+EXPONENT = regex(rb"\d\.?[eE][-+]?\Z")
+BEFORE = 8
+"""The number of bytes before a value that are searched."""
 SHOWN = 80
 BLOCK = 16 << 20
 """The approximate number of bytes of lines that are counted at a time."""
@@ -71,7 +75,7 @@ class MatchingLines(CsvAsFound):
             for nth, (place, groups) in enumerate(matches):
                 if fault := _fault(lines[place], groups, twice=nth == twice):
                     raise UnreadableError(f"line {first + place}: {fault}")
-                values = [_within(lines[place], span) for name, span in groups.items() if name != WHOLE]
+                values = [_within(lines[place], span) for name, span in groups.items() if name != line_patterns.WHOLE]
                 yield first + place, csv_line([self._changed(value, first + place) for value in values] if changes else values)
 
     def _twice(self, lines: Sequence[str]) -> int | None:
@@ -137,7 +141,7 @@ def _matches(lines: Sequence[bytes], pattern: str) -> Iterator[tuple[int, Groups
     """Yield the places of the lines that match, with the places of the groups in them."""
     import pyarrow.compute as pc
 
-    spans = pc.extract_regex_span(_array(lines), pattern=f"(?P<{WHOLE}>{pattern})")
+    spans = pc.extract_regex_span(_array(lines), pattern=f"(?P<{line_patterns.WHOLE}>{pattern})")
     return zip(pc.indices_nonzero(spans.is_valid()).to_pylist(), spans.drop_null().to_pylist(), strict=True)
 
 
@@ -146,16 +150,42 @@ def _fault(line: bytes, groups: Groups, *, twice: bool) -> str:
     text = _text(line)
     if "\ufffd" in text and text.encode() != line:
         return f"is not UTF-8: {text[:SHOWN]!r}"
-    if twice:
-        return f"lines matches several times in it, but it is one row; begin lines with ^ or end it with $: {text[:SHOWN]!r}"
-    end = sum(groups[WHOLE] or ())
     for name, span in groups.items():
-        value = "" if name == WHOLE else _within(line, span)
+        value = "" if name == line_patterns.WHOLE else _within(line, span)
         if CONTROL.search(value):
             return f"the column {name!r} has control characters: {value[:SHOWN]!r}"
-        if sum(span or ()) == end and GOES_ON.match(line, end) and value[-1:].isdigit() and reads_as_number(value):
-            return f"the column {name!r} would be {value!r}, but the number goes on: {text[:SHOWN]!r}"
+        if part := _is_part(line, name, groups) if value else "":
+            return f"the column {name!r} would be {value!r}, but the number {part}: {text[:SHOWN]!r}"
+    if twice:
+        return f"lines matches several times in it, but it is one row; begin lines with ^ or end it with $: {text[:SHOWN]!r}"
     return ""
+
+
+def _is_part(line: bytes, name: str, groups: Groups) -> str:
+    """Return how the number in a group continues in the line, unless another group has that part; "" if it is whole."""
+    start, end = _ends(groups[name])
+    found, before = line[start:end], max(start - BEFORE, 0)
+    left = EXPONENT.search(line, before, start)
+    if not left and found[:1] not in b"+- ":
+        left = BEGINS_EARLIER.search(line, before, start)
+    right = GOES_ON.match(line, end) if found[-1:] != b" " else None
+    if found.lstrip(b"+-") == b"0":
+        right = right or HEXADECIMAL.match(line, end)
+    if not (left or right) or not reads_as_number(_within(line, groups[name]).replace(",", ".")):
+        return ""
+    others = [_ends(span) for other, span in groups.items() if other not in (name, line_patterns.WHOLE) and span and span[1]]
+    left_is_other = bool(left and any(left.start() < other <= start for _, other in others))
+    right_is_other = bool(right and any(end <= other < right.end() for other, _ in others))
+    if (left_is_other or right_is_other) and line[start - 1 : start] == line[end : end + 1] == b".":
+        return ""  # a number has no two points: these are parts of a version
+    if left and not left_is_other:
+        return "begins earlier"
+    return "goes on" if right and not right_is_other else ""
+
+
+def _ends(span: Sequence[int] | None) -> tuple[int, int]:
+    """Return the first byte of a group, and the one after its last."""
+    return (span[0], span[0] + span[1]) if span else (0, 0)
 
 
 def _any(lines: Sequence[bytes], patterns: Iterable[str]) -> Sequence[bool]:

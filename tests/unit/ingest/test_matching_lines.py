@@ -40,6 +40,13 @@ GOOD: list[tuple[str, bytes, dict[str, Any], list[dict[str, Any]]]] = [
     ("empty groups", b"a=;\na=1;\n", {"lines": r"a=(?P<a>\d*);"}, [{"a": None}, {"a": 1}]),
     ("texts of CSV", b'say a "b", c\n', {"lines": "say (?P<text>.+)"}, [{"text": 'a "b", c'}]),
     ("parts of versions", b"v1.25.3\n", {"lines": r"v(?P<major>\d+)\.(?P<minor>\d+)[.\d]*"}, [{"major": 1, "minor": 25}]),
+    ("groups for all parts", b"a=0.53 b=-2e7\n", {"lines": r"a=(?P<a>\d+)\.(?P<b>\d+) b=(?P<sign>-)(?P<c>\d)e(?P<d>\d)"},
+     [{"a": 0, "b": 53, "sign": "-", "c": 2, "d": 7}]),
+    ("signs within words and ranges", b"x-12 a=1-2 f(3)-4 2026-11-30\n",
+     {"lines": r"x-(?P<a>\d+) a=1-(?P<b>\d) f\(3\)-(?P<c>\d) (?P<year>\d+)-(?P<month>\d+)"},
+     [{"a": 12, "b": 2, "c": 4, "year": 2026, "month": 11}]),
+    ("dots that are no points", b"1..10 done.5 end 7.\n", {"lines": r"(?P<a>\d)\.\.(?P<b>\d+) done\.(?P<c>\d) end (?P<d>\d)"},
+     [{"a": 1, "b": 10, "c": 5, "d": 7}]),
     ("no matching line", b"begin\n", {"lines": STEP}, []),
     ("an empty file", b"", {"lines": STEP}, []),
 ]  # fmt: skip
@@ -61,6 +68,17 @@ BAD: list[tuple[str, bytes, str, str]] = [
     ("two matches", b"v=1\nv=1 v=2\n", r"v=(?P<v>\d+)", "line 2: lines matches several times in it, but it is one row"),
     ("part of a number", b"v=1\nv=0.53\n", r"v=(?P<v>\d+)", "line 2: the column 'v' would be '0', but the number goes on"),
     ("number without its exponent", b"v=1.5e-7\n", r"v=(?P<v>[.\d]+)", "would be '1.5', but the number goes on: 'v=1.5e-7'"),
+    ("end of a number", b"took 12.5 ms\n", r"(?P<took>\d+) ms$", "would be '5', but the number begins earlier: 'took 12.5 ms'"),
+    ("number of which two parts match", b"0.53\n", r"(?P<v>\d+)", "would be '0', but the number goes on"),
+    ("number without its sign", b"energy: -12.5 J\n", r"(?P<energy>\d+\.\d+) J", "would be '12.5', but the number begins"),
+    ("sign of Unicode", "v: \u22125\n".encode(), r"(?P<v>\d)", "would be '5', but the number begins earlier"),
+    ("not the last group", b"a=0.5 b=7\n", r"a=(?P<a>\d+).*b=(?P<b>\d+)", "would be '0', but the number goes on"),
+    ("decimal comma", b"comma=3,14\n", r"comma=(?P<comma>\d+)", "would be '3', but the number goes on"),
+    ("thousands", b"x 1,234\n", r"x (?P<thousand>\d+)", "would be '1', but the number goes on"),
+    ("hexadecimal number", b"hex=0x1F\n", r"hex=(?P<h>\d+)", "would be '0', but the number goes on"),
+    ("number with _", b"v=1_000\n", r"v=(?P<v>\d+)", "would be '1', but the number goes on"),
+    ("exponent", b"v=1.5e-7\n", r"e(?P<v>-?\d+)", "would be '-7', but the number begins earlier"),
+    ("fraction", b"v= .75\n", r"(?P<v>\d+)", "would be '75', but the number begins earlier"),
 ]  # fmt: skip
 
 
@@ -114,6 +132,7 @@ REFUSED = [
     (r"lines = '(?P<a>x)(?P=a)'", "cannot be matched in linear time"),
     (r"lines = '(?P<é>\d+)'", "the group 'é' is no name of a column; use letters, digits and _"),
     (r"lines = '(?P<a>\d+)(?P<A>\d+)'", "lines.a and lines.A: these names differ only in upper and lower case"),
+    (r"lines = '(?P<sierra_whole>\d+)'", "SIERRA needs the name 'sierra_whole' itself; choose another one for the group"),
     (r"lines = '(?P<a>\d*)'", "also matches an empty line; write + instead of * where text must be"),
     ('lines = "(?P<a>x)\\n"', "has a line feed, but is searched in single lines"),
     *(
