@@ -127,7 +127,7 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         message = f"older than {newest!r}, whose table has only the newest rows"
         return UnreadFiles(one.path, one.files, f'{message}; set file = "{newest}{ROTATION}"', True)
     if declared is not None:
-        return UnreadFiles(one.path, one.files, *_declared(declared, outputs[declared]))
+        return UnreadFiles(one.path, one.files, *_declared(declared, outputs[declared], one.content))
     file = pattern(one)
     place = f"[outputs.{name}] file = {json.dumps(file, ensure_ascii=False)}"
     keys: Keys = {"file": file} | ({} if one.runs == runs else {"required": False})
@@ -206,17 +206,27 @@ def _rows_of(one: Alike) -> Mapping[str, str] | None:
     return None if content is None else keys_of(content)
 
 
-def _declared(name: str, output: Output) -> tuple[str, bool]:
+def _declared(name: str, output: Output, content: Callable[[], bytes | None]) -> tuple[str, bool]:
     """Return why files of a declared output became no table, and whether each session notes it."""
     ending = unnamed_format(output)
     if output.lines:
-        return f"no line matches lines in [outputs.{name}]", False
+        return _of_lines(f"lines in [outputs.{name}]", output, content()), False
     if ending is None and output.kind != FILE_FORMAT:
         return f"declared, but it could not be read with the keys of [outputs.{name}]", False
     if ending is None:
         return f'kept as a file, as declared (format = "{FILE_FORMAT}")', False
     keys = _named(ending) or f"format = {json.dumps(ending)}"
     return f"declared without a format; set {keys} in [outputs.{name}]", True
+
+
+def _of_lines(lines: str, output: Output, content: bytes | None) -> str:
+    from sierra.ingest.matching_lines import has_match
+    from sierra.ingest.rewriting import is_compressed
+
+    if content is None or is_compressed(output.base):
+        return f"no line matches {lines}, or they made no rows; see the reason of its run"
+    made_none = f"it matches {lines}, but this made no rows; see the reason of its run"
+    return made_none if has_match(content, [output.lines]) else f"no line matches {lines}"
 
 
 def _not_automatic(one: Alike, tables: Collection[str]) -> str:

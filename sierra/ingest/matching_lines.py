@@ -188,6 +188,12 @@ def _ends(span: Sequence[int] | None) -> tuple[int, int]:
     return (span[0], span[0] + span[1]) if span else (0, 0)
 
 
+def has_match(text: bytes, patterns: Iterable[str]) -> bool:
+    """Return True if a pattern matches in a line of a text, whatever the reader thinks of the line."""
+    lines = text.removeprefix(BOM).split(b"\n")
+    return any(_any([line.removesuffix(b"\r") for line in lines], patterns))
+
+
 def _any(lines: Sequence[bytes], patterns: Iterable[str]) -> Sequence[bool]:
     """Return for each line if a pattern matches in it."""
     import pyarrow.compute as pc

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.output_tables import Output
 from sierra.errors import Damaged
+from sierra.ingest.match_outputs import claims
 from sierra.replay.compare_values import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
 from sierra.replay.pair_files import Artifacts, Pairs, pair
 from sierra.store.parquet_row_counts import rows_by_file
@@ -191,12 +192,25 @@ def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: M
     if not _same_kind(was, now):
         return Agreement(Verdict.DIFFERENT, f"was a {was.kind} and is a {now.kind}", form=True)
     if was.kind != "table":
-        return of_texts(contents.bytes(was), contents.bytes(now), volatile)
+        texts = contents.bytes(was), contents.bytes(now)
+        if _without_matches(texts, [declared[name].lines for name in claims(declared, was.path)], was.path):
+            return Agreement(Verdict.EQUAL, "no line matches lines in both, and other lines are not compared")
+        return of_texts(*texts, volatile)
     old, new = contents.rows(was), contents.rows(now)
     if old is None or new is None:
         return _without_rows(was, now)
     found = of_tables(old, new, _rules(rules, old.column_names) if rules else Rules())
     return replace(found, output=was.output)
+
+
+def _without_matches(texts: Iterable[bytes], patterns: Sequence[str], path: str) -> bool:
+    """Return True if all outputs of a file have `lines`, and these match in none of its texts."""
+    if not patterns or not all(patterns):
+        return False
+    from sierra.ingest.matching_lines import has_match
+    from sierra.ingest.rewriting import is_compressed
+
+    return not is_compressed(path) and not any(has_match(text, patterns) for text in texts)
 
 
 def _rules(output: Output, columns: Sequence[str]) -> Rules:
