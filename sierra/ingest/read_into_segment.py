@@ -149,20 +149,20 @@ def tabled(
 
     made = TableIngest(context.outputs)
     files: dict[str, list[Written]] = {}
+    optional = set[str]()
     patterns: dict[Written, list[str]] = {}
     for judged in executions:
         for output, shape, file in assigning.of(judged.result) if judged.status.is_result else ():
             name = output if judged.status is Status.OK else output + ACCEPTED
             if judged.status is Status.ACCEPTED and not file.ended and shape.format in TEXTS:
                 continue  # it was cut off in its last line, which may look whole
-            if shape.declared and context.outputs[output].is_stdout and not file.bytes:
-                continue  # it printed nothing
             if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
                 made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(file.path), name=name))
             shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
             files.setdefault(name, []).append(written := _written(judged.result, file, context.outputs.get(output)))
             if shape.form.lines:
                 patterns.setdefault(written, []).append(shape.form.lines)
+                optional |= set() if context.outputs[output].required else {name}
     if not files:
         return made
     for written, several in patterns.items():
@@ -177,10 +177,9 @@ def tabled(
             single = [one for one in found if one.execution not in twice]
             reading = read(connection, single, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
             shapes[name] = reading.shape
-            optional = shapes[name].form.lines and not context.outputs[shapes[name].name.removesuffix(ACCEPTED)].required
             for one in single:
                 rows = reading.rows.get(key := (one.execution, one.name))
-                if optional and rows == 0:
+                if name in optional and rows == 0:
                     continue
                 read_in = (rows, reading.counted.get(key), _layout(reading, one)) if rows is not None else (None, None, None)
                 made.files.setdefault(key, []).append(TableFile(name, *read_in))

@@ -104,6 +104,8 @@ class Past:
     left_running: tuple[str, ...] = ()
     after_marker: float | None = None
     """These two are as in its result."""
+    printed: tuple[ArtifactRow, ...] = ()
+    """What it printed, if this is an output by its last rules, but not by the new ones."""
     tabled: bool = False
     """True if the rows of its tables by the new rules are already recorded."""
 
@@ -140,8 +142,9 @@ class Past:
         """Check that it was successful, or failed only by its rules, which then give the same reason again."""
         if self.succeeded or self.last.status == Status.MISMATCH:
             return True
+        result = replace(result, outputs=(*result.outputs, *map(_unread, self.printed[:1])))
         reasons = {judge(result, self.outputs, self.success)[1]}
-        for row in self.artifacts:
+        for row in (*self.artifacts, *self.printed):
             output = self.outputs.get(row.output or "")
             if output and row.rows is not None:
                 reasons.add(too_few(row.path, row.rows, str(row.output), output))
@@ -235,18 +238,23 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
         if row.ingest_rules in rules:
             elsewhere = tuple(sorted(written.get(row.execution, ())))
             known = robots.get(row.execution, {})
-            files = tuple(_with_stdout(artifacts[row.judgement], context))
+            files, printed = _with_stdout(artifacts[row.judgement], rules[row.ingest_rules][0], context.outputs)
             ended = (tuple(left.get(row.execution, ())), after.get(row.execution))
-            one = Past(row, *rules[row.ingest_rules], files, elsewhere, known, *ended)
+            one = Past(row, *rules[row.ingest_rules], files, elsewhere, known, *ended, printed)
             yield replace(one, tabled=_is_tabled(one, context))
 
 
-def _with_stdout(artifacts: Sequence[ArtifactRow], context: Context) -> Iterator[ArtifactRow]:
-    """Yield the artifacts, with the log of standard output also as a file if it is an output now, and was none before."""
-    yield from artifacts
-    wanted = any(output.is_stdout for output in context.outputs.values())
-    if wanted and not any(row.path == RUN_STDOUT and row.kind != "log" for row in artifacts):
-        yield from (row._replace(kind="file") for row in artifacts if row.path == RUN_STDOUT)
+def _with_stdout(
+    artifacts: Iterable[ArtifactRow], before: Mapping[str, Output], now: Mapping[str, Output]
+) -> tuple[tuple[ArtifactRow, ...], tuple[ArtifactRow, ...]]:
+    """Return the artifacts with standard output as a file if it is an output now, and what is left out if it was one before."""
+    rows, printed = tuple(artifacts), tuple(row for row in artifacts if row.path == RUN_STDOUT and row.kind != "log")
+    if standard_output.is_in(now):
+        logs = (row._replace(kind="file") for row in rows if row.path == RUN_STDOUT and not printed)
+        return (*rows, *logs), ()
+    if standard_output.is_in(before):
+        return tuple(row for row in rows if row not in printed), printed
+    return rows, ()
 
 
 def _endings(snapshot: Snapshot, executions: Sequence[str]) -> tuple[dict[str, list[str]], dict[str, float]]:
@@ -304,9 +312,13 @@ def _has_own_stdout(artifacts: Sequence[ArtifactRow]) -> bool:
 
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
     """Return why the store does not have enough to evaluate an execution again; None if it has."""
-    if any(output.is_stdout for output in context.outputs.values()) and _has_own_stdout(one.artifacts):
-        return standard_output.OWN
-    for row in needed(one, context):
+    log: list[ArtifactRow] = []
+    if standard_output.is_in(context.outputs):
+        if _has_own_stdout(one.artifacts):
+            return standard_output.OWN
+        logs = {row.sha256 for row in one.artifacts if row.path == RUN_STDOUT and row.kind == "log"}
+        log = [row for row in one.artifacts if row.path == RUN_STDOUT and row.kind == "file" and row.sha256 in logs]
+    for row in (*needed(one, context), *log):
         if row.sha256 not in sizes:
             return NOT_KEPT.format(path=row.path)
         if sizes[row.sha256] != row.size:

@@ -14,22 +14,32 @@ from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.output_tables import Output
+from sierra.errors import Missing
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDOUT
-from sierra.store.segments import disk_errors
+from sierra.util.shortage import PASSING
 from sierra.worker import worker
 
 DECLARED = f'[outputs] has file = "{RUN_STDOUT}"'
 OWN = f"wrote a file or folder {RUN_STDOUT!r}, but {DECLARED}, which is what the run prints; give it another name"
 OF_ROBOTS = f"{DECLARED}, but robots have no common standard output; let each robot write a file"
 NO_FILE = f"its standard output is no file that can be read, but {DECLARED}"
-PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ESTALE)
-"""Errors of disks, which do not concern this run alone."""
+OF_DISKS = PASSING | {errno.EROFS, errno.EIO}
+"""Errors that do not concern this run alone."""
+
+
+def is_in(outputs: Mapping[str, Output]) -> bool:
+    """Return True if an output is made of standard output."""
+    return any(output.is_stdout for output in outputs.values())
 
 
 def added(result: Result, outputs: Mapping[str, Output]) -> Result:
-    """Return a result with its standard output among its files, if an output is made of it. Raises Missing for a full disk."""
-    if result.stopped == Status.INTERRUPTED or not any(output.is_stdout for output in outputs.values()):
+    """Return a result with its standard output among its files, if an output is made of it and anything was printed.
+
+    Raises Missing for a full disk.
+    """
+    began = result.error is None or result.exit_code is not None or result.signal is not None
+    if result.stopped == Status.INTERRUPTED or not began or not is_in(outputs):
         return result
     if result.robots:
         return _failed(result, OF_ROBOTS)
@@ -37,34 +47,34 @@ def added(result: Result, outputs: Mapping[str, Output]) -> Result:
         return _failed(result, OWN)
     if result.printed is not None:
         size, sha256 = result.printed
-        return replace(result, outputs=(*result.outputs, OutputFile(RUN_STDOUT, size, sha256, 0, True, "")))
+        return _with(result, OutputFile(RUN_STDOUT, size, sha256, 0, True, ""))
     log, target = Path(result.directory, RUN_STDOUT), Path(result.directory, RUN_OUTPUT, RUN_STDOUT)
-    if log.parent.is_symlink() or target.parent.is_symlink() or log.is_symlink() or (log.exists() and not log.is_file()):
-        return _failed(result, NO_FILE)
     try:
-        with disk_errors(target.parent):
-            _link(log, target)
+        if log.parent.is_symlink() or target.parent.is_symlink() or log.is_symlink() or (log.exists() and not log.is_file()):
+            return _failed(result, NO_FILE)
+        return _with(result, _linked(log, target)) if log.exists() else result
     except OSError as error:
+        if error.errno in OF_DISKS:
+            raise Missing(f"{log}: {error.strerror}") from error
         return _failed(result, f"{NO_FILE}: {error.strerror}")
-    return replace(result, outputs=(*result.outputs, OutputFile(**worker.describe(str(target), RUN_STDOUT))))
 
 
-def counts(output: Output, file: OutputFile) -> bool:
-    """Return True if a file belongs to an output, and is not a standard output to which nothing was printed."""
-    return output.matches(file.path) and bool(file.bytes or not output.is_stdout)
+def _linked(log: Path, target: Path) -> OutputFile:
+    """Give standard output its second name; return its description."""
+    worker.unlock(str(log), 0o400)
+    seen = OutputFile(**worker.describe(str(log), RUN_STDOUT))
+    if seen.bytes:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.unlink(missing_ok=True)  # of an earlier try to record the run
+        try:
+            os.link(log, target)
+        except OSError:  # not all file systems have links
+            shutil.copyfile(log, target)
+    return seen
 
 
-def _link(log: Path, target: Path) -> None:
-    """Give standard output its second name; a run that printed nothing may have no log."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.unlink(missing_ok=True)  # of an earlier try to record the run
-    if not log.exists():
-        target.touch()
-        return
-    try:
-        os.link(log, target)
-    except OSError:  # not all file systems have links
-        shutil.copyfile(log, target)
+def _with(result: Result, file: OutputFile) -> Result:
+    return replace(result, outputs=(*result.outputs, file)) if file.bytes else result
 
 
 def _failed(result: Result, reason: str) -> Result:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sierra.config.output_tables import Output, Success
-from sierra.ingest import astray, robot_files, standard_output, stderr
+from sierra.ingest import astray, robot_files, stderr
 from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
@@ -69,7 +69,7 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     for name, output in outputs.items():
         if output.required and (place := robot_files.lacking(output, result.outputs, result.robots)) is not None:
             return Status.FAILED, f"{robot_files.named(place, result.robots)} did not write {robot_files.own(output)!r}"
-        if output.required and not any(standard_output.counts(output, file) for file in result.outputs):
+        if output.required and not any(output.matches(file.path) for file in result.outputs):
             return Status.FAILED, astray.lacking(name, output, result.elsewhere, [file.path for file in result.outputs])
     if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:
         return Status.FAILED, reason

@@ -426,13 +426,16 @@ def _parted(records: Records, batches: Iterable[str]) -> Iterator[Finding]:
 
 
 RESULTS = """
-SELECT e.execution, e.result, e.later, array_agg(a.sha256 || ' ' || a.path ORDER BY a.path) FILTER (a.path IS NOT NULL)
+SELECT e.execution, e.result, e.first, array_agg(a.sha256 || ' ' || a.path ORDER BY a.path) FILTER (a.path IS NOT NULL)
 FROM (
-    SELECT DISTINCT execution, result, false AS later FROM {executions}
-    UNION SELECT j.judgement, e.result, true FROM judgements j JOIN {executions} e USING (execution)
+    SELECT DISTINCT execution, result, NULL AS first FROM {executions}
+    UNION SELECT j.judgement, e.result, e.execution FROM judgements j JOIN {executions} e USING (execution)
 ) e
 LEFT JOIN (SELECT DISTINCT execution, sha256, path FROM all_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
 """
+
+
+PRINTED = f"SELECT DISTINCT execution, sha256 FROM all_artifacts WHERE kind <> 'log' AND path = '{RUN_STDOUT}'"
 
 
 def _result(members: Sequence[str]) -> str:
@@ -441,12 +444,15 @@ def _result(members: Sequence[str]) -> str:
 
 def _results(records: Records) -> Iterator[Finding]:
     bad = []
-    for execution, result, later, members in records.each(RESULTS.format(executions=records.raw("executions"))):
+    printed: dict[str, str] = dict(records.each(PRINTED))
+    for execution, result, first, members in records.each(RESULTS.format(executions=records.raw("executions"))):
         odd = any("\\" in member for member in members or ())  # a name that is not UTF-8 was sorted by its bytes
         if odd or _result(members or []) == result:
             continue
-        # standard output may be an output only since a later judgement
-        if not later or _result([member for member in members or () if not member.endswith(f" {RUN_STDOUT}")]) != result:
+        # standard output may be an output only since a later judgement, or until then
+        others = [member for member in members or () if member.partition(" ")[2] != RUN_STDOUT]
+        then = [*others, f"{printed[first]} {RUN_STDOUT}"] if first in printed else others
+        if first is None or _result(sorted(then, key=lambda member: member.partition(" ")[2])) != result:
             bad.append(execution)
     if bad := _unless_broken(records, bad):
         what = "executions do not have the result hash that follows from their artifacts"

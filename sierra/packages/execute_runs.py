@@ -50,6 +50,7 @@ import sys
 import tempfile
 import threading
 import time
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
@@ -213,6 +214,11 @@ class Batch:
         self.only: set[str] | None = None
         """The runs to execute; None for all."""
 
+    @cached_property
+    def has_stdout(self) -> bool:
+        """True if standard output is an output of a run."""
+        return any(STDOUT in run.outputs for run in self._all_runs())
+
     def pattern_of(self, path: str) -> int | None:
         """Return the number of the pattern to which an output belongs; None if its name is fixed."""
         matching = (place for place, pattern in enumerate(self.patterns) if fnmatch.fnmatchcase(path, pattern))
@@ -226,6 +232,9 @@ class Batch:
 
     def runs(self) -> Iterator[Run]:
         """Yield the runs that are to be executed. Raises Stop for a line that is not valid."""
+        return (run for run in self._all_runs() if self.only is None or run.run in self.only)
+
+    def _all_runs(self) -> Iterator[Run]:
         before: dict[str, str] = {}
         with (self.package / self.jobs).open(encoding="utf-8", newline="\n") as file:
             for number, line in enumerate(file, 1):
@@ -233,8 +242,7 @@ class Batch:
                     found, before = read_run(line, before)
                 except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as error:
                     raise Stop(f"{self.jobs}, line {number} is not a run: {clean(repr(error))}", 1) from None
-                if self.only is None or found.run in self.only:
-                    yield found
+                yield found
 
 
 def read_run(line: str, before: Mapping[str, str]) -> tuple[Run, dict[str, str]]:
@@ -602,7 +610,7 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
         raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
     if trouble:
         return Outcome(run, FAILED, f"{trouble}: {last}")
-    found = renamed(digests_of(run, end, folder), run.outputs, batch)
+    found = renamed(digests_of(batch, end, folder), run.outputs, batch)
     lost, new = sorted(run.outputs.keys() - found.keys()), sorted(found.keys() - run.outputs.keys())
     unlike = sorted(path for path in run.outputs.keys() & found.keys() if run.outputs[path] != found[path])
     certain = [path for path in unlike if path not in batch.by_value]
@@ -614,12 +622,12 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
     return Outcome(run, NOT_COMPARABLE, ", ".join(loose)) if loose else Outcome(run, IDENTICAL, "")
 
 
-def digests_of(run: Run, end: Mapping[str, Any], folder: Path) -> dict[str, str]:
-    """Return the digests of the files that a run left, with its standard output if that was recorded as an output."""
+def digests_of(batch: Batch, end: Mapping[str, Any], folder: Path) -> dict[str, str]:
+    """Return the digests of the files that a run left, with what it printed if that is an output of any run."""
     digests = {one["path"]: one["sha256"] for one in end["outputs"]}
-    if STDOUT in run.outputs and STDOUT not in digests:
-        log = folder / STDOUT
-        digests[STDOUT] = hashlib.sha256(log.read_bytes() if log.is_file() else b"").hexdigest()
+    printed = (folder / STDOUT).read_bytes() if (folder / STDOUT).is_file() else b""
+    if printed and batch.has_stdout and STDOUT not in digests:
+        digests[STDOUT] = hashlib.sha256(printed).hexdigest()
     return digests
 
 

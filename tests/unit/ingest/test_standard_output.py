@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import errno
 import json
 import shutil
 import subprocess
@@ -12,8 +14,11 @@ from pathlib import Path
 import pytest
 
 from sierra.config.output_tables import Output
-from sierra.ingest.standard_output import added
+from sierra.errors import Missing
+from sierra.execution import unread_files
+from sierra.ingest.standard_output import NO_FILE, added
 from sierra.model import Result
+from sierra.worker import worker
 from tests.projects import quick, sql
 
 PROGRAM = """\
@@ -190,6 +195,111 @@ def test_package_executes_and_compares_standard_output_without_sierra(tmp_path: 
     words = [sys.executable, "reproduce.py", "--execute", "--level=2", "--yes"]
     ended = subprocess.run(words, cwd=tmp_path / "x", capture_output=True, text=True, check=False)
     assert "6 identical" in ended.stdout, ended.stdout + ended.stderr
+
+
+def replayed(root: Path) -> str:
+    [batch] = [row["batch"] for row in sql(root, "SELECT batch FROM batches")]
+    return asked(root, 0, "replay", batch).stdout
+
+
+def executed(root: Path, outputs: str) -> int:
+    made(root, outputs, (root / "sim.py").read_text())
+    return int(json.loads(asked(root, 0, *ASK, "--json").stdout)["executed"])
+
+
+@pytest.mark.integration
+def test_output_may_have_a_name_as_that_of_accepted_ends(tmp_path: Path) -> None:
+    root = made(tmp_path, ENDS.replace("ends", "ends_accepted"))
+    asked(root)
+    assert sql(root, "SELECT count(*) AS rows FROM ends_accepted") == [{"rows": 6}]
+    lacking = ENDS.replace("ends", "ends_accepted").replace("coverage=", "nothing=")
+    made(root, f"{lacking}{ENDS}required = false\n")
+    asked(root, 1)
+    assert any("(lines in [outputs.ends_accepted]" in reason for reason in reasons(root))
+
+
+@pytest.mark.integration
+def test_standard_output_that_is_no_output_any_more_is_no_file(tmp_path: Path) -> None:
+    root = made(tmp_path, STEPS, PROGRAM + "open('my stdout', 'w').write('x')\n")
+    asked(root)
+    files = "SELECT DISTINCT path FROM artifacts WHERE kind <> 'log' ORDER BY ALL"
+    for outputs in ("", '[outputs.a]\nfile = "std*"\nformat = "csv"\nrequired = false\n', "[success]\nexit_status = [0, 3]\n"):
+        assert executed(root, outputs) == 0
+        assert sql(root, files) == [{"path": "my stdout"}]
+        is_sound(root)
+    assert "6 identical" in replayed(root)
+
+
+@pytest.mark.integration
+def test_file_whose_name_ends_with_stdout_belongs_to_the_result_also_later(tmp_path: Path) -> None:
+    root = made(tmp_path, "", PROGRAM + "open('my stdout', 'w').write('x')\n")
+    asked(root)
+    assert executed(root, STEPS) == 0
+    is_sound(root)
+
+
+@pytest.mark.integration
+def test_run_is_executed_again_for_a_file_of_which_only_parts_are_kept(tmp_path: Path) -> None:
+    root = made(tmp_path, "", "print('x' * (2 << 20))")
+    asked(root)
+    assert executed(root, '[outputs.log]\nfile = "stdout"\nformat = "file"\n') == 6
+    assert sql(root, "SELECT DISTINCT size FROM artifacts WHERE kind = 'file'") == [{"size": (2 << 20) + 1}]
+    is_sound(root)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("program", "found"),
+    [("open('a', 'w').write('x')", "6 identical"), ("import time; print('time', time.time())", "6 equal")],
+    ids=["nothing", "time"],
+)
+def test_replay_agrees_on_optional_lines_that_lack(tmp_path: Path, program: str, found: str) -> None:
+    root = made(tmp_path, "", program)
+    asked(root)
+    assert executed(root, f"{ENDS}required = false\n") == 0
+    assert found in replayed(root)
+    is_sound(root)
+
+
+@pytest.mark.parametrize(
+    ("printed", "why"),
+    [
+        ("v=1 v=2\n", "it matches lines in [outputs.v], but this made no rows"),
+        ("end\n", "no line matches lines in [outputs.v]"),
+    ],
+)
+def test_reason_for_a_file_without_rows_is_true(tmp_path: Path, printed: str, why: str) -> None:
+    (tmp_path / "stdout").write_text(printed)
+    outputs = {"v": Output.model_validate({"file": "stdout", "lines": r"v=(?P<v>\d)"})}
+    [unread] = unread_files.of_run(["stdout"], outputs, [], tmp_path)
+    assert unread.why.startswith(why)
+
+
+BEGAN = Result("r", "e", "", 0.0, 1.0, 0, None, None, None, None, None, "", 0, ())
+CSV = {"steps": Output.model_validate({"file": "stdout", "format": "csv"})}
+
+
+def test_standard_output_that_cannot_be_read_fails_only_its_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = dataclasses.replace(BEGAN, directory=str(tmp_path))
+    (tmp_path / "stdout").write_text("a\n1\n")
+    (tmp_path / "stdout").chmod(0)
+    assert [file.bytes for file in added(result, CSV).outputs] == [4]
+    fail = errno.EACCES
+
+    def describe(*_: object) -> None:
+        raise OSError(fail, "refused")
+
+    monkeypatch.setattr(worker, "describe", describe)
+    assert added(result, CSV).error == f"{NO_FILE}: refused"
+    fail = errno.ENOSPC
+    with pytest.raises(Missing):
+        added(result, CSV)
+
+
+def test_run_that_never_began_gets_no_standard_output(tmp_path: Path) -> None:
+    result = dataclasses.replace(BEGAN, directory=str(tmp_path / "run"), exit_code=None, error="no such program")
+    assert added(result, CSV) == result
+    assert not list(tmp_path.iterdir())
 
 
 def test_standard_output_of_a_copy_of_a_run_counts_by_its_digest() -> None:
