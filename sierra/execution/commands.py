@@ -278,7 +278,7 @@ def _literal(text: str) -> str:
 
 def as_written(variables: Mapping[str, str]) -> list[str]:
     """Return the variables that runs fill in, with the placeholders of commands."""
-    return [OF_ITSELF.sub(r"{\2}", text) for text in variables.values() if OF_ITSELF.search(text)]
+    return [re.sub(r"\{run\.(\w+)\}", r"{\1}", text) for text in variables.values() if "{run." in text]
 
 
 def declared(

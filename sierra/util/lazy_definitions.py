@@ -47,7 +47,7 @@ GENERATED = (
     *("__replace__", "__repr__", "__setattr__"),
 )
 """The attributes that the standard library adds to a class."""
-LATE = ("__setstate__", "__signature__")
+LATE = ("__setstate__",)
 """The attributes that a class has until it is complete, unless the standard library adds them."""
 _lock = RLock()
 
@@ -66,6 +66,8 @@ def _postponed(original: type, made_by: Callable[[type], type]) -> type:
             self._value = value
 
         def __get__(self, instance: object, owner: type) -> object:
+            if owner is not made and self._value is signature:  # a class that inherits from this one has its own
+                raise AttributeError
             complete()
             return self._value()
 
@@ -95,7 +97,8 @@ def _postponed(original: type, made_by: Callable[[type], type]) -> type:
     def signature() -> object:
         import inspect
 
-        return inspect.signature(made)
+        whole = inspect.signature(made.__init__)  # type: ignore[misc]
+        return whole.replace(parameters=list(whole.parameters.values())[1:])
 
     left |= {"__init__": first, "__setstate__": restore}
     left |= {FIELDS: Late(lambda: vars(made)[FIELDS]), "__signature__": Late(signature)}

@@ -258,6 +258,14 @@ def test_what_is_passed_from_the_caller_is_a_text_as_it_is(tmp_path: Path, monke
     }
 
 
+def test_passed_texts_use_no_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = 'command = "python3 sim.py {a}"\nruns = 1\n[variables]\na = {}\n[environment]\npass = ["CALLER"]\n'
+    root = make(tmp_path / "p", config)
+    monkeypatch.setenv("CALLER", "{run.seed} {run.a}")
+    done = quick(root, "run", "a=1", "--runs", "2", "--dry-run")
+    assert "neither inputs nor command contain the seed" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -185,3 +185,18 @@ def test_a_class_shows_its_parameters_before_the_first_instance() -> None:
     point, named = classes(dataclass)
     assert str(inspect.signature(named)).startswith("(x: 'int', y: 'int' = 5, names")
     assert str(inspect.signature(point)) == str(inspect.signature(classes(dataclasses.dataclass)[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    x: int
+
+
+class Heir(Asked):
+    def __init__(self, z: int) -> None: ...
+
+
+def test_a_signature_may_be_asked_for_twice_and_is_of_one_class() -> None:
+    assert str(Asked.__signature__) == str(Asked.__signature__) == str(inspect.signature(Asked))  # type: ignore[attr-defined]
+    assert [*inspect.signature(Asked).parameters] == ["x"]
+    assert [*inspect.signature(Heir).parameters] == ["z"]
