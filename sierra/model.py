@@ -711,4 +711,4 @@ class Result:
     after_marker: float | None = None
     """It was ended so many seconds after its marker was met, which counts as an end by itself; None if it was not."""
     printed: tuple[int, str] | None = None
-    """Of a result without a folder: the size and the SHA-256 of its standard output."""
+    """The size and the SHA-256 of standard output, for a result without a folder."""

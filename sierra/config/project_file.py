@@ -392,7 +392,7 @@ class Project(Table):
         """Return the labels of the values of a variable; none for labels that do not tell the values apart."""
         if axis.name in self.variables:
             given = self.variables[axis.name].labels
-            labels: dict[Value, Value] = {one: given.get(str(one), str(one)) if given else one for one in axis.values}
+            labels: dict[Value, Value] = {value: given.get(str(value), str(value)) if given else value for value in axis.values}
             return labels if len({*labels.values()}) == len(labels) else {}
         groups = {"controller": self.controllers, "scenario": self.scenarios}.get(axis.name, {})
         labels = {}

@@ -296,11 +296,11 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
 
     A controller or scenario may set what a point of another axis replaces.
     """
-    setters: dict[tuple[str, str | None], str] = {}
+    setters: dict[tuple[str, str | None] | None, str] = {}
     replaced = {_place(change) for _, points in spanned for point in points for change in point.replaces}
     for axis, points in spanned:
         for change in {change for point in points for change in point.changes if isinstance(change, Set | Repeat)}:
-            place = _place(change) or (re.sub(r"\[[^\]]*\]$", "", change.path), "repeat")
+            place = _place(change)
             if axis.name in GROUPED and place in replaced:
                 continue
             other = setters.setdefault(place, axis.name)
@@ -309,6 +309,8 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
 
 
 def _place(change: Change) -> tuple[str, str | None] | None:
+    if isinstance(change, Repeat):  # all items of the list
+        return re.sub(r"\[[^\]]*\]$", "", change.path), "repeat"
     return (change.path, change.attribute) if isinstance(change, Set) else None
 
 

@@ -30,10 +30,10 @@ Groups = Mapping[str, Sequence[int] | None]
 """The first byte and the length of each group in a line; None for one that is not in the match."""
 CONTROL = regex(r"[\x00-\x08\x0a-\x1f\x7f]")
 GOES_ON = regex(rb"\d|[.,_]\d|[eE][-+]?\d|[dD][-+]\d")
-"""What a number goes on with, after its last digit."""
+"""The rest of a number, after its last digit here."""
 HEXADECIMAL = regex(rb"[xX][0-9a-fA-F]")
 BEGINS_EARLIER = regex(rb"\d[.,_]?\Z|(?<![\w.)\]}])\.\Z|(?<![\w)\]}])(?:[-+]|\xe2\x88\x92)\Z")
-"""What is before a number without a sign that is only a part of one: digits, a decimal point, a sign (also that of Unicode)."""
+"""The beginning of a number, before digits here: digits, a decimal point, a sign (also that of Unicode)."""
 EXPONENT = regex(rb"\d\.?[eE][-+]?\Z")
 BEFORE = 8
 """The number of bytes before a value that are searched."""

@@ -105,7 +105,7 @@ class Past:
     after_marker: float | None = None
     """These two are as in its result."""
     printed: tuple[ArtifactRow, ...] = ()
-    """What it printed, if this is an output by its last rules, but not by the new ones."""
+    """The standard output, if it is an output by the last rules, but not by the new ones."""
     tabled: bool = False
     """True if the rows of its tables by the new rules are already recorded."""
 

@@ -312,8 +312,8 @@ class TreeDocument:
         # Each is put after the item, at the same place of the text, which need not be read again for the next one.
         each = [self.scan.notation.added(text, parent, None, new, None) for new in copies]
         place = min((_common(text, longer) for longer in each), default=0)
-        new = (one[place : place + len(one) - len(text)] for one in each)
-        text = text[:place] + "".join(new) + text[place:]
+        pieces = (longer[place : place + len(longer) - len(text)] for longer in each)
+        text = text[:place] + "".join(pieces) + text[place:]
         items = (item.plain(), *(copy.plain() for copy in copies))
         scan = self._read(scan, text, tuple(above), lambda _: (Kind.LIST, items))
         return self._removed(scan, (*above, 0))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from operator import methodcaller
 
 from lxml import etree
 
@@ -168,7 +168,7 @@ class XmlCopy:
         for number in range(copies):
             new = copy.deepcopy(element)
             new.tail = None
-            _fill_all(new, partial(_replaced, INDEX, str(number)))
+            _fill_all(new, methodcaller("replace", INDEX, str(number)))
             self._insert(parent, new, parent.index(element))
         self._take_out(element)
 
@@ -330,10 +330,6 @@ class XmlCopy:
             if attribute.declares and (outer.get(prefix) or "") == uri:
                 text = text[: attribute.start] + text[attribute.end + 1 :]
         return self.view.source.with_line_ends(self.view.source.with_references(text))
-
-
-def _replaced(old: str, new: str, text: str) -> str:
-    return text.replace(old, new)
 
 
 def _indents(text: str) -> bool:

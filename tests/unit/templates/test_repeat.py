@@ -72,7 +72,7 @@ def test_items_of_yaml_are_repeated(count: int) -> None:
 
 
 def test_tables_of_toml_are_repeated() -> None:
-    assert [one["name"] for one in tomllib.loads(repeated("a.toml", TOML, ITEM, 3))["agents"]] == ["a0", "a1", "a2"]
+    assert [table["name"] for table in tomllib.loads(repeated("a.toml", TOML, ITEM, 3))["agents"]] == ["a0", "a1", "a2"]
 
 
 def test_elements_of_xml_are_repeated_in_their_place() -> None:
