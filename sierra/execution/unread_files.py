@@ -20,9 +20,10 @@ from sierra.config.output_tables import (
     of_extensions,
 )
 from sierra.config.plugin_registry import READERS
-from sierra.ingest import text_headers
-from sierra.ingest.json_lists import in_words, keys_of
+from sierra.ingest import json_lists, printed_lines, text_headers, xml_lists
+from sierra.ingest.json_lists import in_words
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
+from sierra.store.layout import RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass, field, regex
 
 NUMBER = regex("[0-9]+")
@@ -34,6 +35,8 @@ NAMED: Mapping[str, str] = {
 """The keys that make tables of files with these endings, which no reader takes by itself."""
 TEXTS = ("dat", "txt", "out", "xvg", "log", "thermo", "prn")
 """The endings of texts that may be tables."""
+SEARCHED: Mapping[str, Callable[[bytes], Keys | None]] = {"json": json_lists.keys_of, "xml": xml_lists.keys_of}
+"""The endings of documents that are searched for lists of rows."""
 COMPRESSED = ("gz", "zst")
 
 
@@ -90,13 +93,25 @@ def of_run(
     for path in sorted(paths):
         alike.setdefault(NUMBER.sub("0", path), []).append(path)
     kinds = [
-        Alike(some[0], len(some), len(some), 1, _varying(some), partial(_read, folder and folder / some[0]))
+        Alike(some[0], len(some), len(some), 1, _varying(some), partial(read_small, folder and folder / some[0]))
         for some in alike.values()
     ]
     return unread_files(kinds, outputs, tables, 1)
 
 
-def _read(path: Path | None) -> bytes | None:
+def printed(log: Path, outputs: Mapping[str, Output]) -> tuple[UnreadFiles, ...]:
+    """Return the tables that the standard output of a run makes, if it is not declared."""
+    if any(output.is_stdout for output in outputs.values()):
+        return ()
+    content = read_small(log)
+    return tuple(
+        UnreadFiles(RUN_STDOUT, 1, f"a table only if it is declared: [outputs.{name}] {in_words(keys)}", False, name, keys)
+        for name, keys in (printed_lines.keys_of(content) if content else {}).items()
+    )
+
+
+def read_small(path: Path | None) -> bytes | None:
+    """Return the content of a file that a run wrote; None if it is too large to be searched for tables, or not there."""
     try:
         usable = (
             path is not None and not path.is_symlink() and path.is_file() and path.stat().st_size <= most_searched(path.name)
@@ -132,7 +147,9 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
     place = f"[outputs.{name}] file = {json.dumps(file, ensure_ascii=False)}"
     keys: Keys = {"file": file} | ({} if one.runs == runs else {"required": False})
     if read := _text_keys(one):
-        why = f"its names are not in its first line; declare {place}, {in_words(read)}"
+        only_named = read.keys() <= {"format", "delimiter"}
+        what = "this ending is read only if its format is named" if only_named else "it is no plain CSV"
+        why = f"{what}; declare {place}, {in_words(read)}"
         return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
     if automatic_format(one.path):
         return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", True, name, keys)
@@ -146,10 +163,10 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         why = f"compressed; to make a table of it, declare {place}, {also}" if also else "no reader takes it"
     elif ending in READERS.added():
         why = f"the installed reader {ending!r} takes declared files only; declare {place}"
-    elif ending == "json" and (rows := _rows_of(one)) is not None:
-        keys = {**keys, "format": "json", **rows}
-        why = f"this ending is read only if its format is named; declare {place}, {in_words({'format': 'json', **rows})}"
-        return UnreadFiles(one.path, one.files, why, False, name, keys)
+    elif ending in SEARCHED and (rows := _rows_of(one, ending)) is not None:
+        read = {"format": ending, **rows}
+        why = f"this ending is read only if its format is named; declare {place}, {in_words(read)}"
+        return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
     elif named := _named(ending):
         why = f"this ending is read only if its format is named; declare {place}, {named}"
     else:
@@ -200,10 +217,10 @@ def _table(one: Alike, proposal: Proposal, taken: Collection[str], runs: int) ->
     return UnreadFiles(one.path, one.files, f"{proposal.what}; declare [outputs.{name}] {declared}", False, name, keys)
 
 
-def _rows_of(one: Alike) -> Mapping[str, str] | None:
-    """Return the keys that read the list of objects in a JSON document; None if there is none."""
+def _rows_of(one: Alike, ending: str) -> Keys | None:
+    """Return the keys that read the list of objects, or of elements, in a document; None if there is none."""
     content = one.content()
-    return None if content is None else keys_of(content)
+    return None if content is None else SEARCHED[ending](content)
 
 
 def _declared(name: str, output: Output, content: Callable[[], bytes | None]) -> tuple[str, bool]:

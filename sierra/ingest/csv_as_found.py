@@ -19,7 +19,7 @@ from typing import BinaryIO
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.csv import Csv
-from sierra.ingest.delimiters import delimiter_of, reads_as_number, split
+from sierra.ingest.delimiters import COMMA, POINT, delimiter_of, reads_as_number, split
 from sierra.ingest.independent_row_count import any_size, csv_reader
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
@@ -29,13 +29,9 @@ from sierra.ingest.rewriting import Rewriter, Source
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.text_headers import keys_of
 from sierra.store.connections import Database
-from sierra.util.lazy_definitions import regex
 
 BLANKS = "blanks"
 """The delimiter that stands for one or more blanks or tabs."""
-COMMA = regex(r"[-+]?([0-9]+,[0-9]*|,[0-9]+)([eE][-+]?[0-9]+)?")
-POINT = regex(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-"""Numbers with a decimal comma, and with a decimal point."""
 BOM = b"\xef\xbb\xbf"
 Line = tuple[int, bytes]
 """A line and its number in the original file."""

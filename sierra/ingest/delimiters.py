@@ -7,8 +7,12 @@ import io
 import re
 
 from sierra.store.type_inference import as_float
+from sierra.util.lazy_definitions import regex
 
 DELIMITERS = (",", "\t", ";", "|")
+COMMA = regex(r"[-+]?([0-9]+,[0-9]*|,[0-9]+)([eE][-+]?[0-9]+)?")
+POINT = regex(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+"""Numbers with a decimal comma, and with a decimal point."""
 
 
 def delimiter_of(head: str) -> str:

@@ -1,6 +1,7 @@
 """Patterns for files that have another name in each run: with the time, the number of a process, or random letters in it.
 
 Of `log_2026-11-27_10-11-12.csv`, all numbers that differ between runs are left open, with what belongs to them: `log_*.csv`.
+Files of the robots of a run, such as `robot_0.csv` and `robot_1.csv`, have one pattern too: `robot_{robot}.csv`.
 """
 
 from __future__ import annotations
@@ -8,8 +9,8 @@ from __future__ import annotations
 import glob
 import json
 import re
-from collections.abc import Collection, Iterable
-from itertools import takewhile
+from collections.abc import Collection, Iterable, Mapping
+from itertools import chain, takewhile
 from pathlib import PurePosixPath
 
 from sierra.ingest.match_outputs import table_name
@@ -19,6 +20,12 @@ NUMBERS = regex(r"([0-9]+(?:[-_.: T]?[0-9]+)*)")
 """Numbers that belong together, such as a date and a time."""
 YEAR = regex(r"(?<![0-9])[0-9]{4,}")
 DATE = regex(r"(?<![0-9])20[0-9]{2}([-_.]?)(?:0[1-9]|1[0-2])\1(?:0[1-9]|[12][0-9]|3[01])(?![0-9]{1,3}(?![0-9]))")
+WORDS = ("robot", "agent", "drone", "uav", "ugv", "auv", "vehicle", "bot", "boid", "ant", "turtle", "rover")
+OF_ROBOT = regex(
+    rf"(?:(?:^|[^A-Za-z])(?i:{'|'.join(WORDS)})|(?<=[a-z])(?:{'|'.join(word.capitalize() for word in WORDS)}))[-_.]?$"
+)
+"""The end of the text before the number of a robot."""
+ROBOT = "robot"
 FEWEST = 4
 """The fewest letters at random that are left open, so that names such as a.csv and b.csv are two names."""
 
@@ -54,8 +61,32 @@ def with_date(path: str) -> str | None:
     return _pattern(text, numbers, dated, path) if any(dated) else None
 
 
+def of_robots(columns: Mapping[str, Collection[str]]) -> dict[str, str]:
+    """Return the patterns for tables of single robots, by path. `columns`: the names of the columns of each table, by path.
+
+    The names of the files differ in one number, which follows the word for a robot; their columns are the same.
+    """
+    alike: dict[tuple[_Parts, int, _Parts], list[str]] = {}
+    for path in columns:
+        text, numbers = _split(path)
+        for place in range(len(numbers)):
+            if OF_ROBOT.search(text[place]) and numbers[place].isdecimal():
+                others = (*numbers[:place], "", *numbers[place + 1 :])
+                alike.setdefault((text, place, others), []).append(path)
+    found: dict[str, str] = {}
+    for (text, place, numbers), paths in alike.items():
+        same = {tuple(columns[path]) for path in paths}
+        if len(paths) > 1 and len(same) == 1 and ROBOT not in {name.lower() for name in columns[paths[0]]}:
+            parts = (f"{{{ROBOT}}}" if nth == place else number for nth, number in enumerate(numbers))
+            found |= dict.fromkeys(paths, "".join(chain.from_iterable(zip(text, (*parts, text[-1]), strict=False))))
+    return found
+
+
 def name_of(pattern: str) -> str:
     """Return a name for the table of a pattern's files."""
+    if f"{{{ROBOT}}}" in pattern:
+        begin = PurePosixPath(pattern.replace("/", "_")).stem.partition(f"{{{ROBOT}}}")[0]
+        return table_name(begin.rstrip("-_.") or ROBOT)
     stem = re.sub(r"[^0-9A-Za-z]*\*[^0-9A-Za-z]*", "_", PurePosixPath(pattern.replace("/", "_")).stem).strip("_")
     return table_name(stem or "log")
 

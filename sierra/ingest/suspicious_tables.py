@@ -35,6 +35,7 @@ from sierra.util.text import counted, few, verb
 COMMENT = "the first line is a comment; begin with the column names, without {mark!r} ({keys} leaves comments out)"
 UNITS = "units are below its names ({keys} reads it)"
 HEADER = "its names are not in its first line ({keys} reads it)"
+DECIMAL = "its numbers have a decimal comma ({keys} reads them)"
 TEXTS = 4
 """The largest number of texts that a proposal for `na` lists."""
 NOTED_DOUBTS = 3
@@ -278,6 +279,8 @@ class TableWarnings:
             return SEVERAL.format(delimiter=json.dumps(keys["delimiter"]), output=output)
         declared = output in self._context.outputs
         named = f"[outputs.{output}] {in_words(keys if declared else {'file': self._paths[output], **keys})}"
+        if keys.keys() == {"decimal"}:
+            return DECIMAL.format(keys=named)
         mark = keys.get("comment")
         if isinstance(mark, str) and self._content(output).lstrip().startswith(mark.encode()):
             return COMMENT.format(mark=mark, keys=named)

@@ -1,16 +1,18 @@
-"""The keys of `[outputs.NAME]` that read a text table whose names are not in its first line, found from its first lines.
+"""The keys of `[outputs.NAME]` that read a text table that is no plain CSV, found from its first lines.
 
-Programs write comments, units or a small table above the names of columns, or no names at all. A proposal is made only if all
-lines below have the same number of cells, and each has a number.
+Programs write comments, units or a small table above the names of columns, or no names at all, or the names again and again.
+Numbers may have a decimal comma. A proposal is made only if all lines below have as many cells, and each has a number.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
 
-from sierra.ingest.delimiters import DELIMITERS, delimiter_of, reads_as_number, split
+from sierra.ingest.delimiters import COMMA, DELIMITERS, POINT, delimiter_of, reads_as_number, split
 from sierra.store.sql_names import unmarked
+from sierra.store.type_inference import as_float
 from sierra.util.lazy_definitions import regex
 
 BLANKS = "blanks"
@@ -27,13 +29,23 @@ MISSING = frozenset(["na", "n/a", "null", "none", "-", "--", "?"])
 """Texts of cells without a value."""
 MOST = 200
 """The largest number of lines above the first row."""
+GROUPED = regex(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+")
+"""Numbers whose comma may be that of thousands."""
 Key = str | bool | int | list[str]
+Cells = Mapping[int, Sequence[str]]
+"""The cells of lines, by the place of the line."""
 
 
 def keys_of(content: bytes) -> Mapping[str, Key] | None:
     """Return the keys that read a text table with this beginning; nothing if it needs none, None if it is no such table."""
     lines = _lines(content)
-    return next((keys for one in (*DELIMITERS, BLANKS) if (keys := _keys(lines, one)) is not None), None)
+    for delimiter in (*DELIMITERS, BLANKS):
+        keys = _keys_of_repeated_names(lines, delimiter)
+        if keys is None:
+            keys = _keys(lines, delimiter)
+        if keys is not None:
+            return keys
+    return None
 
 
 def _lines(content: bytes) -> list[str]:
@@ -54,17 +66,19 @@ def _cells(line: str, delimiter: str) -> tuple[str, ...]:
 def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
     """Return the keys for cells that this delimiter separates."""
     rows = {place: _cells(line, delimiter) for place, line in enumerate(lines) if line.strip() and not MARK.match(line)}
-    first = _first_row(rows)
+    is_number = _is_number(delimiter)
+    first = _first_row(rows, is_number)
     if first is None or first > MOST or (len(rows[first]) < 2 and delimiter != DELIMITERS[0]):
         return None
     width = len(rows[first])
     above = [place for place in rows if place < first]
-    if any(len(rows[place]) == width and all(map(reads_as_number, rows[place])) for place in above):
+    numbers = [place for place in above if len(rows[place]) == width and all(map(is_number, rows[place]))]
+    if numbers and not _is_small_table(rows, above, numbers, width):
         return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
-    keys: dict[str, Key] = {}
-    below = (cell for place in rows if place >= first for cell in rows[place])
-    is_plain = all(not cell or cell in MISSING or reads_as_number(cell) for cell in below)
+    body = [rows[place] for place in rows if place >= first]
+    is_plain = _are_numbers(body, is_number)
+    keys: dict[str, Key] = {"decimal": ","} if delimiter != DELIMITERS[0] and _has_decimal_commas(body) else {}
     if has_units := len(above) == 2 and _are_units(rows[above[1]]) and not _are_units(rows[above[0]]):
         above.pop()
     if above:
@@ -107,13 +121,66 @@ def _marked_names(line: str, delimiter: str, width: int) -> tuple[str, ...]:
     return cells if _are_names(cells, width) else ()
 
 
-def _first_row(rows: Mapping[int, Sequence[str]]) -> int | None:
+def _keys_of_repeated_names(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
+    """Return the keys for a table whose first line is repeated; None for others, and if a run may have appended to its file.
+
+    The rows of all parts are then one table: its first column goes ahead from part to part.
+    """
+    head = lines[0] if lines else ""
+    names = _cells(head, delimiter)
+    others = [line for line in lines if line != head]
+    if len(others) + 1 == len(lines) or any(line.startswith(head) for line in others) or not _are_names(names, len(names)):
+        return None
+    keys = _keys([head, *others], delimiter)
+    if keys is None or keys.keys() - {"delimiter"}:
+        return None
+    times = [as_float(_cells(line, delimiter)[0]) or 0.0 for line in others if line.strip()]
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        return None
+    return {"comment": head, "header": False, "columns": list(names), **_named_delimiter(delimiter)}
+
+
+def _named_delimiter(delimiter: str) -> dict[str, Key]:
+    """Return the key for a delimiter that is not the usual one."""
+    return {} if delimiter == DELIMITERS[0] else {"delimiter": delimiter}
+
+
+def _is_small_table(rows: Cells, above: Sequence[int], numbers: Sequence[int], width: int) -> bool:
+    """Return whether lines of numbers above the names are the only row of another table, with names of its own above it."""
+    if len(numbers) > 1 or numbers[0] in (above[0], above[-1]):
+        return False
+    names = rows[above[above.index(numbers[0]) - 1]]
+    return _are_names(names, width) and not set(names) & set(rows[above[-1]])
+
+
+def _is_number(delimiter: str) -> Callable[[str], bool]:
+    """Return the test for a number, which may have a decimal comma if cells are separated by something else."""
+    if delimiter == DELIMITERS[0]:
+        return reads_as_number
+    return lambda cell: reads_as_number(cell) or COMMA.fullmatch(cell) is not None
+
+
+def _are_numbers(rows: Iterable[Iterable[str]], is_number: Callable[[str], bool]) -> bool:
+    """Return whether all cells are numbers, or have no value."""
+    return all(not cell or cell in MISSING or is_number(cell) for row in rows for cell in row)
+
+
+def _has_decimal_commas(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether columns of numbers have a decimal comma, and none a decimal point; commas of thousands leave doubt."""
+    cells = [cell for row in rows for cell in row]
+    with_commas = [column for column in zip(*rows, strict=True) if any(map(COMMA.fullmatch, column))]
+    commas = [cell for column in with_commas for cell in column if COMMA.fullmatch(cell)]
+    are_numbers = _are_numbers(with_commas, lambda cell: reads_as_number(cell) or COMMA.fullmatch(cell) is not None)
+    return are_numbers and not all(map(GROUPED.fullmatch, commas)) and not any(map(POINT.fullmatch, cells))
+
+
+def _first_row(rows: Cells, is_number: Callable[[str], bool]) -> int | None:
     """Return the first line from which on all lines have the same number of cells, and a number in each."""
     first = width = None
     for place in reversed(list(rows)):
         cells = rows[place]
         width = width or len(cells)
-        if len(cells) != width or not any(map(reads_as_number, cells)):
+        if len(cells) != width or not any(map(is_number, cells)):
             break
         first = place
     return first

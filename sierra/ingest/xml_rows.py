@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import BinaryIO, Protocol
 from xml.parsers import expat
 
@@ -168,13 +168,13 @@ class Handler(Protocol):
 
 def elements(source: Source, found: Elements) -> Iterator[tuple[int, Row]]:
     """Yield the rows of an XML file, each with the number of its line. Raises UnreadableError."""
-    for _ in parse(source, found):
+    for _ in parse(source.pieces(), found):
         yield from found.rows
         found.rows.clear()
 
 
-def parse(source: Source, handler: Handler) -> Iterator[None]:
-    """Parse an XML file; yield after each piece of it. Raises UnreadableError if it is damaged, cut short or hostile."""
+def parse(pieces: Iterable[bytes], handler: Handler) -> Iterator[None]:
+    """Parse an XML document; yield after each piece of it. Raises UnreadableError if it is damaged, cut short or hostile."""
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = lambda name, attributes: handler.start(name, attributes, parser.CurrentLineNumber)
@@ -182,7 +182,7 @@ def parse(source: Source, handler: Handler) -> Iterator[None]:
     parser.CharacterDataHandler = handler.text
     parser.StartDoctypeDeclHandler = _refuse
     first = True
-    for piece in _and_end(source.pieces()):
+    for piece in _and_end(pieces):
         if first and b"\0" in piece[:4]:
             raise UnreadableError("is UTF-16 or UTF-32; only encodings that contain ASCII are supported")
         first = False
@@ -236,7 +236,7 @@ def _refuse(*_: object) -> None:
     raise UnreadableError("has a document type declaration, which is refused because it can define entities")
 
 
-def _and_end(pieces: Iterator[bytes]) -> Iterator[bytes]:
+def _and_end(pieces: Iterable[bytes]) -> Iterator[bytes]:
     """Yield the pieces that are not empty, and an empty one at the end."""
     yield from filter(None, pieces)
     yield b""

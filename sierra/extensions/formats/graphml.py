@@ -31,7 +31,7 @@ class GraphMl(Columnar):
         import pyarrow as pa
 
         graph = _Graph(ELEMENTS[self.shape.form.rows], MissingValues(self.shape.form.na))
-        for _ in parse(source, graph):
+        for _ in parse(source.pieces(), graph):
             pass
         names = dict.fromkeys(name for row in graph.rows for name in row)
         if len(graph.elements) > 1:

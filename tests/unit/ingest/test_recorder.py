@@ -657,7 +657,7 @@ ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, so it has no figure
 
 
 TEXTS: list[tuple[str, str | None]] = [
-    ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' instead of '1,5', with a decimal point"),
+    ("t;v\n0;1,5\n1;2,5\n", ONE_COLUMN.format("v") + "its numbers have a decimal comma ([outputs.out] "),
     (
         "t,v\n0,1.5\n1,2.5\n2,NA\n",
         LOOKS_NUMERIC + "leave cells without a number empty instead of writing 'NA' (2 such cells)",

@@ -148,7 +148,7 @@ def test_note_proposes_the_pattern_that_makes_one_table(tmp_path: Path) -> None:
     done = quick(folder, "outputs", "--write")
     assert done.stdout.split("added ")[1].splitlines() == [
         "[outputs.data]",
-        "the next sierra run makes tables of files that were none; it executes nothing again for that",
+        "the next sierra run reads the files of new tables again; it executes nothing again for that",
     ]
     written = tomllib.loads((folder / "sierra.toml").read_text())["outputs"]
     assert written == {"data": {"file": "data.csv{rotation}"}}

@@ -29,6 +29,15 @@ TABLES: list[tuple[bytes, dict[str, Any] | None]] = [
     (b"# p,q\n\n0,5\n1,6\n", {"skip": 2, "header": False}),
     (b"t,v\ns,m/s\n0,1\n1,2\n", {"units_row": True}),
     (b"# x\nt v\n[s] [m]\n0 1\n1 2\n", {"comment": "#", "units_row": True, "delimiter": "blanks"}),
+    (b"Zeit;E\n0,5;1\n1,0;2,25\n", {"decimal": ","}),
+    (b"# x\nZeit E\n0,5 1\n1,0 2\n", {"comment": "#", "decimal": ",", "delimiter": "blanks"}),
+    (b"Zeit;E\n0;1,234\n1;2,345\n", {}),  # commas of thousands leave doubt
+    (b"t,v\n0,1\n1,2\nt,v\n2,3\n", {"comment": "t,v", "header": False, "columns": ["t", "v"]}),
+    (b"t v\n0 1\nt v\n2 3\n", {"comment": "t v", "header": False, "columns": ["t", "v"], "delimiter": "blanks"}),
+    (b"t,v\n0,1\n1,2\nt,v\n0,1\n", None),  # a run may have appended to its file
+    (b"t,v\nt,vw\n0,1\nt,v\n1,2\n", None),  # the names are the beginning of another line
+    (b"a,b\n-1,2\nt,v\n0,1\n1,2\n", {"skip": 2}),  # a small table above, as wide as the other one
+    (b"a,b\n1,2\n3,4\nt,v\n0,1\n1,2\n", None),  # which of them is it?
     (b"name,v\na,n/a\nb,1\n", None),  # rows with texts are no headers
     (b"name,2001,2002\na,1,2\n", None),
     (b"t,1,2\n0,2,3\n", None),
