@@ -1,8 +1,10 @@
 """The mean of the robots of a run: statistics over runs have one value per run and time, and robots are no repetitions.
 
 In a table that all robots of a run write, the value of the run at a time t is the mean of the values of its robots at t. The
-base station (robot 0) does not count if other robots write the table too. If one of the values is missing or not finite, so
-is the mean: the robots that are left would be another swarm.
+base station (robot 0) of real robots does not count if other robots write the table too. If one of the values is missing or not
+finite, so is the mean: the robots that are left would be another swarm.
+
+Simulated robots write such a table if each has a file of its own, and the column `robot` says whose it is: `robot_{robot}.csv`.
 
 Robots may write at different times. Then the times of a run are those of all its robots, and each robot has, from its first to
 its last time, the value of its last row. Before and after that, the mean is the one of the other robots. A note counts the runs
@@ -18,11 +20,21 @@ COLUMNS = ("robot", "place")
 """The columns that may have the place of the robot that wrote a row; `place` is for files with an own column `robot`."""
 IS_PLACE = "SELECT coalesce(bool_and(starts_with(file, {column}::VARCHAR || '/')), false) FROM {data}"
 """True if a column has the folder of each file: other columns may have the same name."""
+SIMULATED = COLUMNS[0]
+"""The column that says which of several simulated robots wrote a row."""
+HAS_OWN_FILE = """
+SELECT coalesce(bool_and(robots = files AND pairs = files), false) AND coalesce(max(files), 0) > 1 FROM (
+    SELECT count(DISTINCT {column}) AS robots, count(DISTINCT file) AS files, count(DISTINCT (file, {column})) AS pairs
+    FROM {data} GROUP BY execution
+)
+"""
+"""True if each robot of a run wrote a file of its own, and some runs have several."""
 
 ROWS = """
 SELECT "# experiment" AS experiment, run, "# number" AS number, {column} AS robot, {t} AS t, {value}::DOUBLE AS value
-FROM {data} WHERE {column} > 0 OR NOT EXISTS (SELECT 1 FROM {data} WHERE {column} > 0)
+FROM {data}
 """
+WITHOUT_BASE = "{rows} WHERE {column} > 0 OR NOT EXISTS (SELECT 1 FROM {data} WHERE {column} > 0)"
 """The rows of all robots that count."""
 
 TIMES = """
@@ -69,9 +81,13 @@ UNION ALL SELECT experiment, run, number, t, value, {PLACE} FROM ({{rows}}) WHER
 """
 
 
-def rows(data: str, column: str, value: str, t: str) -> str:
-    """Return the query for the rows that count. `data` is a relation; `column`, `value` and `t` are SQL expressions."""
-    return ROWS.format(column=column, data=data, value=value, t=t)
+def rows(data: str, column: str, value: str, t: str, *, simulated: bool) -> str:
+    """Return the query for the rows that count. `data` is a relation; `column`, `value` and `t` are SQL expressions.
+
+    `simulated`: no robot is the base station.
+    """
+    every = ROWS.format(column=column, data=data, value=value, t=t)
+    return every if simulated else WITHOUT_BASE.format(rows=every, column=column, data=data)
 
 
 def note(table: str, *, same_times: bool, partial: int) -> str:

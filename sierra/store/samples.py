@@ -48,6 +48,9 @@ ON_ROBOTS = "SELECT 1 FROM batches JOIN specs USING (spec) WHERE batch = $b AND 
 MIXED = "has numbers in some runs and other values in others"
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names of a first column that make it the time axis, if the project declares no time column."""
+OTHER_TIMES = ("timestep", "timestamp", "stamp", "zeit", "temps", "tiempo", "tempo", "iter", "gen", "epoch", "frame", "sec")
+BESIDE_TIME = ("s", "ms", "us", "ns", "min", "h", "in", "of", "sim", "simulation", "elapsed", "number", "no", "index")
+"""Further words in names of times, and words beside them."""
 FLAG, NUMERIC = "BOOLEAN", rf"BOOLEAN|{NUMBER}"
 """DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
 EXACT = rf"{INTEGER}|DECIMAL\(\d+,\d+\)"
@@ -501,6 +504,14 @@ class Frame:
         )
         return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
 
+    def constant(self, table: str, columns: Sequence[str]) -> set[str]:
+        """Return the columns that have the same value in all rows of all runs."""
+        if not columns:
+            return set()
+        tests = ", ".join(f"coalesce(min({c}) = max({c}) AND count({c}) = count(*), false)" for c in map(identifier, columns))
+        [row] = self._snapshot.run(f"SELECT {tests} FROM {self._data(table)}")
+        return {column for column, is_constant in zip(columns, row, strict=True) if is_constant}
+
     def differing(self, table: str, columns: Sequence[str]) -> dict[str, float]:
         """Return by column which part of the variance of the runs' means is between experiments: 0 is nothing, 1 is all."""
         if not columns:
@@ -588,7 +599,7 @@ class Frame:
             order = self._order(table)
             return f"SELECT {own}, {t} AS t, {shared_t} AS shared_t, {value}::DOUBLE AS value, {order} FROM {data}"
         template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
-        return f"SELECT *, t AS shared_t FROM ({template.format(rows=robot_means.rows(data, robot, value, t))})"
+        return f"SELECT *, t AS shared_t FROM ({template.format(rows=self._of_robots(table, robot, value, t, where))})"
 
     def _time(self, table: str, time: str, *, shared: bool = True) -> str:
         """Return the SQL expression for the time of a row. If `shared`, times that differ by rounding only are one."""
@@ -666,15 +677,21 @@ class Frame:
     def column_of_robots(self, table: str) -> str:
         """Return the column with the robot's place, if the robots of each run write a table together; "" if not."""
         files = self._files.get(table)
-        if not self._on_robots or not files:
+        if not files:
             return ""
         if table not in self._robots:
             source = self._relation(table, files)
-            named = [one for one in robot_means.COLUMNS if {one, "file"} <= source.types.keys()]
-            those = f"(SELECT * FROM {source.sql} WHERE execution IN ({MEMBERS}))"
-            tests = {one: robot_means.IS_PLACE.format(column=one, data=those) for one in named}
-            self._robots[table] = next((one for one, test in tests.items() if self._snapshot.run(test)[0][0]), "")
+            possible = robot_means.COLUMNS if self._on_robots else (robot_means.SIMULATED,)
+            named = [column for column in possible if {column, "file"} <= source.types.keys()]
+            rows = f"(SELECT * FROM {source.sql} WHERE execution IN ({MEMBERS}))"
+            is_robot = robot_means.IS_PLACE if self._on_robots else robot_means.HAS_OWN_FILE
+            tests = {column: is_robot.format(column=column, data=rows) for column in named}
+            self._robots[table] = next((column for column, test in tests.items() if self._snapshot.run(test)[0][0]), "")
         return self._robots[table]
+
+    def _of_robots(self, table: str, robot: str, value: str, t: str, where: str) -> str:
+        """Return the query for the rows of the robots that count; `robot` is their column."""
+        return robot_means.rows(self._rows(table, where), robot, value, t, simulated=not self._on_robots)
 
     def robots_note(self, table: str, time: str = "") -> str:
         """Return a note about the statistics of a table; "" if robots did not write it together."""
@@ -684,7 +701,7 @@ class Frame:
         aligned = self._same_times(table, robot, time, t, "")
         if aligned is None:
             return ""
-        rows = robot_means.rows(self._rows(table, ""), robot, "NULL", t)
+        rows = self._of_robots(table, robot, "NULL", t, "")
         [(partial,)] = self._snapshot.run(robot_means.PARTIAL.format(rows=rows))
         return robot_means.note(table, same_times=aligned, partial=partial)
 
@@ -692,7 +709,7 @@ class Frame:
         """Return whether the robots of each run have the same times; None if a robot has two rows at one time."""
         key = (table, time, where)
         if key not in self._aligned:
-            rows = robot_means.rows(self._rows(table, where), robot, "NULL", t)
+            rows = self._of_robots(table, robot, "NULL", t, where)
             [(doubled, same)] = self._snapshot.run(robot_means.TIMES.format(rows=rows))
             self._aligned[key] = None if doubled else same
         return self._aligned[key]
@@ -929,3 +946,9 @@ def _mixed(relation: Relation) -> tuple[str, ...]:
 def names_time(column: str) -> bool:
     """Return whether a column has the name of a time; the store may have added `_` to it, or what tells `t` from `T`."""
     return column.lower().removesuffix(LOWER).rstrip("_") in TIMES
+
+
+def is_called_time(column: str) -> bool:
+    """Return whether a name may be that of a time, as in `[step]`, `timestamp` and `Zeit`; only its rows can tell."""
+    words = {word.lower() for word in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+", column)}
+    return bool(words & {*TIMES, *OTHER_TIMES}) and words <= {*TIMES, *OTHER_TIMES, *BESIDE_TIME}

@@ -426,7 +426,9 @@ def test_columns_of_axes_are_in_the_order_of_the_query(tmp_path: Path) -> None:
         names = [criterion.partition("=")[0] for criterion in ask]
         assert [*names, "runs", "succeeded", "failed"] in [line.split() for line in ran.splitlines()]
         shown = quick(folder, "show", batch_of(folder)).stdout
-        assert ["ordinal", "experiment", *names, "runs", "succeeded", "failed"] in [line.split() for line in shown.splitlines()]
+        assert ["ordinal", "experiment", *names, "runs", "succeeded", "accepted", "failed"] in [
+            line.split() for line in shown.splitlines()
+        ]
 
 
 @pytest.mark.integration

@@ -15,7 +15,7 @@ def mean(rows: list[Row], template: str) -> list[tuple[float, float | None]]:
     connection = duckdb.connect()
     connection.execute('CREATE TABLE data ("# experiment" INT, run TEXT, "# number" INT, robot INT, t DOUBLE, value DOUBLE)')
     connection.executemany("INSERT INTO data VALUES (0, 'r', 0, ?, ?, ?)", rows)
-    text = template.format(rows=robot_means.rows("data", "robot", "value", "t"))
+    text = template.format(rows=robot_means.rows("data", "robot", "value", "t", simulated=False))
     return connection.execute(f"SELECT t, value FROM ({text}) ORDER BY t").fetchall()
 
 
@@ -48,7 +48,7 @@ def test_runs_without_a_robot_for_some_time_are_counted(runs: dict[str, dict[int
     connection.execute('CREATE TABLE data ("# experiment" INT, run TEXT, "# number" INT, robot INT, t DOUBLE, value DOUBLE)')
     rows = [(run, robot, t) for run, robots in runs.items() for robot, times in robots.items() for t in times]
     connection.executemany("INSERT INTO data VALUES (0, ?, 0, ?, ?, 1)", rows)
-    query = robot_means.PARTIAL.format(rows=robot_means.rows("data", "robot", "value", "t"))
+    query = robot_means.PARTIAL.format(rows=robot_means.rows("data", "robot", "value", "t", simulated=False))
     assert connection.execute(query).fetchall() == [(partial,)]
     said = robot_means.note("odom", same_times=False, partial=partial)
     assert (f"; in {partial} run" in said) == (partial > 0)
@@ -66,6 +66,6 @@ def test_shared_times_and_doubled_rows_are_found(rows: list[Row], facts: tuple[b
     connection = duckdb.connect()
     connection.execute('CREATE TABLE data ("# experiment" INT, run TEXT, "# number" INT, robot INT, t DOUBLE, value DOUBLE)')
     connection.executemany("INSERT INTO data VALUES (0, 'r', 0, ?, ?, ?)", rows)
-    assert connection.execute(robot_means.TIMES.format(rows=robot_means.rows("data", "robot", "value", "t"))).fetchall() == [
-        facts
-    ]
+    assert connection.execute(
+        robot_means.TIMES.format(rows=robot_means.rows("data", "robot", "value", "t", simulated=False))
+    ).fetchall() == [facts]
