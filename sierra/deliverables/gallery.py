@@ -33,8 +33,8 @@ from sierra.store.sql_names import stored_name
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
-from sierra.util.lazy_definitions import dataclass, replace
-from sierra.util.text import counted, like
+from sierra.util.lazy_definitions import dataclass, regex, replace
+from sierra.util.text import counted, few, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 ONE_FILE = "file in [outputs.{}] can name one of them"
 AT_MOST = 16
 """The largest number of default figures of one batch; others are reported, and drawn on request."""
+SHOWN = 6
+"""The largest number of columns that a note names."""
+OF_RUN = regex(r"\W*(run|seed|repetition|replicate|replication)s?([ _-]?(id|no|nr|num|number|index))?\W*", re.I)
+"""The names of columns with the number of a run."""
 
 
 def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] | None:
@@ -236,10 +240,22 @@ class Gallery:
                 notes.append(f"no figure of output {output.name!r}: {error}")
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
-            proposed = stats.default_figures(output.name, columns, varied(self._axes), series=series)
+            measures = self._measures(output, columns)
+            if output.name not in shown and (left := [repr(column) for column in columns if column not in measures]):
+                which = f"no figure of {few(left, SHOWN)} of output {output.name!r}"
+                notes.append(
+                    f"{which}: {'it is' if len(left) == 1 else 'they are'} the same in all runs, or the number of a run"
+                )
+            proposed = stats.default_figures(output.name, measures, varied(self._axes), series=series)
             for name, figure in proposed.items():
                 found[_file_name(name, found)] = figure
         return found, notes
+
+    def _measures(self, output: OutputTable, columns: Sequence[str]) -> Sequence[str]:
+        """Return the columns that are worth a figure: not those that are the same everywhere, or the number of a run."""
+        constant = self.frame.constant(output.name, columns) - {*self.rates(output), *output.flags}
+        numbers = {column for column in columns if OF_RUN.fullmatch(column)}
+        return [column for column in columns if column not in constant | numbers] or columns
 
     def _from_sql(self, statement: str) -> str:
         """Return the name of the derived table that the own statement of a figure makes."""
