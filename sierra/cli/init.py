@@ -88,8 +88,8 @@ def init(
     Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
     may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. A program that reads only arguments needs
     no file: give the command with all arguments. Files that the input file names become further templates, or lie beside the
-    inputs of runs. One run is tried before anything is written, as sierra try does; if it fails, nothing is written. Another
-    run shows whether the seed has an effect. An existing sierra.toml is never overwritten.
+    inputs of runs. One run is tried first, as sierra try does; if its tables need declarations, another one is tried with them.
+    Another run shows whether the seed has an effect. An existing sierra.toml is never overwritten.
 
     \b
     Examples:
@@ -101,6 +101,7 @@ def init(
       sierra init -y --command "./sim --robots 4 --speed 0.5 --seed 1"
       sierra init -y --template merge.sumocfg
     """
+    from sierra.errors import SierraError
     from sierra.setup.init import wizard
 
     for other in given(FromElsewhere):
@@ -114,44 +115,63 @@ def init(
     said = wizard.Options(template, format, command, seed, tuple(variables or ()), tuple(source or ()))
     somebody = not yes and not as_json and sys.stdin.isatty() and sys.stdout.isatty()
     guess = wizard.find_out(folder, said, _ask if somebody else None)
-    guess, trial = (guess, None) if no_try else _tried(folder, guess, ask=somebody, quiet=as_json)
+    guess, trial = (guess, None) if no_try else _tried(folder, guess, quiet=as_json)
     _say(folder, wizard.write(folder, guess, trial), guess, trial, as_json=as_json)
+    if trial is not None and (failure := _failure(guess, trial)):
+        raise SierraError(failure)
 
 
-def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> tuple[Guess, Trial | None]:
+def _tried(folder: Path, guess: Guess, *, quiet: bool) -> tuple[Guess, Trial | None]:
     """Execute one run, unless the command is doubtful; print what it did unless `quiet`.
 
-    If the run fails because it lacks files of the project, another run gets them. Returns the guess, perhaps with such files or
-    one more note, and the trial if there is one. Raises SierraError if the run failed, unless the user wants the file
-    nevertheless (`ask`), or if nobody has given the command and it cannot be tried; typer.Exit if it was interrupted.
+    If the run fails because it lacks files of the project, another run gets them. If its tables need declarations, another run
+    has them. Returns the guess with what the runs have shown, and the first run that succeeded, or else the first one.
+    Raises typer.Exit if a run was interrupted.
     """
-    from sierra.errors import SierraError
     from sierra.model import Status
     from sierra.setup.init import wizard
 
-    found = _attempt(folder, guess, quiet=quiet)
-    if isinstance(found, str):
-        if guess.can_be_tried and not guess.given:
-            raise SierraError(f"no sierra.toml was written: {found} (--no-try writes it)")
-        return replace(guess, notes=(*guess.notes, found)), None
-    if found is None:
+    first = _attempt(folder, guess, quiet=quiet)
+    if isinstance(first, str):
+        return replace(guess, notes=(*guess.notes, first)), None
+    if first is None:
         return guess, None
-    if found.status is Status.FAILED and (more := wizard.with_lacking(folder, guess, found)):
-        if not quiet:
-            print(
-                f"the run lacked {few(more.files[len(guess.files) :], 4)}; trying again with files = {json.dumps(more.files)}"
-            )
-        again = _attempt(folder, more, quiet=quiet)
-        if not isinstance(again, str) and again is not None and again.status is not Status.FAILED:
-            guess, found = more, again
-    if found.status is Status.MISMATCH and (more := wizard.with_outputs(guess, found)):
-        if not quiet:
-            print(f"a table has no names in its first line; trying again with [outputs.{'], [outputs.'.join(more.outputs)}]")
-        again = _attempt(folder, more, quiet=quiet)
-        if not isinstance(again, str) and again is not None and again.status is Status.OK:
-            guess, found = more, again
-    _check_tried(guess, found, ask=ask)
-    return _tried_again(folder, guess, found, quiet=quiet), found
+    if first.status is Status.FAILED and (more := wizard.with_lacking(folder, guess, first)):
+        lacked = few(more.files[len(guess.files) :], 4)
+        again = _again(
+            folder, more, f"the run lacked {lacked}; trying again with files = {json.dumps(more.files)}", quiet=quiet
+        )
+        if again is not None and again.status is not Status.FAILED:
+            guess, first = more, again
+    if first.status in (Status.OK, Status.MISMATCH) and (first.wall_s or 0) <= LONG_S:
+        guess, first = _declared(folder, guess, first, quiet=quiet)
+    if first.status is not Status.OK:
+        return guess, first
+    return _tried_again(folder, guess, first, quiet=quiet), first
+
+
+def _declared(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> tuple[Guess, Trial]:
+    """Return the guess with the declarations that a run's tables need, and a run that has them, if it is successful."""
+    from sierra.model import Status
+    from sierra.setup.init import wizard
+
+    more = wizard.with_outputs(guess, first)
+    if more is None:
+        return guess, first
+    names = few([f"[outputs.{name}]" for name in more.outputs], 4)
+    again = _again(folder, more, f"tables need a declaration; trying again with {names}", quiet=quiet)
+    if again is not None and again.status is Status.OK:
+        return more, again
+    why = f"{names} is not written: the run failed with it: {again.reason}" if again is not None else ""
+    return (replace(guess, notes=(*guess.notes, why)) if why and first.status is Status.OK else guess), first
+
+
+def _again(folder: Path, guess: Guess, why: str, *, quiet: bool) -> Trial | None:
+    """Execute another run, and say why unless `quiet`; None if there is none."""
+    if not quiet:
+        print(why)
+    again = _attempt(folder, guess, quiet=quiet)
+    return None if isinstance(again, str) else again
 
 
 def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Guess:
@@ -160,22 +180,21 @@ def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Gu
     from sierra.model import Status
     from sierra.setup.init import wizard
 
-    guess = replace(guess, patterns=wizard.patterns(first))
-    if first.status is not Status.OK or not guess.seeded or (first.wall_s or 0) > LONG_S:
-        return guess
+    if not guess.seeded or (first.wall_s or 0) > LONG_S:
+        return wizard.with_findings(guess, first)
     if not quiet:
         print("trying another seed")
     second = wizard.try_run(folder, guess, lambda log, content: None, seed=first.seed + 1)
     if second is None or isinstance(second, str) or second.status is not Status.OK:
-        return guess
+        return wizard.with_findings(guess, first)
     same = tuple(text for text in second.notes if text.startswith(SAME_TABLES))
-    guess = replace(guess, patterns=wizard.patterns(first, second))
-    return replace(guess, notes=(*guess.notes, *same), rates=wizard.rates(first, second, guess.patterns))
+    return wizard.with_findings(replace(guess, notes=(*guess.notes, *same)), first, second)
 
 
 def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:
     """Execute one run and print what it did unless `quiet`; return the trial, or why there is none."""
     from sierra.cli.try_run import Printer, print_trial
+    from sierra.model import Status
     from sierra.setup.init import wizard
 
     if guess.can_be_tried and not quiet:
@@ -183,28 +202,27 @@ def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:
     printer = Printer(to_stderr=True)
     found = wizard.try_run(folder, guess, printer.show if not quiet else lambda log, content: None)
     printer.end()
-    if found is not None and not isinstance(found, str) and not quiet:
+    if found is None or isinstance(found, str):
+        return found
+    if not quiet:
         for text in found.notes:
             note(one_line(text))
         print_trial(found)
+    if found.status is Status.INTERRUPTED:
+        raise typer.Exit(130)
     return found
 
 
-def _check_tried(guess: Guess, found: Trial, *, ask: bool) -> None:
-    """Raise SierraError if a run failed, unless the user wants the file nevertheless; typer.Exit if it was interrupted."""
-    from sierra.errors import SierraError
+def _failure(guess: Guess, trial: Trial) -> str | None:
+    """Return why the run that was tried has failed; None if it was successful."""
     from sierra.model import Status
     from sierra.store.layout import RUN_STDERR
 
-    if found.status is Status.INTERRUPTED:
-        raise typer.Exit(130)
-    if found.status is Status.OK or (ask and typer.confirm("the run failed; write sierra.toml nevertheless?")):
-        return
-    kept = f"; its standard error is {os.path.relpath(found.folder / RUN_STDERR)}" if found.folder else ""
-    tried = "" if guess.given else f" of {_started(guess)!r}"
-    raise SierraError(
-        f"no sierra.toml was written, because a run{tried} failed: {found.reason}{kept} (--no-try writes it nevertheless)"
-    )
+    if trial.status is Status.OK:
+        return None
+    kept = f"; its standard error is {os.path.relpath(trial.folder / RUN_STDERR)}" if trial.folder else ""
+    values = f" with {' '.join(guess.tried)}" if guess.tried else ""
+    return f"a run of {_started(guess)!r}{values} failed: {trial.reason}{kept} (correct sierra.toml, then: sierra try)"
 
 
 def _started(guess: Guess) -> str:

@@ -59,12 +59,14 @@ def outputs(
             every = all(table.declared or table.name in written for table in found.tables)
             nothing = "all tables are declared; nothing was changed" if every else "nothing was changed"
             print(f"{opened.file}: added {names}" if written else f"{opened.file}: {nothing}")
-            parts = [Output(file=str(keys["file"])) for keys in written.values() if str(keys["file"]).endswith(ROTATION)]
+            files = [Output(file=str(keys["file"]), format="csv") for keys in written.values()]
+            parts = [file for file in files if file.file.endswith(ROTATION)]
             added = [one for one in found.unread if one.name in written or any(new.matches(one.path) for new in parts)]
-            if added:
-                print("the next sierra run makes tables of files that were none; it executes nothing again for that")
+            joined = {table.name for table in found.tables if any(file.matches(table.file) for file in files)}
+            if added or any(table.keys for table in found.tables if table.name in written) or joined - written.keys():
+                print("the next sierra run reads the files of new tables again; it executes nothing again for that")
             for table in found.tables:
-                if not table.declared and table.name not in written:
+                if not table.declared and table.name not in {*written, *joined}:
                     print(f"not declared any more: [outputs.{table.name}] file = {json.dumps(table.file)} had other keys too")
             for line in unread_lines(found.runs, [one for one in found.unread if one not in added]):
                 print(line)

@@ -7,17 +7,17 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
-from sierra.config.output_tables import FILE_FORMAT, Key, Output, with_rotation
+from sierra.config.output_tables import FILE_FORMAT, Key, Keys, Output, with_rotation
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, UnreadFiles, most_searched, unread_files
-from sierra.ingest import open_names, robot_files
+from sierra.ingest import open_names, robot_files, text_headers
 from sierra.store.samples import ON_ROBOTS, names_time
 from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import NUMBER as NUMBER_TYPE
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import DURATION
-from sierra.util.lazy_definitions import dataclass
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted
 
 OWN = ("run", "execution", "file")
@@ -65,6 +65,8 @@ class TakenTable:
     declared: bool
     rates: tuple[str, ...] = ()
     """The columns, as the file names them, that are 0 in some runs and 1 in others, if each run has one row."""
+    keys: Keys = field(default_factory=dict)
+    """The keys of `[outputs.NAME]` that read an undeclared file that is no plain CSV; empty for others."""
 
     @property
     def rows(self) -> str:
@@ -96,6 +98,13 @@ class _Unread(NamedTuple):
     files: int
     most: int
     runs: int
+    sha256: str
+    size: int
+
+
+class _Content(NamedTuple):
+    output: str
+    path: str
     sha256: str
     size: int
 
@@ -133,6 +142,10 @@ ROWS = """
 SELECT output, count(*) AS runs, min(rows)::BIGINT AS least, max(rows)::BIGINT AS most FROM (
     SELECT output, execution, sum(rows) AS rows FROM own WHERE kind = 'table' GROUP BY ALL
 ) GROUP BY output
+"""
+CONTENTS = """
+SELECT output, min(path) AS path, arg_min(sha256, path) AS sha256, arg_min(size, path) AS size
+FROM own WHERE kind = 'table' GROUP BY output
 """
 UNREAD = """
 SELECT min(path) AS path, sum(files)::BIGINT AS files, max(files) AS most, count(*) AS runs,
@@ -186,10 +199,15 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
             _table(snapshot, found, sizes[name], outputs.get(name), _format(outputs.get(name) or _undeclared(found)))
             for name, found in sorted(layouts.items())
         )
+        contents = {row.output: row for row in snapshot.select(_Content, CONTENTS)}
         rows = snapshot.select(_Unread, UNREAD)
         places: dict[str, set[int]] = {}
         for alike, place in snapshot.run(VARYING) if any(row.files > 1 for row in rows) else ():
             places.setdefault(alike, set()).add(place)
+    tables = tuple(
+        replace(table, keys=_keys(store, contents[table.name])) if table.format == "csv" and not table.declared else table
+        for table in tables
+    )
     kinds = [
         Alike(
             row.path,
@@ -202,6 +220,12 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
         for row in rows
     ]
     return TakenOutputs(batch, runs, tables, unread_files(kinds, outputs, [table.name for table in tables], runs))
+
+
+def _keys(store: Store, row: _Content) -> Keys:
+    """Return the keys that read a file that is no plain CSV, as one file shows."""
+    content = _content(store, row.sha256 if row.size <= most_searched(row.path) else None)
+    return (text_headers.keys_of(content) if content else None) or {}
 
 
 def _content(store: Store, sha256: str | None) -> bytes | None:
@@ -299,13 +323,15 @@ def _durations(row: _Layout) -> Iterator[str]:
 def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     """Return the keys of `[outputs.NAME]` for each table that is not declared, and for files that they make tables of.
 
-    The tables that exist stay the same, except those of files with a date in their names: each run would make another table.
-    Tables of declarations that were removed are left out: their keys are not known.
+    The tables that exist stay the same, except those of files that are no plain CSV, and those of several files: if each run
+    has a date in its file's name, or each robot has a file, these become one table. Tables of declarations that were removed
+    are left out: their keys are not known.
     """
     tables: dict[str, dict[str, Key]] = {}
     for name, (file, same) in _undeclared_tables(found).items():
         rates = [column for column in same[0].rates if all(column in table.rates for table in same)]
         tables[name] = {"file": with_rotation(file, (one.path for one in found.unread))}
+        tables[name] |= same[0].keys
         tables[name] |= {} if sum(table.runs for table in same) >= found.runs else {"required": False}
         tables[name] |= {"rates": rates} if rates else {}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
@@ -315,10 +341,10 @@ def _undeclared_tables(found: TakenOutputs) -> dict[str, tuple[str, list[TakenTa
     """Return the tables that are not declared, by the name that they get: the file or its pattern, and what became tables."""
     names: dict[str, tuple[str, list[TakenTable]]] = {}
     taken = {table.name for table in found.tables}
-    for table in found.tables:
-        if table.declared or table.format == FILE_FORMAT:
-            continue
-        pattern = open_names.with_date(table.file)
+    undeclared = [table for table in found.tables if not table.declared and table.format != FILE_FORMAT]
+    of_robots = open_names.of_robots({table.file: [one.original or one.name for one in table.columns] for table in undeclared})
+    for table in undeclared:
+        pattern = of_robots.get(table.file) or open_names.with_date(table.file)
         name = open_names.name_of(pattern) if pattern else table.name
         if pattern and (name in taken or names.get(name, (pattern,))[0] != pattern):
             name, pattern = table.name, None

@@ -10,10 +10,12 @@ import contextlib
 import json
 import os
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from sierra import runners
+from sierra.config.output_tables import Keys
 from sierra.design.expand import Expansion
 from sierra.errors import Busy, Missing, SierraError, UsageError
 from sierra.execution import commands, session_records, show_record
@@ -24,10 +26,13 @@ from sierra.execution.plan_notes import out_of_reach
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session, locked
 from sierra.execution.shown_records import ShownExecution
-from sierra.execution.unread_files import UnreadFiles, of_run
+from sierra.execution.unread_files import UnreadFiles, of_run, printed, read_small
+from sierra.ingest import text_headers
+from sierra.ingest.match_outputs import automatic_format
 from sierra.model import IN_PROJECT, Experiment, Run, Status, Value
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
 from sierra.store.row_types import ArtifactRow
+from sierra.store.samples import is_called_time, names_time
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import identifier
 from sierra.store.store import GITIGNORE, Store
@@ -43,6 +48,8 @@ UNCHANGED = "montecarlo.C1"
 MARK = "made by sierra try\n"
 SAME_TABLES = "this run has the same tables as the one with seed "
 CHUNK = 1 << 16
+LOOKED_AT = 100_000
+"""The number of rows in which a column is looked at."""
 LOGS = (RUN_STDOUT, RUN_STDERR)
 
 Show = Callable[[str, bytes], None]
@@ -64,6 +71,10 @@ class TriedFile:
     """The hash of the file."""
     flags: Mapping[str, int] = field(default_factory=dict)
     """The columns of numbers that are 0 or 1, in a table of one row."""
+    time: str = ""
+    """The column that is the time axis by its name: the first one by the rule of figures, or one that never goes back."""
+    keys: Keys = field(default_factory=dict)
+    """The keys of `[outputs.NAME]` that read a file that is no plain CSV; empty for others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +184,8 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
     tables = {one.table for one in found.files if one.table}
     written = folder and folder / RUN_OUTPUT
     unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables, written)
+    if not tables and not any(files.keys for files in unread) and folder is not None:
+        unread += printed(folder / RUN_STDOUT, plan.outputs)
     return replace(found, notes=tuple(dict.fromkeys(notes)), unread=unread)
 
 
@@ -325,7 +338,9 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
         wall_s=row.wall_s,
         folder=folder,
         files=tuple(
-            sorted((_file(store, one) for one in shown.artifacts if one.kind != "log"), key=lambda one: one.table is None)
+            sorted(
+                (_file(store, one, folder) for one in shown.artifacts if one.kind != "log"), key=lambda one: one.table is None
+            )
         ),
         logs={name: one.size for name in LOGS for one in shown.artifacts if (one.kind, one.path) == ("log", name)},
         elsewhere=tuple(store.values(str, WRITTEN, e=execution)),
@@ -333,12 +348,38 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
     )
 
 
-def _file(store: Store, one: ArtifactRow) -> TriedFile:
+def _file(store: Store, one: ArtifactRow, folder: Path | None) -> TriedFile:
     if one.kind != "table":
         return TriedFile(one.path, one.size, None, None, {}, one.sha256)
     columns = TableLayout.load(one.table_layout).columns
     flags = _flags(store, one, columns) if one.rows == 1 and one.output else {}
-    return TriedFile(one.path, one.size, one.output, one.rows, columns, one.sha256, flags)
+    time = _time(store, one, columns) if (one.rows or 0) > 1 and one.output else ""
+    content = read_small(folder and folder / RUN_OUTPUT / one.path) if automatic_format(one.path) == "csv" else None
+    keys = (text_headers.keys_of(content) if content else None) or {}
+    return TriedFile(one.path, one.size, one.output, one.rows, columns, one.sha256, flags, time, keys)
+
+
+def _time(store: Store, one: ArtifactRow, columns: Columns) -> str:
+    """Return the time axis of a table by the rule of figures, or else the first column that is called a time and is one."""
+    numbers = [name for name, kind in columns.items() if kind == "number"]
+    first = next(iter(columns), "")
+    if first in numbers and names_time(first):
+        return first
+    named = [name for name in numbers if is_called_time(name)]
+    if not named:
+        return ""
+    with store.snapshot() as snapshot:
+        rows = snapshot.rows(f"FROM {identifier(str(one.output))} WHERE execution = $e LIMIT {LOOKED_AT}", e=one.execution)
+    for name in named:
+        times = [row.get(name) for row in rows]
+        if _goes_ahead([time for time in times if isinstance(time, int | float)], len(times)):
+            return name
+    return ""
+
+
+def _goes_ahead(times: Sequence[float], rows: int) -> bool:
+    """Return whether these times, of so many rows, never go back."""
+    return len(times) == rows and times[0] < times[-1] and all(before <= after for before, after in pairwise(times))
 
 
 def _flags(store: Store, one: ArtifactRow, columns: Columns) -> dict[str, int]:

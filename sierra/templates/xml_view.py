@@ -325,13 +325,18 @@ class View:
     def attributes(self) -> Iterator[tuple[str, str]]:
         """Yield paths with the values that they select: attributes, and texts of elements that have no children.
 
-        A path names an element by its tag, or by tag and name or id if several elements have the tag.
+        A path names an element by its tag, or by tag and name or id if several elements have the tag, or else by the path of
+        the element around it.
         """
         counted = Counter(call for element in self.root.iter(etree.Element) for call in self._calls(element))
+        named: dict[Element, str] = {}
         for element in self.root.iter(etree.Element):
             place = next((call for call in self._calls(element) if counted[call] == 1 and self._alone(call)), None)
+            if place is None and (around := named.get(element.getparent())) is not None and self._is_only(element):
+                place = f"{around}/{self._qualified(element.tag)}"
             if place is None:
                 continue
+            named[element] = place
             for name, value in element.attrib.items():
                 yield f"{place}/@{self._qualified(name)}", value
             if all(child.tag in _BETWEEN for child in element) and (value := value_of(element)).strip():
@@ -340,7 +345,16 @@ class View:
     def _calls(self, element: Element) -> Sequence[str]:
         """Return the possible names of an element in paths: its tag, with its name, with its id."""
         tag = f"//{self._qualified(element.tag)}"
-        return [tag, *(f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'"))]
+        return [
+            tag,
+            *(f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id", "variable") if "'" not in element.get(key, "'")),
+        ]
+
+    def _is_only(self, element: Element) -> bool:
+        """Return True if an element has a plain name, and no other element beside it has the same one."""
+        beside = element.getparent()
+        same = [other for other in beside if other.tag == element.tag] if beside is not None else []
+        return len(same) == 1 and "local-name()" not in self._qualified(element.tag)
 
     def _alone(self, call: str) -> bool:
         """Return True if a name that occurs once selects one element; `local-name()` may match other namespaces too."""

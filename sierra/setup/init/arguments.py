@@ -25,6 +25,11 @@ NUMBER = regex(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 OUTPUTS = frozenset(["o", "out", "output", "outdir", "outfile", "outputs", "results", "logdir"])
 HOSTS = frozenset(["address", "host", "hostname", "ip", "server"])
 LOCAL = regex(r"localhost|127\.[0-9.]+|0\.0\.0\.0|::1?|")
+OF_FOLDERS = frozenset(["dir", "directory", "folder", "logs", "outdir", "logdir", "results"])
+NO_FILES = frozenset(
+    ["csv", "json", "xml", "yaml", "text", "txt", "hdf5", "parquet", "stdout", "stderr", "none", "true", "false"]
+)
+"""Values of such arguments that name formats and the like, not files."""
 OF_OUTPUTS = frozenset(["dir", "directory", "file", "folder", "path", "prefix", "to"])
 
 
@@ -113,16 +118,12 @@ def check_seed(found: Sequence[Argument], text: str) -> Argument | None:
 
 def check_variable(found: Sequence[Argument], seed: Argument | None, known: Mapping[str, str], text: str) -> tuple[str, str]:
     """Return the names of a variable and of its argument from NAME=ARGUMENT. Raises UsageError."""
-    name, equals, option = (part.strip() for part in text.partition("="))
-    if not equals or not name or not option:
-        raise UsageError(f'{text!r}: give a variable as NAME=ARGUMENT, as in "population_size=--robots"')
+    name, option = variables.named_place(text, "NAME=ARGUMENT", "population_size=--robots")
     if refusal := variables.refused(name, known):
         raise UsageError(f"variable {name!r}: {refusal}")
     argument = by_option(found, option)
     if argument == seed:
-        raise UsageError(
-            f"variable {name!r}: {option} gets the seed; vary something else, or use montecarlo.C20 for other seeds"
-        )
+        raise UsageError(f"variable {name!r}: {option} {variables.IS_SEED}")
     return name, argument.name
 
 
@@ -131,7 +132,7 @@ def with_outputs(words: Sequence[str], root: Path) -> tuple[str, ...]:
     new = list(words)
     for one in find(words):
         if _is_output(one, root):
-            new[one.first + len(one.words) - 1] = one.words[-1].replace(VALUE, _in_output(one.value, root))
+            new[one.first + len(one.words) - 1] = one.words[-1].replace(VALUE, _in_output(one, root))
     return tuple(new)
 
 
@@ -160,11 +161,17 @@ def _is_output(argument: Argument, root: Path) -> bool:
     words = set(re.split(r"[^a-z]+", argument.name.lower())) - {""}
     named = bool(words & OUTPUTS) and words <= OUTPUTS | OF_OUTPUTS
     value = argument.value
-    return named and not argument.is_number and "{" not in value and ("/" in value or "." in value or (root / value).exists())
+    if not named or argument.is_number or "{" in value:
+        return False
+    is_path = "/" in value or "." in value or (root / value).exists()
+    return is_path or (bool(re.fullmatch(r"[\w-]+", value)) and value.lower() not in NO_FILES)
 
 
-def _in_output(value: str, root: Path) -> str:
-    if value.endswith("/") or (root / value).is_dir() or not Path(value).suffix:
+def _in_output(argument: Argument, root: Path) -> str:
+    value = argument.value
+    words = set(re.split(r"[^a-z]+", argument.name.lower()))
+    is_plain = re.fullmatch(r"[\w-]+", value) and not (words & OF_FOLDERS or value.lower() in OUTPUTS | OF_FOLDERS)
+    if value.endswith("/") or (root / value).is_dir() or (not Path(value).suffix and not is_plain):
         return "{output}"
     return f"{{output}}/{Path(value).name}"
 

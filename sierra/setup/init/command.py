@@ -27,6 +27,7 @@ from sierra.util.lazy_definitions import regex
 
 EXAMPLE = "python3 sim.py {input}"
 EXAMPLE_WITHOUT = "python3 sim.py --robots 4 --seed 1"
+NOTHING: Mapping[str, str] = {}
 TO_BUILD = ("Makefile", "makefile", "CMakeLists.txt", "Cargo.toml", "meson.build")
 SHELL = regex(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
 
@@ -91,8 +92,10 @@ def module_path(command: str | None, root: Path) -> str | None:
     return next((place for place, path in places.items() if any((path / part).exists() for part in parts)), None)
 
 
-def doubts(platform: Platform, root: Path, inputs: Mapping[str, object]) -> Iterator[str]:
-    """Yield warnings about a command that is allowed but probably wrong."""
+def doubts(
+    platform: Platform, root: Path, inputs: Mapping[str, object], environment: Mapping[str, str] = NOTHING
+) -> Iterator[str]:
+    """Yield warnings about a command that is allowed but probably wrong; `environment` tells it the name of its input."""
     root = root.resolve()
     project = project_file.parse({"command": "-", **inputs}, "sierra init") if inputs else None
     argv = commands.command(platform, root, declared=_any(platform.command()), project=project)
@@ -106,7 +109,7 @@ def doubts(platform: Platform, root: Path, inputs: Mapping[str, object]) -> Iter
             yield f"no shell starts the command, so the program gets {word!r} as an argument; use sh -c '...' for a shell"
         if (root / word).is_dir() and not word.startswith(("/", ".")):
             yield f"{word!r} is a folder here, but each run starts in its own folder; to use this one, write {{project}}/{word}"
-    if inputs and not _has_input(argv):
+    if inputs and not _has_input((*argv, *environment.values())):
         yield "the command does not contain {input}, the generated file; unless the program finds it, all experiments are equal"
 
 

@@ -18,6 +18,9 @@ from sierra.util.lazy_definitions import regex
 from sierra.util.regular_files import open_regular
 
 TEMPLATES = tuple(dict.fromkeys((".xml", *extensions.every("inputs"), *extensions.starts())))
+STARTS = (*extensions.starts(), ".world")
+STARTING = ("omnetpp.ini",)
+"""The endings and names of files with which simulators start; they name the other files."""
 DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
 """The endings of data files, which are templates only if there is none of the others."""
 TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")
@@ -71,8 +74,7 @@ def template(
     `main` returns the one of several files that names the others. Raises Missing, TemplateError, ConfigError.
     """
     found = templates(root)
-    named = [name for name in found if Path(name).stem == "template"]
-    default = found[0] if len(found) == 1 else named[0] if len(named) == 1 else main(root, found)
+    default = _default_template(root, found, main)
     endings = ", ".join((*TEMPLATES, *DATA))
     what = f"several files could be the template ({', '.join(found)})" if found else f"no {endings} file found"
     without = "" if found else ", or the arguments of a program that reads none, as in --command './sim --robots 4 --seed 1'"
@@ -80,6 +82,13 @@ def template(
     text = f"template: the file from which the inputs of all runs are generated ({NONE} if the program reads only arguments)"
     question = Question(text, tuple(found), default if found else NONE if ask else None, missing)
     return settled(given, question, ask, partial(_check_template, root, format))
+
+
+def _default_template(root: Path, found: Sequence[str], main: Callable[[Path, Sequence[str]], str | None]) -> str | None:
+    """Return the template among several files: the only one, the one with which a simulator starts, or that names others."""
+    starting = [name for name in found if name.endswith(STARTS) or Path(name).name in STARTING]
+    named = [name for name in found if Path(name).stem == "template"]
+    return next((names[0] for names in (found, starting, named) if len(names) == 1), None) or main(root, found)
 
 
 def templates(root: Path) -> list[str]:

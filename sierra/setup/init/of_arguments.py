@@ -6,7 +6,7 @@ import shlex
 from functools import partial
 from pathlib import Path
 
-from sierra.setup.init import arguments, command, folder, source, variables
+from sierra.setup.init import arguments, command, environment, folder, of_environment, source, variables
 from sierra.setup.init.answers import Ask, Options
 from sierra.setup.init.write import Guess
 
@@ -16,6 +16,8 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
     line = command.choose(root, None, options.command, ask) or ""
     words = shlex.split(line)
     found = arguments.find(words)
+    if not found and not arguments.placeholders(words) and (reads := environment.read_by(root, words)):
+        return of_environment.guess(root, options, ask, line, reads)
     numbers = arguments.numbers(found)
     by_key = {one.key: one for one in found}
     seeds = [by_key[key].name for key in variables.seeds(numbers)]
@@ -48,7 +50,9 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
         other_variables={
             name: by_name[argument].declared for name, argument in named.items() if argument not in chosen.values()
         },
-        tried=tuple(filter(None, (arguments.criterion(name, value) for name, value in values.items()))),
+        tried=tuple(
+            filter(None, (arguments.criterion(name, value) for name, value in {**dict.fromkeys(used, "1"), **values}.items()))
+        ),
         source=source.choose(root, (), options.source, ask),
         next=" ".join(f"{name}=1,2" for name in used) or first,
         unset=tuple(f"{{{name}}}" for name in used),

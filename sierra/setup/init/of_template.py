@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from sierra.config import extensions, project_file
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.model import Set
 from sierra.provenance import referenced_files
-from sierra.setup.init import arguments, command, folder, named_files, source, variables
+from sierra.setup.init import arguments, command, environment, folder, named_files, source, variables
 from sierra.setup.init.answers import Ask, Options
+from sierra.setup.init.environment import SOME
 from sierra.setup.init.named_files import Inputs
-from sierra.setup.init.write import Guess
+from sierra.setup.init.write import REPEAT, Guess
 from sierra.templates.base import Template
 
 
@@ -43,7 +45,9 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
     if unset:  # a placeholder without a value is an error
         likely = {name: path for name, path in named.items() if path in unset}
     chosen = variables.choose(named, likely, options.variables, ask, partial(variables.check, content, per_run))
-    wrong = (*command.doubts(platform, root, inputs.settings), *command.services(started or ""))
+    known = (*named, *chosen, *platform.criteria())
+    set_by = _environment(root, started)
+    wrong = (*command.doubts(platform, root, inputs.settings, set_by), *command.services(started or ""))
     seeded = bool(by_platform) or "{seed}" in (started or "")
     return Guess(
         template=None if inputs.several else template,
@@ -55,9 +59,14 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         module_path=command.module_path(started, root),
         seed=seed,
         variables=chosen,
-        other_variables={name: path for name, path in named.items() if path not in chosen.values()}
-        | {name: words for name, words in more.items() if not variables.refused(name, (*named, *chosen, *platform.criteria()))},
-        tried=(),
+        other_variables={name: path for name, path in named.items() if name not in chosen and path not in chosen.values()}
+        | {name: words for name, words in more.items() if not variables.refused(name, known)}
+        | {name: f"{REPEAT}{path}" for name, path in variables.repeats(free, known).items()}
+        | variables.words(content, known),
+        environment=set_by,
+        tried=tuple(f"{name}={SOME}" for name, path in chosen.items() if path in unset)
+        if set(unset) <= set(chosen.values())
+        else (),
         source=source.choose(root, inputs.paths, options.source, ask),
         next=variables.first_query(platform, content, chosen),
         unset=tuple(unset),
@@ -71,6 +80,21 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
             *folder.doubts(root),
         ),
     )
+
+
+def _criteria(chosen: Mapping[str, str], unset: Sequence[str]) -> tuple[str, ...]:
+    """Return the criteria of the run that is tried: values for placeholders without one; none if a variable is missing."""
+    if not set(unset) <= set(chosen.values()):
+        return ()
+    return tuple(f"{name}={SOME}" for name, path in chosen.items() if path in unset)
+
+
+def _environment(root: Path, started: str | None) -> dict[str, str]:
+    """Return the variable of the environment that tells a program the name of its input, if its command does not."""
+    if started is None or "{input" in started or "{run}" in started:
+        return {}
+    name = environment.of_file(environment.read_by(root, shlex.split(started)))
+    return {name: "{input}"} if name else {}
 
 
 def _with_arguments(started: str | None, *, seeded: bool) -> tuple[str | None, dict[str, str]]:

@@ -13,6 +13,7 @@ import shlex
 from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sierra.errors import UsageError
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
@@ -20,15 +21,27 @@ from sierra.setup.init import folder
 from sierra.setup.init.answers import Ask, Question, settled
 from sierra.store.layout import CONFIG
 
+if TYPE_CHECKING:
+    from sierra.execution.trial import Trial
+
+DATA = (".csv", ".tsv", ".log", ".out", ".dat", ".parquet", ".h5", ".npz", ".png", ".pdf", ".mp4", ".zip", ".gz")
+"""The endings of files that are code only if runs read them."""
 ALL = "."
 """The answer that the whole folder is source."""
 
 
-def found(root: Path, templates: Collection[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names, without the templates, of files that may be code, and those of files that probably are not."""
+def found(root: Path, templates: Collection[str], tried: Trial | None = None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names, without the templates, of files that may be code, and those of files that probably are not.
+
+    Names of files that a tried run wrote are those of outputs, and data that it did not read are not code.
+    """
     names = [name for name in folder.listed(root) if name not in (*templates, CONFIG)]
-    left_out = tuple(name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir()))
-    return tuple(name for name in names if name not in left_out), left_out
+    left_out = [name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir())]
+    if tried is not None:
+        written = {file.path.partition("/")[0] for file in tried.files}
+        read = {path.partition("/")[0] for path in tried.used.files} if tried.used and not tried.used.incomplete else set(names)
+        left_out += [name for name in names if name in written or (name.endswith(DATA) and name not in read)]
+    return tuple(name for name in names if name not in left_out), tuple(dict.fromkeys(left_out))
 
 
 def choose(root: Path, templates: Collection[str], given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from functools import partial
@@ -14,7 +15,6 @@ from itertools import count
 from typing import TypeVar
 
 from sierra.config.change_tables import PORT_NAMES
-from sierra.design.factorial_design import GROUPED
 from sierra.design.overwritten import SOME_SEED
 from sierra.design.platforms.base import Platform
 from sierra.design.query import grammar
@@ -39,8 +39,18 @@ BESIDE = frozenset(["size", "of", "total", "model"])
 SEEDS = frozenset(["rng", "rngrun", "random_state", "randomstate", "random-state"])
 """Names of seeds without the word."""
 GENERIC = frozenset(["value", "val", "default", "data"])
-SELDOM = frozenset(["id", "name", "version", "port", "threads", "jobs", "workers", "verbosity"])
+SELDOM = frozenset(["id", "name", "version", "port", "threads", "jobs", "workers", "verbosity", *"xyz", "roll", "pitch", "yaw"])
+OF_RUNS = frozenset(["run", "runs", "repetition", "repetitions", "rep", "reps", "replicate", "replicates", "trial", "trials"])
+"""Names of numbers of runs, of which SIERRA makes as many as a query asks for."""
+OF_TIME = frozenset(["time", "delta", "dt", "step", "steps", "tick", "ticks", "duration", "length", "begin", "end", "start"])
+"""Names of numbers that are less likely the first variable of a study."""
+CHOICES = frozenset(
+    ["controller", "algorithm", "strategy", "policy", "behaviour", "behavior", "mode", "method", "planner", "topology"]
+)
+ITEM = regex(r"/item\[\d+\]")
+WORD = regex(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
 PORT_NUMBERS = range(1024, 65536)
+IS_SEED = "gets the seed; vary something else, or use montecarlo.C20 for other seeds"
 POPULATION = "population_size"
 OF_PLATFORMS = (f"{POPULATION}.Log8", "scale=0.5,1,2")
 """First queries over criteria of platforms, the better one first."""
@@ -51,7 +61,41 @@ FEW = 16
 def numbers(template: Template) -> dict[str, str]:
     """Return the paths that select one number, with the number; of a text, the paths of all placeholders."""
     found = {path: value.strip() for path, value in template.attributes()}
-    return {path: value for path, value in found.items() if _is_text(template) or NUMBER.fullmatch(value)}
+    return _of_all_items({path: value for path, value in found.items() if _is_text(template) or NUMBER.fullmatch(value)})
+
+
+def _of_all_items(numbers: Mapping[str, str]) -> dict[str, str]:
+    """Return the paths of numbers; one for the items of a list that have the same number, instead of one for each."""
+    alike = Counter(ITEM.sub("/item", path) for path in numbers)
+    found: dict[str, str] = {}
+    for path, value in numbers.items():
+        of_all = ITEM.sub("/item", path)
+        found.setdefault(of_all if alike[of_all] > 1 and len(ITEM.findall(path)) == 1 else path, value)
+    return found
+
+
+def repeats(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
+    """Return the first items of lists that queries can make more or fewer of, by the name of such a variable."""
+    lists = dict.fromkeys(path.partition("/item/")[0] for path in numbers if "/item/" in path)
+    found: dict[str, str] = {}
+    for path in lists:
+        name = path.rpartition("/")[2]
+        crowd = set(_words(name)) <= CROWDS and POPULATION not in known
+        if (own := POPULATION if crowd else f"number_of_{name}") not in found and refused(own, known) is None:
+            found[own] = f"{path}/item[1]"
+    return found
+
+
+def words(template: Template, known: Collection[str]) -> dict[str, str]:
+    """Return the paths of words that probably are one of a few, such as the name of a controller, by variable."""
+    found: dict[str, str] = {}
+    for path, text in template.attributes():
+        short, _ = _called(path)
+        name = re.sub(r"\W", "_", short, flags=re.ASCII)
+        is_choice = set(_words(short)) & CHOICES or text.strip().lower() in ("true", "false")
+        if is_choice and WORD.fullmatch(text.strip()) and refused(name, {*found, *known}) is None:
+            found[name] = path
+    return dict(list(found.items())[:SHOWN])
 
 
 def with_comments(template: Template, text: str) -> Iterator[str]:
@@ -86,12 +130,13 @@ def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
 def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
     """Return possible variables by name; the first is population_size, unless `known` already has a criterion for it."""
     robots = None if known else _counting(numbers)
-    found = {"population_size": robots} if robots else {}
-    for path in numbers:
+    found = {POPULATION: robots} if robots else {}
+    for path in sorted(numbers, key=lambda path: bool(set(_words(_called(path)[0])) & OF_TIME)):
         short, element = _called(path)
         proposed = (re.sub(r"\W", "_", name, flags=re.ASCII) for name in (short, f"{element}_{short}"))
         name = next((name for name in proposed if not refused(name, {*found, *known})), None)
-        seldom = short.lower() in SELDOM or is_port(short, numbers[path])
+        counts_runs = set(_words(short)) <= {*OF_RUNS, *BESIDE, *COUNTS, "id"} and set(_words(short)) & OF_RUNS
+        seldom = short.lower() in SELDOM or counts_runs or is_port(short, numbers[path])
         if name and path != robots and not seldom and len(found) <= SHOWN:
             found[name] = path
     return found
@@ -114,12 +159,18 @@ def words_of(name: str) -> set[str]:
     return {part.lower() for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", name)}
 
 
+def named_place(text: str, form: str, example: str) -> tuple[str, str]:
+    """Return name and place from NAME=PLACE. Raises UsageError."""
+    name, equals, place = (part.strip() for part in text.partition("="))
+    if not equals or not name or not place:
+        raise UsageError(f'{text!r}: give a variable as {form}, as in "{example}"')
+    return name, place
+
+
 def refused(name: str, known: Iterable[str]) -> str | None:
     """Return why queries or the store cannot have a name, and what would be right; None if they can."""
     if not NAME.fullmatch(name):
         return "this is not a name of letters, digits and _; use a name such as my_name"
-    if name in GROUPED:
-        return f"this name has another meaning in queries; use another name, such as my_{name}"
     if name.lower() in {other.lower() for other in known}:
         return "this name is used already; use another name"
     try:
@@ -148,6 +199,8 @@ def _called(path: str) -> tuple[str, str]:
     named = re.search(r"\[(?:@\w+|local-name\(\))='(.+)'\]$", element)
     label = named[1] if named else re.split("[/:]", element)[-1]
     attribute = attribute.rpartition(":")[2]
+    if label.lower() in GENERIC and (around := re.search(r"\[(?:@\w+|local-name\(\))='([^']+)'\]/[^/]+$", element)):
+        label = around[1]
     if above:
         return label, above[1]
     return (label if not attribute or attribute.lower() in GENERIC else attribute), label
@@ -234,9 +287,15 @@ def check(template: Template, per_run: Sequence[Change], known: Iterable[str], t
     if refusal := refused(name, known):
         raise UsageError(f"{why}: {refusal}")
     others = [Set(other, "0") for other in unset(template)]
-    one, two = (template.changed((*others, Set(path, value, why=why), *per_run), {"seed": 0}).render() for value in ("1", "2"))
-    if one == two:
-        raise UsageError(f"{why}: {path} gets the seed; vary something else, or use montecarlo.C20 for other seeds")
+    changes = [(*others, Set(path, value, why=why)) for value in ("1", "2")]
+    for change in changes:
+        template.changed(change, {})
+    try:
+        texts = [template.changed((*change, *per_run), {"seed": 0}).render() for change in changes]
+    except SierraError:  # a platform's changes of the seed may need its other changes
+        return name, path
+    if texts[0] == texts[1]:
+        raise UsageError(f"{why}: {path} {IS_SEED}")
     return name, path
 
 

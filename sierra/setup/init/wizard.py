@@ -8,20 +8,18 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config import extensions
-from sierra.config.output_tables import with_rotation
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
-from sierra.ingest import open_names
 from sierra.setup.init import command, folder, named_files, of_arguments, of_template
 from sierra.setup.init.answers import SHOWN, Ask, Options, Question
+from sierra.setup.init.of_trial import with_findings, with_lacking, with_outputs
 from sierra.setup.init.write import Guess, parsed, write
-from sierra.store.layout import CONFIG, RUN_STDERR, RUN_STDOUT, ProjectPaths, StorePaths
+from sierra.store.layout import CONFIG, ProjectPaths, StorePaths
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -34,17 +32,14 @@ __all__ = [
     "Question",
     "copy_example",
     "find_out",
-    "patterns",
-    "rates",
     "try_run",
+    "with_findings",
     "with_lacking",
+    "with_outputs",
     "write",
 ]
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-LOGS = (RUN_STDERR, RUN_STDOUT)
-LAST = 1 << 14
-"""The number of bytes at the end of a log that are searched for the names of files."""
 
 
 def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
@@ -76,7 +71,7 @@ def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) ->
 
     if guess.doubtful:
         return None
-    if guess.unset:
+    if not guess.can_be_tried:
         of = "template" if guess.template_paths else "command"
         return f"no run was tried, because the {of} has no value for {few(guess.unset, SHOWN)}"
     root = root.resolve()
@@ -87,62 +82,6 @@ def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) ->
         return trial.attempt(plan, run, files, StorePaths(ProjectPaths(root).store), Observer(), show)
     except SierraError as error:
         return f"no run was tried: {error}"
-
-
-def patterns(first: Trial, second: Trial | None = None) -> dict[str, str]:
-    """Return the patterns for tables of rotated files, and of files with another name in each run, by path.
-
-    One run alone shows dates only.
-    """
-    runs = [[file.path for file in one.files if file.table] for one in (first, second) if one is not None]
-    found = {path: with_rotation(path, (file.path for file in first.files)) for path in runs[0]}
-    found |= {path: open_names.with_date(path) or found[path] for path in runs[0] if second is None}
-    found |= open_names.patterns(runs)
-    return {path: pattern for path, pattern in found.items() if pattern != path}
-
-
-def rates(first: Trial, second: Trial, patterns: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    """Return the columns of tables of one row that are 0 in one of two runs and 1 in the other, by the table in the first."""
-    names = {patterns.get(one.path, one.path): str(one.table) for one in first.files if one.table}
-    before = {one.table: one.flags for one in first.files if one.table}
-    found = {}
-    for one in second.files:
-        table = names.get(patterns.get(one.path, one.path))
-        if one.table and table:
-            found[table] = tuple(name for name, value in one.flags.items() if before[table].get(name) == 1 - value)
-    return {table: columns for table, columns in found.items() if columns}
-
-
-def with_outputs(guess: Guess, tried: Trial) -> Guess | None:
-    """Return the guess with the keys that read the tables of a run; None if there are no such tables.
-
-    Without them, the run has failed, because a table has no names in its first line.
-    """
-    found = {}
-    for one in tried.unread:
-        if one.keys:
-            pattern = open_names.with_date(str(one.keys["file"]))
-            name, file = (open_names.name_of(pattern), pattern) if pattern else (one.name, one.keys["file"])
-            found[name] = {**one.keys, "file": file}
-    return replace(guess, outputs={**guess.outputs, **found}) if found else None
-
-
-def with_lacking(root: Path, guess: Guess, tried: Trial) -> Guess | None:
-    """Return the guess with the files that a failed run lacked beside its input; None if it names none of the project."""
-    log = "\n".join(_end(tried.folder / name) for name in LOGS) if tried.folder else ""
-    known = (*guess.files, *guess.template_paths)
-    lacking = named_files.lacking(root.resolve(), log, known, tuple(folder.INTERPRETERS))
-    return replace(guess, files=(*guess.files, *lacking)) if lacking else None
-
-
-def _end(log: Path) -> str:
-    """Return the last words that a program printed."""
-    try:
-        with log.open("rb") as file:
-            file.seek(max(0, file.seek(0, os.SEEK_END) - LAST))
-            return file.read().decode("utf-8", "replace")
-    except OSError:
-        return ""
 
 
 def _without_absent(text: str) -> str:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
-from itertools import count
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,23 +14,31 @@ from sierra.config.change_tables import VALUE
 from sierra.config.output_tables import ROTATION
 from sierra.errors import UsageError
 from sierra.execution.commands import PORT
-from sierra.ingest import open_names
 from sierra.setup.init import folder
 from sierra.setup.init.answers import SHOWN
 from sierra.setup.init.source import found
-from sierra.store.layout import CONFIG
+from sierra.store.layout import CONFIG, RUN_STDOUT
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, few, one_line
 
 if TYPE_CHECKING:
     from sierra.config.output_tables import Keys
-    from sierra.execution.trial import Trial, TriedFile
+    from sierra.execution.trial import Trial
 
 SOURCE = (
     "By default, results depend on all files of this folder, including new files: a change to any file makes all runs new,\n"
     "# and makes executing runs fail. To limit this to your code, use:"
 )
+ENVIRONMENT = "environment:"
+REPEAT = "repeat:"
+"""The beginnings of the place of a variable that is one of the environment, or the number of copies of an item."""
+ABOUT_KEYS = {
+    "rates": "  # columns of 0 and 1 whose mean is a rate; remove those that are counts",
+    "mismatch": "  # the number of rows or the columns differ between runs",
+    "skip": "  # lines above the names of columns",
+}
+"""Comments on keys of outputs."""
 OTHER_FORMATS = (*(ending.lstrip(".") for ending in (*folder.DATA, *folder.TEXTS)), "text")
 quoted = partial(dumps, ensure_ascii=False)
 """Format texts and lists of them as TOML does."""
@@ -73,22 +80,22 @@ class Guess:
     files: tuple[str, ...] = ()
     """Files that lie beside the inputs of runs."""
     outputs: Mapping[str, Keys] = field(default_factory=dict)
-    """The keys of tables that are not read without a declaration."""
-    rates: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """The columns of 0 and 1 by table, as two runs with different seeds have shown."""
-
-    patterns: Mapping[str, str] = field(default_factory=dict)
-    """The patterns for tables of rotated files, and of files with another name in each run, by the path of a file."""
+    """The keys of tables that need a declaration, as tried runs have shown."""
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """Variables of the environment, with placeholders for the inputs."""
+    variable_seed: str = ""
+    """The variable of the environment that gets the seed of each run; empty if there is none."""
 
     @property
     def seeded(self) -> bool:
         """Return True if runs get seeds: by a path, by their command, or by the platform."""
-        return bool(self.seed) or self.platform != "command" or "{seed}" in (self.command or "")
+        own = bool(self.seed or self.variable_seed)
+        return own or self.platform != "command" or "{seed}" in (self.command or "")
 
     @property
     def can_be_tried(self) -> bool:
-        """Return True if a run can be tried: its command is not doubtful, and all values are known."""
-        return not self.doubtful and not self.unset
+        """Return True if a run can be tried: its command is not doubtful, and all variables have values."""
+        return not self.doubtful and (not self.unset or bool(self.tried))
 
     @property
     def template_paths(self) -> tuple[str, ...]:
@@ -113,7 +120,7 @@ def parsed(root: Path, guess: Guess) -> project_file.Project:
 
 def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, project_file.Project]:
     path = root / CONFIG
-    text = "\n".join((*_lines(root, guess), *_declared_outputs(guess), *_outputs(tried, guess))) + "\n"
+    text = "\n".join((*_lines(root, guess, tried), *_outputs(tried, guess), *_declared_outputs(guess))) + "\n"
     try:
         return text.encode(), project_file.parse(tomllib.loads(text), str(path))
     except (UnicodeEncodeError, tomllib.TOMLDecodeError) as error:
@@ -124,10 +131,29 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
 
 def _declared_outputs(guess: Guess) -> Iterator[str]:
     for name, keys in guess.outputs.items():
-        yield f"\n[outputs.{name}]  # its names are not in its first line"
-        yield from (f"{key} = {quoted(value)}" for key, value in keys.items())
-        if columns := guess.rates.get(name):
-            yield _rates(columns)
+        about = _about_file(str(keys["file"]))
+        yield f"\n[outputs.{name}]{about and f'  # {about}'}"
+        for key, value in keys.items():
+            yield f"{key} = {_toml(value)}{ABOUT_KEYS.get(key, '')}"
+        if keys.get("header") is False and "columns" not in keys:
+            yield '# columns = ["time", "x"]  # the file has no names; write one for each column'
+
+
+def _about_file(file: str) -> str:
+    """Return a few words about the files of a table; "" for a single file."""
+    if file == RUN_STDOUT:
+        return "the lines that the program prints"
+    if file.endswith(ROTATION):
+        return "all parts of the file, the oldest rows first"
+    if "{robot}" in file:
+        return "a file of each robot; statistics take the mean of a run's robots"
+    return "each run gives its file another name" if "*" in file else ""
+
+
+def _toml(value: object) -> str:
+    """Return a value as TOML; a regular expression is not escaped."""
+    literal = isinstance(value, str) and "\\" in value and "'" not in value and value.isprintable()
+    return f"'{value}'" if literal else quoted(value)
 
 
 def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
@@ -145,58 +171,19 @@ def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
     if len(tried.files) > SHOWN:
         yield f"#   and {len(tried.files) - SHOWN} more"
     for unread in tried.unread:
-        if unread.keys:
+        if unread.keys and unread.name not in guess.outputs:
             yield "# These files become a table only if they are declared:"
             yield f"# [outputs.{unread.name}]"
-            yield from (f"# {key} = {quoted(value)}" for key, value in unread.keys.items())
-    given = {*guess.patterns, *(str(keys["file"]) for keys in guess.outputs.values())}
-    first = next((one for one in tried.files if one.table and one.path not in given), None)
-    if first is not None:
-        time = _time(first)
+            yield from (f"# {key} = {_toml(value)}" for key, value in unread.keys.items())
+    first = next((file for file in tried.files if file.table and file.table not in guess.outputs), None)
+    if first is not None and not guess.outputs:
         yield "# Such tables need no declaration. To set a time axis, units or required rows:"
         yield f"# [outputs.{first.table}]"
         yield f"# file = {quoted(one_line(first.path))}"
-        yield f"# time = {quoted(time)}" if time else '# units = { distance = "m" }'
-    yield from _declarations(tried, guess)
+        yield f"# time = {quoted(first.time)}" if first.time else '# units = { distance = "m" }'
 
 
-def _declarations(tried: Trial, guess: Guess) -> Iterator[str]:
-    """Yield the declarations of tables of rotated files, of files with another name in each run, and of tables with rates."""
-    names: dict[str, str] = {}
-    for one in tried.files:
-        pattern, columns = guess.patterns.get(one.path), guess.rates.get(one.table or "", ())
-        if one.table in (None, *guess.outputs) or not (pattern or columns) or pattern in names:
-            continue
-        name, why = one.table, ""
-        if pattern and pattern.endswith(ROTATION):
-            why = "  # all parts of the file, the oldest rows first"
-        elif pattern:
-            why = "  # each run gives its file another name"
-            wanted = open_names.name_of(pattern)
-            name = names[pattern] = next(
-                free
-                for n in count(1)
-                if (free := f"{wanted}_{n}" if n > 1 else wanted) not in {*names.values(), *guess.outputs}
-            )
-        yield f"\n[outputs.{name}]{why}"
-        yield f"file = {quoted(pattern or one_line(one.path))}"
-        if columns:
-            yield _rates(columns)
-
-
-def _rates(columns: Sequence[str]) -> str:
-    return f"rates = {quoted(list(columns))}  # columns of 0 and 1 whose mean is a rate; remove those that are counts"
-
-
-def _time(table: TriedFile) -> str | None:
-    """Return the time axis of a table by the rule of figures: the first column, if it has numbers and the name of a time."""
-    from sierra.store.samples import names_time
-
-    name, kind = next(iter(table.columns.items()), ("", ""))
-    return name if names_time(name) and kind != "text" else None
-
-
-def _lines(root: Path, guess: Guess) -> Iterator[str]:
+def _lines(root: Path, guess: Guess, tried: Trial | None) -> Iterator[str]:
     yield "# The experiments that SIERRA runs. For all keys: sierra schema sierra.toml"
     yield from _inputs(guess)
     if guess.command:
@@ -205,8 +192,9 @@ def _lines(root: Path, guess: Guess) -> Iterator[str]:
     yield from _seed(guess)
     yield "runs = 10  # per experiment\n"
     yield from _variables(guess)
-    if guess.module_path:
-        yield f"\n[environment]\nset = {{ PYTHONPATH = {quoted(guess.module_path)} }}"
+    variables = {**({"PYTHONPATH": guess.module_path} if guess.module_path else {}), **guess.environment}
+    if variables:
+        yield f"\n[environment]\nset = {{ {', '.join(f'{name} = {quoted(text)}' for name, text in variables.items())} }}"
     for name in dict.fromkeys(PORT.findall(guess.command or "")):
         yield f"\n# [services.{name}]  # a program that runs beside each run; declare it before the first run"
         yield f"# command = {quoted('./server --port {port}')}"
@@ -215,7 +203,7 @@ def _lines(root: Path, guess: Guess) -> Iterator[str]:
         yield "\n[source]  # the code that results depend on; changes to other files make no new runs"
         yield f"paths = {quoted(guess.source)}"
     else:
-        code, left_out = found(root, guess.template_paths)
+        code, left_out = found(root, guess.template_paths, tried)
         proposed = code if 0 < len(code) <= SHOWN else ("src", "sim.py")
         without = f"  # not {few(left_out, SHOWN)}" if left_out else ""
         yield f"\n# {SOURCE}\n# [source]\n# paths = {quoted(proposed)}{without}"
@@ -247,7 +235,9 @@ def _about_command(guess: Guess) -> str:
 
 
 def _seed(guess: Guess) -> Iterator[str]:
-    if guess.seed:
+    if guess.variable_seed:
+        yield f"seed = {{ environment = {quoted(guess.variable_seed)} }}  # the variable of the environment that gets it"
+    elif guess.seed:
         yield f"seed = {quoted(guess.seed)}  # an XPath: where the seed of each run goes"
     elif guess.platform == "command" and "{seed}" not in (guess.command or ""):
         yield f"# seed = {_example(guess, '//@seed', '/seed', '--seed {value}')}  # where the seed of each run goes"
@@ -283,7 +273,11 @@ def _variables(guess: Guess) -> Iterator[str]:
 
 
 def _declared(name: str, place: str) -> str:
-    """Return a variable as TOML: a path, words of the command, or nothing if the command has the variable."""
+    """Return a variable as TOML: a path, words, or a variable of the environment; nothing if the command has it."""
     if place == f"{{{name}}}":
         return "{}"
+    if place.startswith(REPEAT):
+        return f"{{ repeat = {quoted(place.removeprefix(REPEAT))} }}"
+    if place.startswith(ENVIRONMENT):
+        return f"{{ environment = {quoted(place.removeprefix(ENVIRONMENT))} }}"
     return f"{{ argument = {quoted(place)} }}" if VALUE in place else quoted(place)

@@ -158,7 +158,7 @@ def test_write_declares_tables_in_subfolders_and_one_table_of_many_files(tmp_pat
     assert quick(tmp_path, *QUERY).returncode == 0
     written = quick(tmp_path, "outputs", "--write")
     assert written.returncode == 0, written.stderr
-    assert "the next sierra run makes tables of files that were none; it executes nothing again for that\n" in written.stdout
+    assert "the next sierra run reads the files of new tables again; it executes nothing again for that\n" in written.stdout
     assert "not a table: log.bin: no reader takes .bin files\n" in written.stdout
     assert "end/" not in written.stdout
     assert tomllib.loads((tmp_path / "sierra.toml").read_text())["outputs"] == {

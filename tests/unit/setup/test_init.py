@@ -218,7 +218,6 @@ def test_invalid_options_are_reported_and_no_file_is_written(folder: Path) -> No
         (["--variable", "my speed=//noise"], "is not a name of letters, digits and _"),
         (["--variable", "my.speed=//noise"], "is not a name of letters, digits and _"),
         (["--variable", "experiment=//noise"], "is a column of the store"),
-        (["--variable", "controller=//noise"], "use another name, such as my_controller"),
         (["--variable", "x=//noise", "--variable", "X=//swarm/@count"], "this name is used already"),
         (["--variable", "x=//random/@seed"], "gets the seed; vary something else"),
         (["--source", "../p"], "there is no '../p'"),

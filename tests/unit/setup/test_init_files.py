@@ -108,13 +108,13 @@ def test_a_file_that_the_tried_run_lacks_is_declared_and_the_run_tried_again(fol
 
 
 @pytest.mark.integration
-def test_a_run_that_fails_for_another_reason_leaves_no_sierra_toml(folder: Path) -> None:
+def test_a_run_that_fails_for_another_reason_leaves_a_file_to_correct(folder: Path) -> None:
     (folder / "model.py").write_text(MODEL + "open('noise.dat')\n")  # a run cannot find it in its working directory
     (folder / "noise.dat").write_text("1\n")
     done = quick(folder, "init", "-y", "--command", COMMAND)
     assert done.returncode == 1
-    assert "no sierra.toml was written, because a run failed: exit status 1" in done.stderr
-    assert not (folder / "sierra.toml").exists()
+    assert "failed: exit status 1; its standard error is .sierra/try/run/stderr (correct sierra.toml" in done.stderr
+    assert settings(folder)["files"] == ["maps/arm.stl"]
 
 
 def test_names_of_templates_differ_and_are_no_prefixes_of_xml(tmp_path: Path) -> None:

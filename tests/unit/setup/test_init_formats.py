@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from tests.projects import quick, start
-from tests.unit.setup.test_init import answering
 from tests.waiting import until
 
 PARSE = {
@@ -91,31 +90,20 @@ def test_a_tried_run_is_shown_and_described_in_comments(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_run_that_fails_leaves_no_sierra_toml(tmp_path: Path) -> None:
+def test_a_run_that_fails_leaves_a_file_to_correct(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     (folder / "model.py").write_text("import sys\nprint('no map', file=sys.stderr)\nsys.exit(4)\n")
     done = quick(folder, "init", "-y", *GIVEN)
     assert done.returncode == 1
     place = "its standard error is .sierra/try/run/stderr"
-    said = f"no sierra.toml was written, because a run failed: exit status 4; {place} (--no-try writes it nevertheless)\n"
-    assert said in done.stderr
+    said = f"failed: exit status 4; {place} (correct sierra.toml, then: sierra try)\n"
+    assert done.stderr.endswith(said)
     assert (folder / ".sierra/try/run/stderr").read_text() == "no map\n"
     assert "no map\n" in done.stderr
-    assert not (folder / "sierra.toml").exists()
+    written = (folder / "sierra.toml").read_bytes()
+    (folder / "sierra.toml").unlink()
     assert quick(folder, "init", "-y", *GIVEN, "--no-try").returncode == 0
-    assert (folder / "sierra.toml").exists()
-
-
-@pytest.mark.integration
-@pytest.mark.each_case
-@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 1)])
-def test_on_a_terminal_the_user_decides_about_a_run_that_failed(tmp_path: Path, answer: str, code: int) -> None:
-    folder = make(tmp_path / "project", "json")
-    (folder / "model.py").write_text("import sys\nsys.exit(4)\n")
-    ended, said = answering(folder, "", "", "", "", answer)
-    assert "the run failed; write sierra.toml nevertheless?" in said
-    assert ended == code
-    assert (folder / "sierra.toml").exists() == (code == 0)
+    assert (folder / "sierra.toml").read_bytes() == written
 
 
 @pytest.mark.nightly
@@ -147,10 +135,10 @@ def test_a_guessed_command_that_fails_is_not_written(tmp_path: Path, words: tupl
     done = quick(folder, "init", *words)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == (
-        "sierra: no sierra.toml was written, because a run of 'python3 model.py {input}' failed: exit status 4; "
-        "its standard error is .sierra/try/run/stderr (--no-try writes it nevertheless)"
+        "sierra: a run of 'python3 model.py {input}' failed: exit status 4; "
+        "its standard error is .sierra/try/run/stderr (correct sierra.toml, then: sierra try)"
     )
-    assert not (folder / "sierra.toml").exists()
+    assert settings(folder)["command"] == "python3 model.py {input}"
 
 
 def test_nothing_is_executed_with_no_try(tmp_path: Path) -> None:
@@ -216,7 +204,7 @@ def test_placeholders_without_a_value_are_all_variables(tmp_path: Path) -> None:
     (folder / "world.txt").write_text("robots {{count}} seed {{seed}} speed {{speed}}\n")
     done = quick(folder, "init", "-y", *GIVEN)
     assert done.returncode == 0
-    assert "no run was tried, because the template has no value for /count, /speed" in done.stderr
+    assert "run        count=1 speed=1, seed " in done.stdout
     assert sorted(settings(folder)["variables"].values()) == ["/count", "/speed"]
     text = (folder / "sierra.toml").read_text()
     assert '# changes = [{ set = "/count", value = 1 }, { set = "/speed", value = 1 }]' in text
