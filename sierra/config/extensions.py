@@ -21,6 +21,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "inputs": {".argos": "xml"},
         "starts": {".argos": "argos"},
         "variables": {"ARGOS_PLUGIN_PATH": "libraries"},
+        "examples": {"argos": "examples/argos"},
     },
     "explorer": {
         "commands": {"explore": "command:explore", "open explore": "command:explore"},
