@@ -139,6 +139,12 @@ def test_a_run_with_an_error_in_the_script_fails(imitated: Path) -> None:
     assert '[FATAL] Error calling "step"' in done.stdout + done.stderr
 
 
+def replace(path: Path, before: str, after: str) -> None:
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after))
+
+
 @pytest.fixture
 def real(demo: Path, require: Callable[..., str]) -> Path:
     """Return the example, whose runs use the ARGoS of this machine."""
@@ -178,9 +184,7 @@ def test_a_larger_swarm_collects_more_in_argos_and_its_replay_is_identical(real:
     ],
 )
 def test_a_run_with_an_error_in_the_script_fails_in_argos(real: Path, before: str, after: str, message: str) -> None:
-    script = (real / "forage.lua").read_text()
-    assert before in script
-    (real / "forage.lua").write_text(script.replace(before, after))
+    replace(real / "forage.lua", before, after)
     done = projects.quick(real, "run", "population_size=2", "--runs", "1", "--no-figures")
     assert (done.returncode, message in done.stdout + done.stderr) == (1, True), done
 
@@ -192,3 +196,17 @@ def test_criteria_of_the_platform_vary_the_example_in_argos(real: Path) -> None:
     assert (summary["executed"], summary["failed"]) == (2, 0)
     reached = "SELECT population_constant_density AS n, max(abs(x)) > 2 AS beyond FROM foragers GROUP BY n ORDER BY n"
     assert projects.sql(real, reached) == [{"n": 8, "beyond": False}, {"n": 18, "beyond": True}]
+
+
+@pytest.mark.real
+@pytest.mark.nightly
+def test_argos_accepts_shared_arenas_and_inputs_without_devices(real: Path) -> None:
+    replace(real / "forage.argos", "</sensors>", '<range_and_bearing implementation="medium" medium="rab"/></sensors>')
+    replace(real / "forage.argos", "</media>", '<range_and_bearing id="rab"/></media>')
+    options = "libraries = [], physics_engines = 4, physics_iterations = 20, spatial_hash = { cell_size = 0.2, cell_num = 100 }"
+    replace(real / "sierra.toml", "libraries = []", f'{options}, remove_devices = ["range_and_bearing"]')
+    summary, _ = projects.run(real, "population_size=8", "--runs", "2")
+    assert (summary["executed"], summary["failed"]) == (2, 0)
+    assert projects.values(real, "SELECT count(*) AS n FROM foragers GROUP BY run") == {8 * len(TICKS)}
+    replayed = projects.quick(real, "replay", summary["batch"])
+    assert (replayed.returncode, "identical (2 runs: 2 identical)" in replayed.stdout) == (0, True), replayed.stderr
