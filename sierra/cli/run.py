@@ -433,7 +433,7 @@ def _check_log(plan: Plan) -> None:
     log = plan.seen.named(STDERR)
     if log is not None:
         raise UsageError(
-            f"output is redirected into the project ({log}), which would change its source and make all runs fail; "
+            f"output is redirected into the project ({log}), which would change its source and may make runs fail; "
             f"redirect it elsewhere, or let git ignore it ({plan.seen.advice([os.fsencode(log)])})"
         )
 

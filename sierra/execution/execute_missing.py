@@ -23,9 +23,9 @@ from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.execution.supervised.conduct import UNATTENDED, Conduct
 from sierra.ingest import shared_use
+from sierra.ingest.changed_files import Doubt
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import reevaluate
-from sierra.ingest.success import Doubt
 from sierra.model import Batch, Run
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner
@@ -302,11 +302,10 @@ class Executor:
         return self._doubted
 
     def _is_enough(self) -> bool:
-        """Check whether to execute no more runs. Observed runs go on while they do not use the files that have changed."""
-        failed = bool(self.failed or self._tally.failed)
-        if self._doubted is None:
-            return self._options.fail_fast and failed
-        return failed or self._doubted.files is None or self.plan.project.config.observe != "all"
+        """Check whether to execute no more runs. Runs go on while none is known to have used the files that have changed."""
+        if self._tally.doubted or (self._doubted is not None and self._doubted.files is None):
+            return True
+        return self._options.fail_fast and bool(self.failed or self._tally.failed)
 
     def _inputs(self, wanted: AbstractSet[str], batch: Batch | None = None) -> Iterator[tuple[Run, Files]]:
         """Yield these runs with their input files, each run once, in the order of this batch; default: that of the plan."""

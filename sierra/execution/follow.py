@@ -131,7 +131,7 @@ class _Following:
             alive = look.alive
             if alive and len(look.results) < MANY:
                 time.sleep(WATCHED_S if look.watched else POLL_S)
-        self._flush()
+        self._flush(last=True)
         if self.left:
             self._session.leave()
         self._tally.report(0)
@@ -160,9 +160,10 @@ class _Following:
         for text in look.notes:
             self._tally.observer.notice(text)
 
-    def _flush(self) -> None:
-        for run, status, _ in self._recorder.flush():
+    def _flush(self, *, last: bool = False) -> None:
+        for run, status, _ in self._recorder.flush(last=last):
             self._tally.ended(run, status)
+        self._tally.doubted |= self._recorder.doubted
 
     @contextlib.contextmanager
     def _giving_up(self) -> Iterator[None]:

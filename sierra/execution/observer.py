@@ -76,6 +76,8 @@ class Tally:
         """Status of each run that has ended. It may change later, if recording finds a problem."""
         self.failed: set[str] = set()
         """The runs that have ended without success."""
+        self.doubted = False
+        """True if runs have failed because files of the source have changed meanwhile."""
         self._failed_before = failed
         self._seconds: Mapping[str, float] = {}
         self._done_s = self._all_s = 0.0

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from sierra.errors import Damaged, DamagedFile, Missing, SierraError
 from sierra.execution import sessions, unrecorded
 from sierra.execution.observer import Observer
+from sierra.ingest.changed_files import Doubt
 from sierra.ingest.recording_context import Context
 from sierra.model import LateFiles, Result, Status
 from sierra.runners.journal_reader import Event, Journal, Row, Started
@@ -125,7 +126,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
         return 0
     context = Context.load(paths.context)
     recorded = set(store.values(str, "SELECT execution FROM executions WHERE session = $s", s=context.session))
-    recorder = Recorder(store, paths, context)
+    recorder = Recorder(store, paths, context, doubt=lambda: _doubt(paths))
     missing = [result for result in results if result.execution not in recorded]
     new = {result.execution for result in missing}
     rows = [(event.table, event.row) for event in events if isinstance(event, Row)]
@@ -136,6 +137,11 @@ def recover(store: Store, paths: SessionPaths) -> int:
     # nobody compares runs that may share a file any more
     find_odd(store, paths, context, min(recorder.lost, _lost(events)), settle=True)
     return sum(status is not Status.INTERRUPTED for status in added)
+
+
+def _doubt(paths: SessionPaths) -> Doubt | None:
+    """Return the doubt that the session itself has noted; nobody knows which files changed later, so it concerns all."""
+    return Doubt(paths.doubt.read_text()) if paths.doubt.is_file() else None
 
 
 def _lost(events: Iterable[Event]) -> float:

@@ -143,7 +143,7 @@ def plan(
         outputs=config.outputs,
         success=config.success,
         readers=readers,
-        seen=guard(root, b"" if checkout else code.manifest, executed),
+        seen=guard(root, b"" if checkout else code.manifest, executed, code.listed, code.since),
         shared_files=beside,
         build=built,
         lacking=lacking,

@@ -25,9 +25,10 @@ from sierra.execution.observer import Tally
 from sierra.execution.project_source import not_in_checkouts
 from sierra.execution.sessions import Session
 from sierra.execution.supervised.watched_runner import WatchedRunner
+from sierra.ingest.changed_files import Doubt
+from sierra.ingest.observations import recorded_name
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
-from sierra.ingest.success import Doubt
 from sierra.model import Helps, Job, Limits, Run, RunSpec, Times
 from sierra.provenance import environment, tracer
 from sierra.provenance.change_guard import ChangeGuard
@@ -114,7 +115,20 @@ class Service:
         """Return why results cannot be attributed to the programs or the image at the start; None if nothing has changed."""
         if reason := self.isolation.doubt():
             return Doubt(reason)
-        return Doubt(reason, files.changed_source()) if (reason := files.doubt()) else None
+        if (reason := files.doubt()) is None:
+            return None
+        changed = files.changed_source() if self._is_observed() else None
+        names = None if changed is None else self._named(changed, files.programs)
+        absent = frozenset(names[path] for path, is_other in (changed or {}).items() if is_other) if names else frozenset()
+        is_shared = any(service.shared for service in self._setup.spec.around.services)  # it may have read files for any run
+        return Doubt(reason, None if names is None else frozenset(names.values()), absent, by_siblings=not is_shared)
+
+    def _named(self, paths: Iterable[str], programs: Programs) -> dict[str, str] | None:
+        """Return the names of files in records of observed runs; None if such records leave out one of them."""
+        from sierra.worker.file_trace import Names
+
+        names = Names(self._folders(programs))
+        return None if any(map(names.left_out, paths)) else {path: recorded_name(names.name(path)) for path in paths}
 
     def execute(
         self,
@@ -209,17 +223,21 @@ class Service:
         affordable: Mapping[int, float],
     ) -> Iterable[Job]:
         """Return the jobs; those that are to be observed have the folders that names of files refer to (see `choose`)."""
-        project = self._setup.project
         if not self._is_observed():
             return (job for _, job in jobs)
+        helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
+        named = self._folders(programs)
+        return choose_runs.choose(jobs, batch, self._setup.project.config, named, helps, begun, affordable)
+
+    def _folders(self, programs: Programs) -> dict[str, str]:
+        """Return the folders that names of observed files refer to."""
+        project = self._setup.project
         named = {name: str(folder) for name, folder in folders(self._setup.root, programs, self._search()).items()}
         named["store"] = str(self._store.paths.root.resolve())
         root = str(project.root.resolve())
         if root != named["project"]:
             named["project:given"] = root  # links in a checkout may lead there
-        named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
-        helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
-        return choose_runs.choose(jobs, batch, project.config, named, helps, begun, affordable)
+        return named | {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
 
     def _is_observed(self) -> bool:
         """Return whether runs may be observed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import posixpath
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NotRequired, TypedDict, cast
@@ -46,10 +47,19 @@ class Observed:
     """Hashes of files by the worker, as `HashCache.learn` accepts them; empty if they are of another machine."""
 
     def concerned(self, changed: Collection[str]) -> bool:
-        """Check whether the execution may have used one of these files, or that is unknown."""
+        """Check whether the execution may have used one of these files, or that is unknown.
+
+        If a listed folder has the name of a changed file, the execution has seen the name that was there before.
+        """
         if self.observation.reason is not None:
             return True
-        return not ({row.path for row in self.read} | {row.path for row in self.written}).isdisjoint(changed)
+        if not ({row.path for row in self.read} | {row.path for row in self.written}).isdisjoint(changed):
+            return True
+        names = {row.sha256: frozenset(row.names) for row in self.listings}
+        listed = {row.path: names.get(row.sha256 or "", frozenset()) for row in self.read if row.use == "listed"}
+        return any(
+            posixpath.basename(path) not in listed[folder] for path in changed if (folder := posixpath.dirname(path)) in listed
+        )
 
 
 def observed(result: Result) -> Observed | None:
@@ -57,15 +67,15 @@ def observed(result: Result) -> Observed | None:
     found = _record(result)
     if found is None:
         return None
-    files = [(_text(name), use, sha256, size) for name, use, sha256, size in found["files"]]
+    files = [(recorded_name(name), use, sha256, size) for name, use, sha256, size in found["files"]]
     identity = file_set(files)
-    lists = (list(map(_text, texts)) for texts in (found["notes"], found["distributions"]))
+    lists = (list(map(recorded_name, texts)) for texts in (found["notes"], found["distributions"]))
     return Observed(
         ObservationRow(result.execution, identity, found["method"], found["reason"], *lists),
         tuple(FileReadRow(identity, *file) for file in files),
-        tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found.get("listings", {}).items()),
-        tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),
-        tuple(ChannelRow(result.execution, _text(name), use) for name, use in found.get("channels", ())),
+        tuple(ListingRow(sha256, list(map(recorded_name, names))) for sha256, names in found.get("listings", {}).items()),
+        tuple(FileWrittenRow(result.execution, recorded_name(name), use) for name, use in found["written"]),
+        tuple(ChannelRow(result.execution, recorded_name(name), use) for name, use in found.get("channels", ())),
         found.get("digests", {}) if result.host == os.uname().nodename else {},
     )
 
@@ -83,13 +93,13 @@ def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
 
 def written(result: Result) -> tuple[str, ...]:
     """Return the names of all files that an execution is known to have written, but not among its outputs."""
-    own = tuple(map(_text, result.elsewhere))
+    own = tuple(map(recorded_name, result.elsewhere))
     found = _record(result)
     if found is None:
         return own
-    return (*own, *(_text(name) for name, use in found["written"] if use == WRITTEN))
+    return (*own, *(recorded_name(name) for name, use in found["written"] if use == WRITTEN))
 
 
-def _text(name: str) -> str:
+def recorded_name(name: str) -> str:
     """Return a name in which escapes replace bytes that are not UTF-8."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import volatile_and_rates
 from sierra.containers import engines
-from sierra.ingest import astray, compare_observations, compare_robots, shared_use, standard_output, stderr
+from sierra.ingest import astray, changed_files, compare_observations, compare_robots, shared_use, standard_output, stderr
+from sierra.ingest.changed_files import UNOBSERVED, Doubt
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -23,7 +24,7 @@ from sierra.ingest.observations import WRITTEN, observed, written
 from sierra.ingest.read_into_segment import TableIngest, file_rows, recorded_names, tabled
 from sierra.ingest.recording_context import Context
 from sierra.ingest.silent_runs import SilentRuns
-from sierra.ingest.success import Doubt, Judgement, doubted, judge
+from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import LateFiles, OutputFile, Result, Status
 from sierra.provenance.hash_cache import HashCache
@@ -43,7 +44,7 @@ from sierra.store.row_types import (
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.store.views import INVALID_TRIAL
-from sierra.util.fs import inside
+from sierra.util.fs import inside, write_whole
 from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import kept_of
@@ -108,6 +109,12 @@ class Recorder:
         self.context = context
         self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
+        self._waiting: list[Judgement] = []
+        """Unobserved executions of which only observed ones can tell whether they used files that have changed."""
+        self._by_siblings: dict[str, str] = {}
+        """Executions that count because of observed ones, with their runs."""
+        self.doubted = False
+        """True if executions have failed because files have changed."""
         self._other_rows: dict[str, list[Mapping[str, RecordValue]]] = {}
         self._parts: dict[str, list[tuple[str, Mapping[str, RecordValue]]]] = {}
         """The rows of `WITH_EXECUTION` that are not recorded yet, with their tables, by execution."""
@@ -197,21 +204,72 @@ class Recorder:
         many = len(self._pending) >= PENDING_RUNS or self._bytes >= PENDING_BYTES
         return bool(self._pending) and (many or now - self._flushed >= patience)
 
-    def flush(self) -> list[tuple[str, Status, str]]:
+    def flush(self, *, last: bool = False) -> list[tuple[str, Status, str]]:
         """Write everything pending; return the run, status and reason of each execution that is not successful.
 
+        If files have changed, executions that were not observed may wait for those that are, at most until the `last` call.
         Raises Missing if the disk is full or read-only; then nothing is lost.
         """
         self._flushed = time.monotonic()
-        if not (self._pending or self._other_rows or self._copies):
-            self._record_late()
-            return []
+        doubt = self._doubt() if self._pending or self._waiting else None
+        if doubt is not None:
+            self._note(doubt)
+            self._pending = list(self._by_observation(doubt))
+        failed = self._record_pending() if self._pending or self._other_rows or self._copies else []
+        if doubt is not None and self._waiting:
+            self._pending, self._waiting = self._by_others(doubt, last=last)
+            failed += self._record_pending() if self._pending else []
+        if doubt is not None and last:
+            failed += self._failed_since(doubt)
+        self._record_late()
+        return failed
+
+    def _note(self, doubt: Doubt) -> None:
+        """Note a doubt for another process that may have to record the rest of the session."""
+        if not self._session.doubt.exists():
+            write_whole(self._session.doubt, doubt.reason.encode("utf-8", "backslashreplace"))
+
+    def _by_observation(self, doubt: Doubt) -> Iterator[Judgement]:
+        """Yield the judgements of pending executions that are decided; keep the others waiting."""
+        for pending in self._pending:
+            decided = changed_files.by_observation(pending, doubt)
+            if decided is None:
+                self._waiting.append(pending)
+                continue
+            self.doubted |= decided is not pending
+            yield decided
+
+    def _by_others(self, doubt: Doubt, *, last: bool) -> tuple[list[Judgement], list[Judgement]]:
+        """Return the judgements of waiting executions that recorded ones decide, and the executions that go on waiting."""
+        counts = changed_files.by_siblings(self._store, self.context, {waiting.result.run for waiting in self._waiting}, doubt)
+        judged, waiting = [], []
+        for pending in self._waiting:
+            verdict = counts.get(pending.result.run)
+            if verdict:
+                self._by_siblings[pending.result.execution] = pending.result.run
+                judged.append(pending)
+            elif verdict is None and not last:
+                waiting.append(pending)
+            else:
+                self.doubted = True
+                judged.append(doubt.failed(pending, UNOBSERVED if verdict is None else ""))
+        return judged, waiting
+
+    def _failed_since(self, doubt: Doubt) -> list[tuple[str, Status, str]]:
+        """Record findings about executions that do not count any more, because others of their experiments used the files."""
+        counts = changed_files.by_siblings(self._store, self.context, set(self._by_siblings.values()), doubt)
+        failed = {execution: run for execution, run in self._by_siblings.items() if not counts.get(run)}
+        if failed:
+            self.doubted = True
+            changed_files.record_findings(self._store, self._session, self.context, failed, doubt.reason)
+        return [(run, Status.FAILED, doubt.reason) for run in failed.values()]
+
+    def _record_pending(self) -> list[tuple[str, Status, str]]:
+        """Write everything pending; return the run, status and reason of each execution that is not successful."""
         writer = self._store.writer(self._session.segment, self.context.batch)
         for table, rows in self._other_rows.items():
             writer.rows(table, rows)
         writer.records(self._compared())
-        if (doubt := self._doubt()) is not None:
-            self._pending = [doubted(one, doubt) for one in self._pending]
         judged = self._write(writer)
         judged = [self._marked(one) for one in judged]
         self._write_parts(writer, judged)
@@ -221,7 +279,6 @@ class Recorder:
             self._put_away(one.result)
         self._pending, self._bytes = [], 0
         self._other_rows, self._copies = {}, []
-        self._record_late()
         return [(one.result.run, one.status, one.reason or "") for one in judged if not one.status.is_result]
 
     def _compared(self) -> Iterator[DuplicateRow]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from sierra.config.output_tables import Output, Success
 from sierra.ingest import astray, robot_files, stderr
 from sierra.ingest.match_outputs import claimed_twice
-from sierra.ingest.observations import observed
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass
@@ -33,25 +32,6 @@ class Judgement:
     status: Status
     reason: str | None
     """The reason why it is not successful; of an accepted end, this end."""
-
-
-@dataclass(frozen=True, slots=True)
-class Doubt:
-    """The reason why results may not belong to the code, the programs or the image of their session."""
-
-    reason: str
-    files: frozenset[str] | None = None
-    """The files that have changed, as in the table `files_read`; None if the doubt concerns every execution."""
-
-
-def doubted(one: Judgement, doubt: Doubt) -> Judgement:
-    """Return the judgement as failed because of the doubt, if it is a result and may have used what has changed."""
-    if not one.status.is_result:
-        return one
-    seen = observed(one.result) if doubt.files is not None else None
-    if seen is not None and doubt.files is not None and not seen.concerned(doubt.files):
-        return one
-    return Judgement(one.result, Status.FAILED, doubt.reason)
 
 
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:

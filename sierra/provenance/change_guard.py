@@ -10,23 +10,22 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from sierra.errors import Missing
-from sierra.model import IN_PROJECT
-from sierra.provenance.dependency_model import Kind, Programs
+from sierra.provenance.dependency_model import NOTHING, Kind, Programs
 from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import REPOSITORY, parts, read
+from sierra.provenance.source.manifest import REPOSITORY, is_blob, parts, read
+from sierra.provenance.source.plain_tree import ListedFile, State, state_of
 from sierra.provenance.source.selection import shown
 from sierra.util.hashing import CHUNK
-from sierra.util.lazy_definitions import dataclass, field
+from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.regular_files import open_regular
-
-State = tuple[int, int, int, int] | None
-"""Both times, the size and the inode of a file; None if there is no file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +39,7 @@ class ChangeGuard:
     """The files of the source, relative to the project's folder."""
     contents: Mapping[bytes, str] = field(default_factory=dict)
     """The hashes of files by path: git's, or the SHA-256 of those that are programs."""
+    programs: Programs = NOTHING
 
     def doubt(self, since: str = "since the runs began") -> str | None:
         """Return one line that names the changed files, or None if nothing has changed.
@@ -47,12 +47,12 @@ class ChangeGuard:
         A file that has the same content again may have had another one meanwhile. It is named only if there is no other one.
         """
         paths = self.changed()
-        certain = [path for path in paths if not self._has_content(path)]
+        certain = [path for path in paths if not self.has_content(path)]
         names = [path.removeprefix(self.root + b"/") for path in certain or paths]
         have = "have changed" if certain else "may have changed, as their times say,"
         return f"code or programs {have} {since}: {shown(names)} ({self.advice(names)})" if names else None
 
-    def _has_content(self, path: bytes) -> bool:
+    def has_content(self, path: bytes) -> bool:
         """Check whether a file has the content that it had."""
         known = self.contents.get(path, "")
         try:
@@ -63,6 +63,18 @@ class ChangeGuard:
         except (Missing, OSError):
             return False
 
+    def has_lost(self, path: bytes, blob: str, since: int) -> bool:
+        """Check whether a file that was written after `since`, or is gone, lacks the content with git's hash `blob`."""
+        state = self.states[path]
+        if state is not None and max(state[:2]) < since:
+            return False
+        try:
+            if stat.S_ISLNK(os.lstat(path).st_mode):  # the file that it leads to is checked if it belongs to the source
+                return not is_blob(os.readlink(path), blob)  # noqa: PTH115 - bytes
+        except OSError:
+            return True
+        return not self.has_content(path)
+
     def _committed(self, path: bytes) -> str | None:
         """Return git's hash of what it would commit of a file, which it may convert; None outside git."""
         root = Path(os.fsdecode(self.root))
@@ -70,15 +82,18 @@ class ChangeGuard:
 
     def changed(self) -> list[bytes]:
         """Return the absolute paths of the changed files."""
-        return [path for path, state in self.states.items() if _state(path) != state]
+        return [path for path, state in self.states.items() if state_of(path) != state]
 
-    def changed_source(self) -> frozenset[str] | None:
-        """Return the changed files as `{project}/…` if all of them are source and exist; None otherwise."""
+    def changed_source(self) -> dict[str, bool] | None:
+        """Return the absolute paths of the changed files if all of them are source; None otherwise.
+
+        Each is True if a file of this name may have been absent for a time, because it is another file now, or there is none.
+        """
         changed = self.changed()
         names = [path.removeprefix(self.root + b"/") for path in changed]
-        if not frozenset(self.source).issuperset(names) or None in map(_state, changed):
+        if not frozenset(self.source).issuperset(names):
             return None
-        return frozenset(IN_PROJECT + os.fsdecode(name) for name in names)
+        return {os.fsdecode(path): not _is_same_file(self.states[path], state_of(path)) for path in changed}
 
     def advice(self, names: Iterable[bytes]) -> str:
         """Return advice for the case that the changed files are not code."""
@@ -99,16 +114,32 @@ class ChangeGuard:
 def guard_file(path: Path) -> ChangeGuard:
     """Return a guard for one file in its current state."""
     name = os.fsencode(path)
-    return ChangeGuard({name: _state(name)}, b"")
+    return ChangeGuard({name: state_of(name)}, b"")
 
 
-def guard(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
-    """Return a guard for the files of a manifest (none if it is empty) in the folder `root`, and for the programs."""
+def guard(
+    root: Path,
+    manifest: bytes,
+    programs: Programs,
+    listed: Mapping[bytes, ListedFile] = MappingProxyType({}),
+    since: int | None = None,
+) -> ChangeGuard:
+    """Return a guard for the files of a manifest (none if it is empty) in the folder `root`, and for the programs.
+
+    The files may have changed since the manifest was made. `listed` has their states of that time. Without them, a file that
+    was written after `since` is changed unless it has the content that the manifest names.
+    """
     base = os.fsencode(root)
     paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
-    files = {base + b"/" + path: parts(what)[1] for path, what in read(manifest).items()}
-    files |= {os.fsencode(one.path): one.sha256 for one in programs.all}
-    return ChangeGuard({path: _state(path) for path in paths}, base, tuple(read(manifest)), files)
+    blobs = {base + b"/" + path: parts(what)[1] for path, what in read(manifest).items()}
+    files = blobs | {os.fsencode(one.path): one.sha256 for one in programs.all}
+    before = {base + b"/" + path: file.state for path, file in listed.items()}
+    states = {path: before[path] if path in before else state_of(path) for path in paths}
+    taken = ChangeGuard(states, base, tuple(read(manifest)), files, programs)
+    if since is None:
+        return taken
+    lost = [path for path, blob in blobs.items() if path in states and taken.has_lost(path, blob, since)]
+    return replace(taken, states={**states, **{path: _with_other_times(states[path]) for path in lost}})
 
 
 def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:
@@ -133,9 +164,10 @@ def _hashes(path: bytes) -> list[str]:
     return [one.hexdigest() for one in hashed]
 
 
-def _state(path: bytes) -> State:
-    try:
-        status = os.stat(path)  # noqa: PTH116 - for speed
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
+def _with_other_times(state: State) -> State:
+    """Return a state that no file has, with the inode of this one."""
+    return 0, 0, 0, state[-1] if state else 0
+
+
+def _is_same_file(before: State, now: State) -> bool:
+    return before is not None and now is not None and before[-1] == now[-1]

@@ -254,6 +254,8 @@ class SessionPaths:
     journal = _Below("journal.jsonl")
     fault = _Below("fault")
     """The reason why the session cannot be recorded."""
+    doubt = _Below("doubt")
+    """The reason why results that are not recorded yet cannot be attributed to the session's code and programs."""
     building = _Below("building")
     """The folder of a build: `home` and `tmp` of its command, and what it prints."""
 

@@ -21,7 +21,7 @@ from sierra.errors import ConfigError
 from sierra.provenance.source import origin, plain_tree, worktree_snapshot
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import LINK, Files, listed, read, tree_hash, written
-from sierra.provenance.source.plain_tree import LEFT_OUT
+from sierra.provenance.source.plain_tree import LEFT_OUT, ListedFile
 from sierra.provenance.source.selection import PathSelection, inside, shown
 from sierra.store.row_types import SourceRow
 from sierra.util.hashing import digest
@@ -59,6 +59,10 @@ class Source:
     """Messages for the user, one line each."""
     converted: Mapping[str, str] = field(default_factory=dict)
     """The SHA-256 of files whose bytes on disk git would not restore, by path: see `sierra.provenance.source.converted`."""
+    listed: Mapping[bytes, ListedFile] = field(default_factory=dict, compare=False)
+    """Outside git: the files when they were listed, by path."""
+    since: int | None = field(default=None, compare=False)
+    """In git: a time before the files were read, by the file system's clock, in nanoseconds."""
 
     @property
     def id(self) -> str:
@@ -108,7 +112,7 @@ def capture(
 
 def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
     """Yield git's hash and the content of each file outside git that is not `known`. Raises Missing for a changed file."""
-    return plain_tree.contents(source.manifest, root, known)
+    return plain_tree.contents(source.manifest, root, known, source.listed)
 
 
 def ignored(root: Path, without: Iterable[str]) -> str:
@@ -137,12 +141,13 @@ def _in_git(root: Path) -> bool:
 def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: Path | None) -> tuple[Source, Files]:
     if dirty != "record":
         raise ConfigError(f'[source] dirty = "{dirty}": there is no commit to compare with, {root} is not in git; use "record"')
-    entries = plain_tree.entries(root, chosen, large, memory)
+    entries, listed_files = plain_tree.entries(root, chosen, large, memory)
     links = [entry.path for entry in entries if entry.mode == LINK]
     files = {entry.path: entry.blob.encode() for entry in entries}
     manifest = listed(entries)
     tree = SWHID + tree_hash(read(manifest))
-    return Source(tree, "none", None, None, None, None, manifest, notes=tuple(_leading_out(root, links))), files
+    notes = tuple(_leading_out(root, links))
+    return Source(tree, "none", None, None, None, None, manifest, notes=notes, listed=listed_files), files
 
 
 def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Source, Files]:
@@ -166,6 +171,7 @@ def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Sou
         checkout=dirty == "ignore" and bool(now.changed or now.absent or now.converted),
         notes=(*_enclosing(root), *(_notes(root, now) if dirty != "ignore" else ())),
         converted={path.decode("utf-8", "backslashreplace"): sha256 for path, sha256 in lossy.items()},
+        since=now.since,
     )
     return source, now.files
 

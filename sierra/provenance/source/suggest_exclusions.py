@@ -17,7 +17,7 @@ FOLDERS = regex(
 )
 """Folders that are unlikely to contain code. Runs may read `data`, so only the user can exclude it."""
 FILES = regex(
-    r"(readme|licen[cs]e|copying|change(s|log)|history|news|authors|contribut(ing|ors)|citation|notes?|todo)(\.(txt|cff|html?))?"
+    r"(readme|licen[cs]e|copying|change(s|log)|history|news|authors|contribut(ing|ors)|citation|notes?|todo|logs?)(\.(txt|cff|html?))?"
     r"|nohup\.out|.*\.(md|rst|adoc|org|tex|bib|pdf|png|jpe?g|gif|svg|eps|mp4|webm|docx?|odt|pptx?|odp|log|ipynb)",
     re.I,
 )
@@ -27,7 +27,9 @@ TOOLS = regex(r"\.(git.*|vscode|idea|editorconfig|pre-commit-config\.ya?ml)")
 OFTEN_READ = regex(r"data|datasets?", re.I)
 MAX_NAMES = 12
 """Maximum number of names in a proposal."""
-ONLY_SAID = "[source] paths selects the code"
+ONLY_SAID = "[source] paths selects the code; logs can be written outside the project"
+
+OR_OUTSIDE = "or write them outside the project"
 
 
 def is_hardly_code(name: str, *, is_folder: bool) -> bool:
@@ -43,9 +45,9 @@ def advice(changed: Iterable[bytes], source: Iterable[bytes]) -> str:
     every = {_top(path) for path in source} - left_out
     code = sorted(name for name, folder in every if not _is_left_out(name, is_folder=folder))
     if not 0 < len(code) <= MAX_NAMES or not all(name.isprintable() and "\ufffd" not in name for name in code):
-        return "if these are not code, list the code: paths = [...] under [source] in sierra.toml"
+        return f"if these are not code, list the code: paths = [...] under [source] in sierra.toml, {OR_OUTSIDE}"
     line = f"paths = {json.dumps(code, ensure_ascii=False)}"
-    return f"if these are not code, write {line} under [source] in sierra.toml, which makes all runs new once"
+    return f"if these are not code, write {line} under [source] in sierra.toml, which makes all runs new once, {OR_OUTSIDE}"
 
 
 def _top(path: bytes) -> tuple[str, bool]:

@@ -49,6 +49,8 @@ MANY = 500
 """Minimum number of new files that are written as a pack."""
 SMALL = 1 << 16
 ABANDONED_S = 3600
+TICK_NS = 2_000_000_000
+"""The coarsest clock of a file system."""
 RULES = ".rules"
 """The suffix of the file with the rules by which the files of an index were converted."""
 CHECKSUM = 20
@@ -76,6 +78,8 @@ class WorktreeState:
     """The commit that is checked out in each nested repository, at any depth, by path."""
     converted: dict[bytes, str]
     """See `sierra.provenance.source.converted`: the SHA-256 of files that git would restore with other bytes."""
+    since: int
+    """A time before the files were read, by the clock of the repository's file system, in nanoseconds."""
 
 
 @dataclass(slots=True)
@@ -110,7 +114,7 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
     recorded = {**dict.fromkeys(status.stale), **status.recorded} if status.commit else {}
     doubtful = status.inner | status.conflicts
     differing = {path for path, what in recorded.items() if files.get(path) != what or path in doubtful}
-    return _state(status, tree, files, differing, _absent(git, status, differing), submodules, lossy)
+    return _state(status, tree, files, differing, _absent(git, status, differing), submodules, lossy, index.since)
 
 
 class _Written(NamedTuple):
@@ -206,7 +210,7 @@ def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
     absent = _absent(git, status, differing) | set(_hollow(root, files))
     submodules = dict(_submodules(root, files))
     lossy |= _converted_in_submodules(root, submodules, ())
-    return _state(status, tree, files, differing, absent, submodules, lossy)
+    return _state(status, tree, files, differing, absent, submodules, lossy, index.since)
 
 
 def _state(
@@ -217,14 +221,15 @@ def _state(
     absent: Set[bytes],
     submodules: dict[str, str],
     lossy: dict[bytes, str],
+    since: int,
 ) -> WorktreeState:
-    changed = tuple(sorted(differing - absent))
-    return WorktreeState(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules, lossy)
+    changed, lacking = tuple(sorted(differing - absent)), tuple(sorted(absent))
+    return WorktreeState(tree, files, status.commit, status.branch, changed, lacking, submodules, lossy, since)
 
 
 def write(git: Git, files: dict[bytes, bytes]) -> str:
     """Write the tree of these files, whose contents the repository has, and return its hash."""
-    with _scratch(git) as path:
+    with _scratch(git) as (path, _):
         _add_listed(git, path, written(files))
         return git("write-tree", "--missing-ok", index=path).decode().strip()
 
@@ -242,8 +247,10 @@ def of_tree(git: Git, tree: str) -> dict[bytes, bytes]:
 class _Index:
     """SIERRA's own index while a snapshot works on it."""
 
-    def __init__(self, git: Git, chosen: PathSelection, path: Path, kept: Path) -> None:
+    def __init__(self, git: Git, chosen: PathSelection, path: Path, kept: Path, since: int) -> None:
         self.path = path
+        self.since = since
+        """A time before git read any file, by the file system's clock, in nanoseconds."""
         self._git = git
         self._chosen = chosen
         self._kept = kept
@@ -406,9 +413,9 @@ class _Index:
 def _index(git: Git, chosen: PathSelection) -> Iterator[_Index]:
     """Yield an index to work on; it is kept for the next time unless something fails."""
     key = sha256(b"\0".join((git.prefix, *chosen.only))).hexdigest()[:16]
-    with _scratch(git) as path:
+    with _scratch(git) as (path, now):
         kept = path.with_name(f"{key}.index")
-        index = _Index(git, chosen, path, kept)
+        index = _Index(git, chosen, path, kept, now - TICK_NS)
         yield index
         index.keep()
 
@@ -421,8 +428,8 @@ def _checksum(index: Path) -> bytes:
 
 
 @contextlib.contextmanager
-def _scratch(git: Git) -> Iterator[Path]:
-    """Yield a path for a temporary index, and remove it afterwards, and also those of killed processes."""
+def _scratch(git: Git) -> Iterator[tuple[Path, int]]:
+    """Yield a path for a temporary index and the file system's time; remove the index afterwards, and of killed processes."""
     folder = git.folder / "sierra"
     try:
         folder.mkdir(exist_ok=True)
@@ -432,6 +439,7 @@ def _scratch(git: Git) -> Iterator[Path]:
                     old.unlink()
         path = folder / f"{uuid4().hex}.tmp"
         path.touch()
+        now = path.stat().st_mtime_ns
         path.unlink()
     except FileNotFoundError:
         raise Missing(f"the repository {git.folder} no longer exists; run the command again") from None
@@ -440,7 +448,7 @@ def _scratch(git: Git) -> Iterator[Path]:
             f"cannot write to {folder}: {error.strerror}; SIERRA stores the source in the repository, so make it writable"
         ) from error
     try:
-        yield path
+        yield path, now
     finally:
         for left in (path, path.with_name(path.name + ".lock")):
             with contextlib.suppress(OSError):

@@ -11,9 +11,11 @@ from typing import Any
 
 import pytest
 
+from sierra.provenance import source
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING, Program, Programs
 from sierra.provenance.source.manifest import Entry, git_hash, listed
+from sierra.provenance.source.suggest_exclusions import ONLY_SAID
 from tests import projects
 from tests.conftest import PRINTS, held
 from tests.waiting import PATIENCE_S
@@ -68,7 +70,7 @@ def test_the_advice_never_excludes_code_that_changed(tmp_path: Path) -> None:
     manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
     taken = guard(tmp_path, manifest, NOTHING)
     assert taken.advice([b"notes.py"]) == taken.advice([b"history.csv"]) == taken.advice([b"src/README.md"])
-    assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths selects the code"
+    assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == ONLY_SAID
     assert 'paths = ["data", "lib x", "sim.py", "src"]' in taken.advice([b"README"])
     assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])
 
@@ -138,6 +140,33 @@ def test_only_a_file_with_other_bytes_is_said_to_have_changed(tmp_path: Path) ->
     files["tool"].unlink()
     os.mkfifo(files["tool"])
     assert "code or programs have changed since the runs began: code, tool (" in str(before.doubt())
+
+
+@pytest.mark.parametrize("git", [True, False])
+@pytest.mark.parametrize("name", ["tracked", "dirty", "untracked"])
+def test_a_change_between_the_listing_and_the_guard_is_noticed(tmp_path: Path, git: bool, name: str) -> None:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    for file in ("tracked", "dirty", "same"):
+        (folder / file).write_text("x")
+    if git:
+        projects.commit(folder)
+    (folder / "dirty").write_text("y")
+    (folder / "untracked").write_text("x")
+    (folder / "link").symlink_to("same")
+    (folder / "broken").symlink_to("nowhere")
+    code = source.capture(folder, paths=(), without=())
+    (folder / "same").write_text("x") if git else None
+    (folder / name).write_text("z")
+    taken = guard(folder, code.manifest, NOTHING, code.listed, code.since)
+    assert taken.changed_source() == {str(folder / name): False}
+    assert f"code or programs have changed since the runs began: {name} (" in str(taken.doubt())
+    (folder / name).unlink()
+    removed = guard(folder, code.manifest, NOTHING, code.listed, code.since)
+    assert removed.changed_source() == {str(folder / name): True}
+    assert taken.changed_source() == {str(folder / name): True}
+    again = source.capture(folder, paths=(), without=())
+    assert guard(folder, again.manifest, NOTHING, again.listed, again.since).doubt() is None
 
 
 @pytest.mark.integration

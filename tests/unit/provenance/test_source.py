@@ -880,6 +880,27 @@ def test_the_source_command_pushes_and_fetches_sources(repository: Path, git: Gi
     assert projects.quick(projects.make(tmp_path / "none"), "source", "push").returncode == 2
 
 
+def test_the_content_is_recorded_that_was_hashed_although_the_file_changes(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fill(folder, {"log": "old\n", "gone": "x", "other": "y"})
+    code = capture(folder)
+    (folder / "log").write_text("old\nnew\n")
+    (folder / "gone").unlink()
+    (folder / "other").write_text("z")
+    assert sorted(content for _, content in source.contents(code, folder, set())) == [b"a", b"b", b"old\n", b"x", b"y"]
+    monkeypatch.setattr("sierra.provenance.source.plain_tree.KEPT_BYTES", 0)
+    code = capture(folder)
+    (folder / "log").write_text("old\nnew\nnewer\n")
+    assert b"old\nnew\n" in [content for _, content in source.contents(code, folder, set())]
+    (folder / "log").write_text("new\n")
+    with pytest.raises(Missing, match=r"/log changed while it was being recorded; run the command again"):
+        list(source.contents(code, folder, set()))
+    (folder / "log").unlink()
+    with pytest.raises(Missing, match=r"cannot read .*/log: No such file"):
+        list(source.contents(code, folder, set()))
+
+
 def test_a_source_recorded_outside_git_is_restored_inside_and_outside_git(folder: Path, git: Git, tmp_path: Path) -> None:
     (folder / "a.txt").chmod(0o755)
     outside = capture(folder)
