@@ -329,7 +329,8 @@ class Executor:
     def _snapshot(self) -> tuple[Path, Programs]:
         """Return a folder with a copy of the current code, and the programs in it.
 
-        The project may change while runs wait for a node. Raises Missing if the code or the programs changed during the copy.
+        The project may change while runs wait for a node. Files of the source have their recorded content. Raises Missing if
+        other files or programs changed during the copy.
         """
         plan = self.plan
         checkout = plan.checkout or plan.snapshot(self.store.blob)
@@ -339,7 +340,7 @@ class Executor:
             checkout.make(root)
         programs = checkout.programs_in(root)
         meanwhile = "while they were being copied for other hosts"
-        if plan.checkout is None and (doubt := plan.seen.doubt(meanwhile)):
+        if plan.checkout is None and plan.seen.changed_source() is None and (doubt := plan.seen.doubt(meanwhile)):
             raise Missing(f"{doubt}; run the command again")
         if programs.id != plan.programs.id:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; run the command again")
