@@ -142,6 +142,61 @@ class Source(Table):
     )
 
 
+REFUSED_PLUGINS = ("readers", "statistics", "comparisons", "figures", "runners", "schedulers", "links", "engines")
+"""Kinds of plug-ins that only installed packages have: commands that execute nothing use them too, or other processes do."""
+
+
+def _plugin_class(text: str) -> str:
+    """Check the place of a class in a file of the project."""
+    path, _, name = text.partition(":")
+    parts = PurePosixPath(path).parts
+    words = (*parts[:-1], parts[-1].removesuffix(".py") if path.endswith(".py") else "", name)
+    if "/".join(parts) != path or not all(word.isidentifier() and word.isascii() for word in words):
+        raise ValueError(f"{text!r} should be a Python file of the project and a class in it, such as robosim.py:RoboSim")
+    return text
+
+
+PluginClass = Annotated[str, AfterValidator(_plugin_class)]
+
+
+def _each_once(places: tuple[str, ...]) -> tuple[str, ...]:
+    names = [place.partition(":")[2] for place in places]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"two classes are called {twice[0]}; rename one")
+    return places
+
+
+PluginClasses = Annotated[tuple[PluginClass, ...], AfterValidator(_each_once)]
+
+
+class PluginsTable(Table):
+    """Plug-ins in Python files of the project: `PATH.py:CLASS`; the name of the class is the name of the plug-in.
+
+    The files, and those that they import, belong to the source of runs."""
+
+    platforms: PluginClasses = Field((), description="platforms, for `platform`")
+    templates: PluginClasses = Field((), description="template formats, for `template_format`")
+    criteria: PluginClasses = Field((), description="ranges of criteria, for queries")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refused(cls, table: object) -> object:
+        if isinstance(table, Mapping) and (key := next((key for key in REFUSED_PLUGINS if key in table), None)):
+            known = ", ".join(cls.model_fields)
+            raise ValueError(f"{key} cannot be in files of the project, only {known}; install a package that offers them")
+        return table
+
+    @property
+    def declared(self) -> dict[str, tuple[str, ...]]:
+        """Return the classes by kind, of kinds that have any."""
+        return {key: places for key in type(self).model_fields if (places := getattr(self, key))}
+
+    @property
+    def names(self) -> tuple[tuple[str, str], ...]:
+        """Return the kind and the name of each plug-in."""
+        return tuple((key, place.partition(":")[2]) for key, places in self.declared.items() for place in places)
+
+
 class StoreTable(Table):
     """The settings of the store."""
 

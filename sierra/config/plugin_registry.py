@@ -7,16 +7,21 @@ it.
 
 A class of another package has `contract = 1`, the version of the contracts that it was made for, and `Options`, the model of
 its table in `sierra.toml`. Tables stay as they are until their plug-in is used. Then `options` validates them.
+
+Files of the project have plug-ins too, if `[plugins]` names them: see `sierra.config.project_plugins`. Their names count only
+within `adding`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache, cached_property, partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from sierra.config import extensions
 from sierra.config.cluster_table import ClusterTable
@@ -26,7 +31,6 @@ from sierra.errors import ConfigError, PluginError, SierraError
 from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
     from types import TracebackType
 
 SIERRA = __name__.partition(".")[0]
@@ -44,18 +48,39 @@ class NoOptions(Table):
     """A plug-in without options."""
 
 
+class Point(Protocol):
+    """The place of a class: an entry point, or a file of the project."""
+
+    @property
+    def value(self) -> str:
+        """The module, or the file, and the name of the class."""
+
+    def load(self) -> Any:
+        """Import the class."""
+
+
 @dataclass(frozen=True, slots=True)
 class Offer:
     """One entry point: a name for a class, and the package that offers it."""
 
     name: str
-    point: EntryPoint
+    point: Point
     package: str
-    """Name and version of the package, as in `sonar 1.2`."""
+    """Name and version of the package, as in `sonar 1.2`; or a file of the project."""
+    beside: bool = False
+    """True for a file of the project."""
 
     @property
     def remedy(self) -> str:
+        if self.beside:
+            return f"correct {self.package}"
         return f"install a version of {self.package.partition(' ')[0]} that works, or uninstall it"
+
+
+Offers = Mapping[str, Mapping[str, tuple[Offer, ...]]]
+"""Offers by group of entry points and name."""
+_beside: ContextVar[Offers | None] = ContextVar("_beside", default=None)
+"""The plug-ins in files of the project whose runs are planned."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +101,12 @@ class Kind:
     @property
     def group(self) -> str:
         """Return the group of entry points."""
-        return f"sierra.{_plural(self.word)}"
+        return f"sierra.{self.key}"
+
+    @property
+    def key(self) -> str:
+        """Return the key of `[plugins]`, which is also the last part of the group of entry points."""
+        return _plural(self.word)
 
     @property
     def table(self) -> str:
@@ -152,6 +182,8 @@ class Kind:
         """Return the class of another package. Raises PluginError if it cannot be loaded or breaks the contract."""
         try:
             found: Any = offer.point.load()
+        except PluginError:
+            raise
         except (Exception, SystemExit) as error:
             raise _broken(self, offer, "loaded", error) from error
         plugin = f"the {self.word} {offer.name!r} of {offer.package}"
@@ -171,7 +203,8 @@ class Kind:
         return found
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:
-        return _offers(tuple(sys.path))[self.group]
+        installed, beside = _offers(tuple(sys.path))[self.group], _beside.get()
+        return {**installed, **beside[self.group]} if beside else installed
 
 
 PLATFORMS = Kind(
@@ -289,6 +322,16 @@ LINKS = Kind(
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 
 
+@contextmanager
+def adding(offers: Offers) -> Iterator[None]:
+    """Add these plug-ins, whose names no other ones have, until the end of the context."""
+    before = _beside.set(offers)
+    try:
+        yield
+    finally:
+        _beside.reset(before)
+
+
 def culprit(error: BaseException) -> str | None:
     """Return the plug-in, in words, in whose code an error arose; None if it arose in SIERRA."""
     found: str | None = None
@@ -302,7 +345,7 @@ def culprit(error: BaseException) -> str | None:
 
 
 @cache
-def _offers(path: tuple[str, ...]) -> Mapping[str, Mapping[str, tuple[Offer, ...]]]:
+def _offers(path: tuple[str, ...]) -> Offers:
     """Return the installed entry points by group and name. They are cached, because a search on `path` takes 6 ms."""
     from importlib.metadata import entry_points
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -35,6 +36,7 @@ from sierra.config.execution_tables import (
     Determinism,
     Environment,
     LimitsTable,
+    PluginsTable,
     ProgramsTable,
     ServiceTable,
     Source,
@@ -250,6 +252,7 @@ class Project(Table):
     )
     paper: Paper = Paper()
     package: Package = Package()
+    plugins: PluginsTable = PluginsTable.model_construct()
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(
         default_factory=dict,
@@ -556,6 +559,27 @@ class LoadedProject:
         except (OSError, UnicodeDecodeError) as error:
             why = (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
             return Definition(name, "", origin, f"cannot read {table.file}: {why}")
+
+    def plugins(self, refused: str = "") -> AbstractContextManager[Mapping[str, bytes]]:
+        """Return a context in which the names of plug-ins in files of the project count, and which yields these files.
+
+        They are imported when they are used, but never from a package, and not with `refused`, which is a reason.
+        """
+        if not (declared := self.config.plugins.declared):
+            return nullcontext({})
+        from sierra.config import project_plugins
+
+        if self.received or ProjectFolder(self.root, self.file).is_package:
+            refused = "it is Python code of a package, and nothing of a package is imported"
+        return project_plugins.using(self.root, declared, refused)
+
+    def plugin_files(self) -> Mapping[str, bytes]:
+        """Return the files of plug-ins of the project, and those that they import, by path. Raises ConfigError."""
+        if not (declared := self.config.plugins.declared):
+            return {}
+        from sierra.config import project_plugins
+
+        return project_plugins.files(self.root, declared)
 
     def check_written(self) -> None:
         """Raise Missing if there is no `sierra.toml`, so that nothing can be executed."""

@@ -28,7 +28,7 @@ SHARED = (
     *("target", "targets", *PER_TARGET),
     *("runs", "controller", "scenario", "per_run", "queries", "equivalence", "determinism", "store"),
     *("tables", "sql", "figure_formats", "figures", "figure_defaults", "paper_tables"),
-    *("comparisons", "comparison_methods", "criteria", "claims", "numbers", "paper"),
+    *("comparisons", "comparison_methods", "criteria", "claims", "numbers", "paper", "plugins"),
 )
 """Keys that no target has: those that ask a question are the same for all targets."""
 TEMPLATES = ("template", "templates", "template_format")

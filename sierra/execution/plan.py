@@ -24,7 +24,7 @@ from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.templates.base import Files
 from sierra.util.hashing import short
-from sierra.util.lazy_definitions import dataclass, replace
+from sierra.util.lazy_definitions import dataclass, field, replace
 
 
 class Inputs(Protocol):
@@ -68,6 +68,8 @@ class Plan:
     """Files beside the inputs of runs; empty for a recorded batch, whose files the store has."""
     build: BuildState | None = None
     """State of the products of `[build]`; None without it."""
+    plugins: Mapping[str, str] = field(default_factory=dict)
+    """The SHA-256 of the files of plug-ins of the project, by name: `{project}/robosim.py`."""
     lacking: str = ""
     """Reason why this machine cannot execute the runs, such as a program that was not found; empty if it can."""
 

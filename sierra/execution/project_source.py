@@ -3,29 +3,51 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
 from sierra.containers.images.containerfile_folder import is_recipe
+from sierra.errors import ConfigError
 from sierra.provenance import source
 from sierra.store.layout import BASELINES, CONFIG, DRAWN, FIGURES, LOCK, PROVENANCE, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.util.hashing import sha256
 from sierra.util.processors import ARCH, NAMES
 
 
-def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
-    """Return the source of a project as it is now; `dirty` replaces the project's setting."""
+def code(project: LoadedProject, *, dirty: str | None = None, plugins: Mapping[str, bytes] | None = None) -> source.Source:
+    """Return the source of a project as it is now; `dirty` replaces the project's setting.
+
+    `plugins` are the files of plug-ins of the project as they were read: the source always has them, with this content. Raises
+    ConfigError if it has not.
+    """
+    plugins = project.plugin_files() if plugins is None else plugins
     wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
-    return source.capture(
+    captured = source.capture(
         project.root,
         paths=wanted.paths,
         without=own_paths(project),
+        code=tuple(plugins),
         prose=bool(wanted.paths) or project.config.build is not None,  # a build may read what describes the project
         dirty=dirty or wanted.dirty,
         git=wanted.git,
         large=wanted.max_untracked,
         memory=store.files if store.format.is_file() else None,
     )
+    for path, content in plugins.items():
+        if not source.holds(captured.manifest, path, content) and captured.converted.get(path) != sha256(content):
+            raise ConfigError(_not_captured(captured, path))
+    return captured
+
+
+def _not_captured(captured: source.Source, path: str) -> str:
+    """Return the message that a plug-in's file is not in the source as it is on disk."""
+    start = f"[plugins]: {path} must be part of the source of runs"
+    if os.fsencode(path) not in source.paths(captured.manifest):
+        return f"{start}, but git ignores it, or it is beside the code, as in docs/ or in a repository of its own; move it"
+    if captured.checkout:
+        return f'{start}, but the file on disk is not the commit\'s, which [source] dirty = "ignore" executes; commit it'
+    return f"{start}, but it has changed meanwhile; run the command again"
 
 
 def own_paths(project: LoadedProject) -> tuple[str, ...]:

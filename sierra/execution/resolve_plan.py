@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,6 +45,7 @@ from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
 from sierra.util import processors
 from sierra.util.fs import unescaped
+from sierra.util.hashing import sha256
 from sierra.util.version import __version__
 
 
@@ -59,6 +60,13 @@ def plan(
     Raises an error for a mistake in project, query, template or source. The plan tells if this machine lacks a program; no id
     depends on that.
     """
+    with project.plugins() as plugins:
+        return _plan(project, request, engine, report, plugins)
+
+
+def _plan(
+    project: LoadedProject, request: QueryRequest, engine: str | None, report: PlanningProgress, plugins: Mapping[str, bytes]
+) -> Plan:
     project = project.for_target(resolve_query.target(project, request))
     query = resolve_query.resolve(project, request)
     project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
@@ -81,13 +89,14 @@ def plan(
     filled = commands.as_written(variables)
     values = commands.used_values((*command, *of_groups, *surroundings.words, *filled), declared, config)
     own = project_source.own_paths(project)
-    code = project_source.code(project)
+    code = project_source.code(project, plugins=plugins)
     held = source.paths(code.manifest)
     texts = [root / path for path in config.template_paths]
     plan_checks.check_paths(config, query, root)
     written = (text.replace(IN_PROJECT, "") for text in input_texts.written(config))
     data = referenced_files.data(texts, written, root, held, own)
-    data = replace(data, all=(*data.all, *_converted(code, root)))
+    of_plugins = tuple(_of_plugins(plugins, root))
+    data = replace(data, all=(*data.all, *(one for one in _converted(code, root) if one not in of_plugins), *of_plugins))
     if box:
         data = container_setup.data(data, box, root)
     beside = shared_files.find(config, root)
@@ -147,6 +156,7 @@ def plan(
         shared_files=beside,
         build=built,
         lacking=lacking,
+        plugins={one.name: one.sha256 for one in of_plugins},
         notes=(
             *code.notes,
             *plan_notes.not_repeated(designed, config, texts),
@@ -165,8 +175,14 @@ def plan(
 
 def _converted(code: source.Source, root: Path) -> Iterator[Program]:
     """Yield the files of the source whose bytes on disk git would not restore: the source's id does not show these bytes."""
-    for path, sha256 in code.converted.items():
-        yield Program(f"{IN_PROJECT}{path}", str(root / unescaped(path)), sha256, Kind.FILE)
+    for path, digest in code.converted.items():
+        yield Program(f"{IN_PROJECT}{path}", str(root / unescaped(path)), digest, Kind.FILE)
+
+
+def _of_plugins(plugins: Mapping[str, bytes], root: Path) -> Iterator[Program]:
+    """Yield the files of plug-ins of the project: a run that they made is reused only while they stay the same."""
+    for path, content in plugins.items():
+        yield Program(f"{IN_PROJECT}{path}", str(root / path), sha256(content), Kind.FILE)
 
 
 def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, engine: Engine) -> BuildState | None:

@@ -6,7 +6,7 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
@@ -95,10 +95,15 @@ def _installed() -> Iterator[Check]:
     yield _check("git", path is not None, path or "not installed", "needed for projects in git: install git", "absent")
 
 
-def _plugins() -> Iterator[Check]:
-    """Yield the plug-ins of other packages, each loaded. One that cannot be used affects only the commands that use it."""
+def _plugins(of_project: Container[tuple[str, str]] | None = None) -> Iterator[Check]:
+    """Yield the plug-ins of other packages, or those of the project, each loaded.
+
+    One that cannot be used affects only the commands that use it.
+    """
     for kind in plugin_registry.KINDS:
         for name in kind.added():
+            if of_project is not None and (kind.key, name) not in of_project:
+                continue
             try:
                 found = kind.load(name)
                 own = found.Options.model_fields.keys() - kind.options_base.model_fields.keys()
@@ -155,13 +160,23 @@ def _project() -> Iterator[Check]:
         yield Check("project", "absent" if error.exit_code == 3 else "missing", every)
         return
     yield Check("project", "ok", str(project.root))
+    try:
+        with loaded.plugins():
+            yield from _plugins(set(loaded.config.plugins.names))
+            yield from _targets(loaded)
+    except SierraError as error:
+        problem, _, remedy = str(error).rpartition("; ")
+        yield Check("plug-ins of the project", "missing", problem or remedy, remedy if problem else "")
+    if project.paths.store.exists():
+        yield _tried("store", lambda: f"{len(project.batches)} batches")
+
+
+def _targets(loaded: LoadedProject) -> Iterator[Check]:
     if loaded.config.target or loaded.config.command or not loaded.targets:
         yield from _configured(loaded, "")
     for name in loaded.targets:
         if name != loaded.config.target:
             yield from _configured(loaded.for_target(name), f" of target {name}")
-    if project.paths.store.exists():
-        yield _tried("store", lambda: f"{len(project.batches)} batches")
 
 
 def _configured(project: LoadedProject, of: str) -> Iterator[Check]:

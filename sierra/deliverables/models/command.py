@@ -102,7 +102,8 @@ def _write_experiments(folder: Path, cells: Cells, inputs: Mapping[int, Sequence
 def _variables(project: LoadedProject, folder: Path) -> dict[str, str]:
     """Return the environment of the program: that of runs, with folders of its own."""
     config = project.config
-    of_runs = commands.environment(platforms.find(config.platform, config), config)
+    with project.plugins():
+        of_runs = commands.environment(platforms.find(config.platform, config), config)
     own = {"HOME": str(folder / "home"), "TMPDIR": str(folder / "tmp")}
     return {**commands.declared(of_runs, project.root), **own}
 

@@ -164,6 +164,7 @@ def find(
     row = spec_rows.of_batch(plan.batch)
     kin = {name: getattr(row, name) for name in KIN}
     rows = snapshot.select(_Candidate, CANDIDATES, spec=row.spec, ingest_rules=context(plan).ingest_rules, **kin)
+    rows = _by_same_plugins(plan, snapshot, rows)
     current = plan_files.current(plan)
     same = _unchanged(current, snapshot, {row.files for row in rows})
     found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
@@ -207,6 +208,18 @@ def _inheriting(plan: Plan, snapshot: Snapshot, stale: Collection[str]) -> list[
         if not _certain(plan, _recorded_programs(snapshot, programs)).unlike(now)
     }
     return [row for row in rows if row.programs in alike]
+
+
+def _by_same_plugins(plan: Plan, snapshot: Snapshot, rows: list[_Candidate]) -> list[_Candidate]:
+    """Return the executions whose inputs were made by the plug-ins of the project as they are: no execution reads these."""
+    if not plan.plugins:
+        return rows
+    digests = {
+        programs: {one.name: one.sha256 for one in _recorded_programs(snapshot, programs).all}
+        for programs in {row.programs for row in rows}
+    }
+    same = {programs for programs, recorded in digests.items() if plan.plugins.items() <= recorded.items()}
+    return [row for row in rows if row.programs in same]
 
 
 def _recorded_programs(snapshot: Snapshot, programs: str) -> Programs:

@@ -40,7 +40,9 @@ def _of_inputs(plan: Plan, run: Run) -> tuple[Pose, ...]:
 
 def _placing(plan: Plan) -> Placing | None:
     """Return the platform whose inputs tell robots where they start; None if the inputs of a plan do not."""
-    platform = platforms.find(plan.project.config.platform, plan.project.config)
+    refused = "" if plan.source else "this batch is executed with its recorded code; request its query instead"
+    with plan.project.plugins(refused):
+        platform = platforms.find(plan.project.config.platform, plan.project.config)
     known = plan.batch.spec.platform == plan.project.config.platform
     return platform if known and isinstance(platform, Placing) else None
 

@@ -153,7 +153,8 @@ def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
     command = (*command, *checked(table.arguments, "[capture] arguments"))
     if own := [name for name in table.environment if name in commands.OWN or name.startswith("SIERRA_")]:
         raise ConfigError(f"[capture] environment {own[0]}: SIERRA sets this variable for each run; use another name")
-    found = _of_platform(platforms.find(recorded.platform, config), recorded.platform, table, command)
+    with project.plugins("recorded runs are rendered by the platforms of installed packages only"):
+        found = _of_platform(platforms.find(recorded.platform, config), recorded.platform, table, command)
     return replace(
         found,
         files=table.files or found.files,

@@ -20,6 +20,7 @@ from sierra.store.layout import CONFIG, PYPROJECT
 REMOVED = {
     ("runners",): "clusters are those of your own configuration",
     ("engines",): "engines are used with their own defaults",
+    ("plugins",): "Python code of a package is never imported",
     ("programs",): "programs of this machine are asked for their versions as usual",
     ("store", "work_folder"): "runs execute below the given folder",
     ("environment", "record"): "your variables are not recorded",

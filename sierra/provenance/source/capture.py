@@ -78,13 +78,14 @@ def capture(
     *,
     paths: Sequence[str],
     without: Iterable[str],
+    code: Sequence[str] = (),
     prose: bool = True,
     dirty: str = "record",
     git: bool = True,
     large: int = LARGE,
     memory: Path | None = None,
 ) -> Source:
-    """Return the source of the project `root`: all files or those in `paths`, except those in `without`.
+    """Return the source of the project `root`: all files or those in `paths` and `code`, except those in `without`.
 
     Without `prose`, files that describe the project to people are left out too (see `sierra.provenance.source.prose`).
     `dirty` and `git` have the meaning of `[source] dirty` and `[source] git`. An untracked file may have `large` bytes. The
@@ -96,7 +97,7 @@ def capture(
             raise ConfigError(f"[source] paths: {path!r} does not exist in {root}")
         if inside(path).startswith((b"..", b"/")):
             raise ConfigError(f"[source] paths: {path!r} is outside {root}; use files and folders in it")
-    chosen = PathSelection(paths, without, prose=prose)
+    chosen = PathSelection([*paths, *code] if paths else (), without, prose=prose)
     used = git and _in_git(root)
     if not git and dirty != "record":
         raise ConfigError(

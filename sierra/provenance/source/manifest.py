@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 
@@ -62,6 +63,12 @@ def repositories(files: Files) -> Iterator[tuple[bytes, str]]:
 def paths(manifest: bytes) -> set[bytes]:
     """Return the paths in a manifest."""
     return set(read(manifest))
+
+
+def holds(manifest: bytes, path: str, content: bytes) -> bool:
+    """Return True if a manifest has a file with this path and content."""
+    mode, blob = parts(read(manifest).get(os.fsencode(path), b""))
+    return mode not in ("", LINK, REPOSITORY) and is_blob(content, blob)
 
 
 def blobs(manifest: bytes) -> set[str]:

@@ -116,6 +116,7 @@ ASKING = (
     "sql",
     "comparisons",
     "claims",
+    "plugins",
 )
 OWN_TARGETS = ("target", "targets", "variables", "controllers", "scenarios", "seed")
 

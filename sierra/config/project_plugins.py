@@ -1,0 +1,291 @@
+"""Plug-ins beside the project: classes in Python files of the project, which `[plugins]` names.
+
+They are code of the project. What is imported is exactly what the source of runs has:
+
+- The files are read once. The modules are compiled from these bytes: no byte code is read or written.
+- A file may import other files of the project by relative imports (`from . import helper`), as if the project were a package.
+  These files are found before anything is imported, and belong to the source too. Other imports of files of the project are
+  refused, because nothing would record which file they find.
+- Modules have names that begin with the hash of the project's folder and of all these files. So two projects, and two states
+  of one project, never share a module.
+
+Names count within `using` only. Whoever plans runs of a project of one's own enters it. Packages are never imported from.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, spec_from_loader
+from pathlib import Path, PurePosixPath
+from types import CodeType, ModuleType
+from typing import Any
+
+from sierra.config import plugin_registry
+from sierra.config.plugin_registry import KINDS, Kind, Offer
+from sierra.errors import ConfigError, PluginError
+from sierra.util.hashing import digest, sha256
+from sierra.util.lazy_definitions import dataclass
+from sierra.util.regular_files import read_regular
+
+PREFIX = "sierra_plugins_"
+"""The beginning of the names of modules."""
+PACKAGE = "__init__.py"
+INSTALLED = ("site-packages", "dist-packages")
+"""Folders of installed packages, which may be in a virtual environment in the project."""
+_modules: dict[str, _Module] = {}
+"""All modules that may be imported, by their names."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Module:
+    """One module: its file, the bytes of the file as they were read, and whether it is a package."""
+
+    file: Path
+    content: bytes
+    is_package: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """The place of a class, with the methods that the registry uses of an entry point."""
+
+    value: str
+    """The class as `[plugins]` names it: `robosim.py:RoboSim`."""
+    root: Path
+    module: str
+    refused: str
+
+    def load(self) -> Any:
+        """Import the class. Raises PluginError if there is none, or if it may not be imported here."""
+        path, _, name = self.value.partition(":")
+        if self.refused:
+            raise PluginError(f"[plugins]: {self.value} is not imported: {self.refused}")
+        module = _imported(self.module, self.root, path)
+        try:
+            return getattr(module, name)
+        except AttributeError:
+            raise PluginError(f"[plugins]: {path} has no class {name}; correct {path} or sierra.toml") from None
+
+
+@contextmanager
+def using(root: Path, declared: Mapping[str, Iterable[str]], refused: str = "") -> Iterator[Mapping[str, bytes]]:
+    """Let the names of these classes count, by kind, until the end of the context; yield their files, with the content.
+
+    With `refused`, which is a reason, they may not be imported: whoever uses one gets that reason as an error, and no file is
+    read.
+
+    Raises ConfigError for a file that cannot be used, or a name that is shipped or installed.
+    """
+    content = {} if refused else files(root, declared)
+    package = _register(root, content)
+    offers: dict[str, dict[str, tuple[Offer, ...]]] = {}
+    for kind in KINDS:
+        places = declared.get(kind.key, ())
+        _check_names(kind, places)
+        offers[kind.group] = {place.partition(":")[2]: (_offer(place, root, package, refused),) for place in places}
+    with plugin_registry.adding(offers):
+        yield content
+
+
+def _offer(place: str, root: Path, package: str, refused: str) -> Offer:
+    path, _, name = place.partition(":")
+    return Offer(name, _Point(place, root, f"{package}.{_dotted(path)}", refused), path, beside=True)
+
+
+def _check_names(kind: Kind, places: Iterable[str]) -> None:
+    """Raise ConfigError for a name that something else has."""
+    for place in places:
+        name = place.partition(":")[2]
+        if name in kind.shipped or name in kind.added():
+            owner = " and ".join(["SIERRA itself"] if name in kind.shipped else kind.packages(name))
+            raise ConfigError(f"[plugins] {kind.key}: {owner} has a {kind.word} {name!r} already; give {place} another name")
+
+
+# The files
+
+
+def files(root: Path, declared: Mapping[str, Iterable[str]]) -> dict[str, bytes]:
+    """Return the files of these plug-ins, and those that they import, by path. Nothing is imported. Raises ConfigError."""
+    found: dict[str, bytes] = {}
+    pending = [(f"[plugins] {key}: {place}", place.partition(":")[0]) for key, places in declared.items() for place in places]
+    while pending:
+        origin, path = pending.pop()
+        if path in found:
+            continue
+        found[path] = _read(root, path, origin)
+        pending += ((path, package) for package in _packages_above(root, path))
+        pending += ((path, other) for other in _imports(root, path, found[path], origin))
+    return dict(sorted(found.items()))
+
+
+def _read(root: Path, path: str, origin: str) -> bytes:
+    parts = PurePosixPath(path).parts
+    steps = [root.joinpath(*parts[: end + 1]) for end in range(len(parts))]
+    try:
+        if link := next((step for step in steps if step.is_symlink()), None):
+            raise ConfigError(f"{origin}: {link} is a symbolic link; name a file of the project itself")
+        return read_regular(steps[-1])
+    except FileNotFoundError:
+        raise ConfigError(f"{origin}: {steps[-1]} does not exist") from None
+    except OSError as error:
+        raise ConfigError(f"{origin}: cannot read {steps[-1]}: {error.strerror}") from error
+
+
+def _packages_above(root: Path, path: str) -> Iterator[str]:
+    """Yield the files that make packages of the folders of a file, except that of the project's own folder."""
+    for folder in PurePosixPath(path).parents:
+        if folder.parts and (root / folder / PACKAGE).exists():
+            yield str(folder / PACKAGE)
+
+
+def _imports(root: Path, path: str, content: bytes, origin: str) -> Iterator[str]:
+    """Yield the files of the project that a file imports. Raises ConfigError if it imports others than by relative imports."""
+    try:
+        tree = ast.parse(content, path)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise PluginError(f"{origin}: {path} is not Python: {_in_words(error)}") from error
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for name in node.names:
+                _refuse_own(root, path, name.name, node.lineno)
+        elif isinstance(node, ast.ImportFrom):
+            if node.level == 0:
+                _refuse_own(root, path, node.module or "", node.lineno)
+            else:
+                yield from _relative(root, path, node)
+
+
+def _relative(root: Path, path: str, node: ast.ImportFrom) -> Iterator[str]:
+    """Yield the files that a relative import may load: the module, and those of its names that are modules."""
+    above = PurePosixPath(path).parents
+    if node.level > len(above):
+        raise ConfigError(f"{path}, line {node.lineno}: a relative import leads out of the project; import files in it")
+    module = above[node.level - 1].joinpath(*(node.module or "").split("."))
+    if node.module:
+        yield from _file_of(root, module)
+    for name in node.names:
+        yield from _file_of(root, module / name.name)
+
+
+def _file_of(root: Path, module: PurePosixPath) -> Iterator[str]:
+    """Yield the file of a module, if there is one: a package takes precedence, as in Python."""
+    for name in (module / PACKAGE, module.with_name(f"{module.name}.py")):
+        if (root / name).exists() or (root / name).is_symlink():
+            yield str(name)
+            return
+
+
+def _refuse_own(root: Path, path: str, module: str, line: int) -> None:
+    """Raise ConfigError if an absolute import finds, or seems to mean, a file of the project."""
+    top = module.partition(".")[0]
+    if top in sys.stdlib_module_names or top == plugin_registry.SIERRA:
+        return
+    try:
+        spec = find_spec(top)
+    except (ImportError, ValueError):
+        spec = None
+    places = [Path(place) for place in (spec.origin, *(spec.submodule_search_locations or ())) if place] if spec else []
+    own = [place for place in places if _is_own(root, place)]
+    if not own and not any(set(INSTALLED).intersection(place.parts) for place in places):
+        folders = dict.fromkeys((PurePosixPath(path).parent, PurePosixPath()))
+        own = [root / name for folder in folders for name in _file_of(root, folder / top)]
+    if own:
+        shown = own[0].relative_to(root) if own[0].is_relative_to(root) else own[0]
+        raise ConfigError(
+            f"{path}, line {line}: imports {module!r}, which is {shown} of the project; only relative imports of its files are "
+            f"recorded with the plug-in: write it as in `from . import {top}`"
+        )
+
+
+def _is_own(root: Path, file: Path) -> bool:
+    """Check whether a module's file belongs to the project, and not to a virtual environment in it."""
+    return file.is_relative_to(root) and not set(INSTALLED).intersection(file.parts)
+
+
+# The modules
+
+
+def _register(root: Path, content: Mapping[str, bytes]) -> str:
+    """Make the modules of these files importable; return the name of the package that stands for the project's folder."""
+    hashes = {path: sha256(data) for path, data in content.items()}
+    package = PREFIX + digest("plugins", {"root": str(root), "files": hashes})[:32]
+    if content and package not in _modules:
+        if _finder not in sys.meta_path:
+            sys.meta_path.append(_finder)
+        _modules[package] = _Module(root / PACKAGE, b"", is_package=True)
+        for path, data in content.items():
+            for folder in PurePosixPath(path).parents:
+                if folder.parts:
+                    name = f"{package}.{'.'.join(folder.parts)}"
+                    _modules.setdefault(name, _Module(root / folder / PACKAGE, b"", is_package=True))
+            _modules[f"{package}.{_dotted(path)}"] = _Module(root / path, data, PurePosixPath(path).name == PACKAGE)
+    return package
+
+
+def _dotted(path: str) -> str:
+    """Return the name of a file's module in the package of the project."""
+    pure = PurePosixPath(path)
+    return ".".join(pure.parent.parts if pure.name == PACKAGE else pure.with_suffix("").parts)
+
+
+def _imported(name: str, root: Path, path: str) -> ModuleType:
+    """Import a module. Raises PluginError if that fails, or if it loads other files of the project."""
+    before = set(sys.modules)
+    try:
+        __import__(name)
+    except (Exception, SystemExit) as error:
+        raise PluginError(f"[plugins]: {path} cannot be imported: {_in_words(error)}; correct it") from error
+    finally:
+        own = sorted(added for added in sys.modules.keys() - before if _is_foreign(root, added))
+        files = [str(sys.modules.pop(added).__file__) for added in own]
+    if files:
+        for added in [added for added in sys.modules if added.startswith(name.partition(".")[0])]:
+            del sys.modules[added]  # so that the next use fails too
+        raise PluginError(
+            f"[plugins]: {path} has loaded {files[0]} by other means than relative imports, so that it is not recorded with "
+            f"the plug-in; write it as in `from . import {own[0].rpartition('.')[2]}`"
+        )
+    return sys.modules[name]
+
+
+def _is_foreign(root: Path, name: str) -> bool:
+    """Check whether a module is of a file of the project, and was not made here."""
+    file = getattr(sys.modules.get(name), "__file__", None)
+    return not name.startswith((PREFIX, f"{plugin_registry.SIERRA}.")) and isinstance(file, str) and _is_own(root, Path(file))
+
+
+def _in_words(error: BaseException) -> str:
+    """Return an error in one line, without the names that modules have here."""
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return re.sub(rf"{PREFIX}[0-9a-f]+\.?", "", text)
+
+
+class _Finder:
+    """The importer of these modules: an object of `sys.meta_path`, and the loader."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        module = _modules.get(name) if name.startswith(PREFIX) else None
+        if module is None:
+            return None
+        spec = spec_from_loader(name, self, origin=str(module.file), is_package=module.is_package)  # type: ignore[arg-type]
+        if spec is not None:
+            spec.has_location = bool(module.content)
+        return spec
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Let Python create the module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        exec(self.get_code(module.__name__), vars(module))  # noqa: S102 - the project's own code, as with any import
+
+    def get_code(self, name: str) -> CodeType:
+        module = _modules[name]
+        return compile(module.content, str(module.file), "exec", dont_inherit=True)
+
+
+_finder = _Finder()
