@@ -19,6 +19,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, spec_from_loader
 from pathlib import Path, PurePosixPath
@@ -37,6 +38,8 @@ PREFIX = "sierra_plugins_"
 PACKAGE = "__init__.py"
 INSTALLED = ("site-packages", "dist-packages")
 """Folders of installed packages, which may be in a virtual environment in the project."""
+_active: ContextVar[tuple[Path, str, Mapping[str, bytes]] | None] = ContextVar("_active", default=None)
+"""The project whose names count now: its folder, the reason to refuse them, and the files as they were read."""
 _modules: dict[str, _Module] = {}
 """All modules that may be imported, by their names."""
 
@@ -79,8 +82,13 @@ def using(root: Path, declared: Mapping[str, Iterable[str]], refused: str = "") 
     With `refused`, which is a reason, they may not be imported: whoever uses one gets that reason as an error, and no file is
     read.
 
+    Within a context of the same project, that one goes on: its files are not read again.
+
     Raises ConfigError for a file that cannot be used, or a name that is shipped or installed.
     """
+    if (active := _active.get()) is not None and active[:2] == (root, refused):
+        yield active[2]
+        return
     content = {} if refused else files(root, declared)
     package = _register(root, content)
     offers: dict[str, dict[str, tuple[Offer, ...]]] = {}
@@ -89,7 +97,11 @@ def using(root: Path, declared: Mapping[str, Iterable[str]], refused: str = "") 
         _check_names(kind, places)
         offers[kind.group] = {place.partition(":")[2]: (_offer(place, root, package, refused),) for place in places}
     with plugin_registry.adding(offers):
-        yield content
+        before = _active.set((root, refused, content))
+        try:
+            yield content
+        finally:
+            _active.reset(before)
 
 
 def _offer(place: str, root: Path, package: str, refused: str) -> Offer:

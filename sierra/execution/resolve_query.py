@@ -45,13 +45,14 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
             raise QueryError(f"{word!r} is not a query in sierra.toml{hint}")
     named = config.queries[names[0]] if names else None
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
-    query = Query(
-        criteria=grammar.parse_all(spelled, config.criteria),
-        runs=request.runs or (named and named.runs) or config.runs,
-        controller=request.controller or (named and named.controller) or None,
-        scenario=request.scenario or (named and named.scenario) or None,
-        sets=tuple(Set(one.xpath, one.value, why=f"--set {one.xpath}") for one in request.overrides),
-        base_seed=config.seed.base,
-    )
-    targets.check(project, query)
+    with project.plugins():
+        query = Query(
+            criteria=grammar.parse_all(spelled, config.criteria),
+            runs=request.runs or (named and named.runs) or config.runs,
+            controller=request.controller or (named and named.controller) or None,
+            scenario=request.scenario or (named and named.scenario) or None,
+            sets=tuple(Set(one.xpath, one.value, why=f"--set {one.xpath}") for one in request.overrides),
+            base_seed=config.seed.base,
+        )
+        targets.check(project, query)
     return query

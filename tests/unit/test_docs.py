@@ -88,7 +88,7 @@ def test_commands_of_a_page_print_the_shown_output(
 def test_page_on_plugins_shows_the_tested_package() -> None:
     for block in blocks(PLUGINS):
         if block.title:
-            file = plugins.SOURCE / ("project" if block.title == "sierra.toml" else "") / block.title
+            file = plugins.SOURCE / ("project" if block.title in ("sierra.toml", "ranges.py") else "") / block.title
             assert file.read_text("utf-8") == block.text, f"{name_of(PLUGINS)}, line {block.line}"
 
 

@@ -104,8 +104,9 @@ def test_platform_of_the_project_executes_a_batch_and_writes_no_byte_code(tmp_pa
     assert not list(folder.rglob("*.pyc"))
 
 
-def test_template_format_and_range_of_the_project_are_chosen_by_the_names_of_their_classes(tmp_path: Path) -> None:
-    folder = projects.make(tmp_path / "p", projects.CONFIG.replace('template = "', 'template_format = "Arena"\ntemplate = "'))
+def make_own(folder: Path) -> Path:
+    """Write a project with a template format and a range of its own; return its folder."""
+    projects.make(folder, projects.CONFIG.replace('template = "', 'template_format = "Arena"\ntemplate = "'))
     (folder / "own.py").write_text(
         "from sierra.plugin import Computed, NoOptions\n"
         "from sierra.templates.xml import XmlTemplate\n"
@@ -116,8 +117,28 @@ def test_template_format_and_range_of_the_project_are_chosen_by_the_names_of_the
     )
     with (folder / "sierra.toml").open("a") as file:
         file.write('[plugins]\ntemplates = ["own.py:Arena"]\ncriteria = ["own.py:Squares"]\n')
-    plan = sierra.open(folder).plan("population_size.Squares3")
+    return folder
+
+
+def test_template_format_and_range_of_the_project_are_chosen_by_the_names_of_their_classes(tmp_path: Path) -> None:
+    plan = sierra.open(make_own(tmp_path / "p")).plan("population_size.Squares3")
     assert [experiment.values["population_size"] for experiment in plan.batch.experiments] == [1, 4, 9]
+
+
+@pytest.mark.integration
+def test_batch_of_a_range_and_a_template_format_of_the_project_is_executed_and_found_by_its_name(tmp_path: Path) -> None:
+    folder = make_own(tmp_path / "p")
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(
+            '[queries.main]\ncriteria = "population_size.Squares2"\nruns = 1\n'
+            '[paper_tables.means]\nquery = "main"\ncolumn = "coverage"\nformats = ["csv"]\n'
+        )
+    done = projects.quick(folder, "run", "main")
+    assert "2 runs: 2 executed, 0 reused" in done.stdout, done.stderr
+    assert "means" in done.stdout
+    assert projects.quick(folder, "show", "main").returncode == 0
+    done = projects.quick(folder, "figures", "--check")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.integration
