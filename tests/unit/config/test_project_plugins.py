@@ -213,6 +213,22 @@ def test_plugin_with_converted_line_endings_is_source(tmp_path: Path) -> None:
     assert "robosim.py" in files_of(folder)
 
 
+@pytest.mark.integration
+def test_runs_elsewhere_and_in_a_checkout_have_the_same_plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = plugins.install(tmp_path / "package")
+    monkeypatch.syspath_prepend(str(installed))
+    monkeypatch.setenv("PYTHONPATH", str(installed))
+    (tmp_path / "spool").mkdir()
+    cluster = f'[runners.here]\nscheduler = "spool"\nspool = "{tmp_path}/spool"\narray_tasks = 2\n'
+    folder = projects.commit(with_factors(tmp_path / "p", f'[source]\ndirty = "ignore"\n{cluster}'))
+    done = projects.quick(folder, *RUN, "--on", "here")
+    assert "2 runs: 2 executed, 0 reused" in done.stdout, done.stdout + done.stderr
+    (folder / "arena.xml").write_text(projects.TEMPLATE.replace('size="10"', 'size="11"'))
+    assert executed(folder) == "2 runs: 2 executed, 0 reused"
+    (folder / "sim.py").write_text("raise SystemExit('not the commit')")
+    assert executed(folder) == "2 runs: 0 executed, 2 reused"
+
+
 # Modules
 
 
