@@ -23,10 +23,10 @@ from contextvars import ContextVar
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, spec_from_loader
 from pathlib import Path, PurePosixPath
-from types import CodeType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from sierra.config import plugin_registry
+from sierra.config import extensions, plugin_registry
 from sierra.config.plugin_registry import KINDS, Kind, Offer
 from sierra.errors import ConfigError, PluginError
 from sierra.util.hashing import digest, sha256
@@ -113,8 +113,9 @@ def _check_names(kind: Kind, places: Iterable[str]) -> None:
     """Raise ConfigError for a name that something else has."""
     for place in places:
         name = place.partition(":")[2]
-        if name in kind.shipped or name in kind.added():
-            owner = " and ".join(["SIERRA itself"] if name in kind.shipped else kind.packages(name))
+        shipped = name in kind.shipped or extensions.home(kind.key, name) is not None
+        if shipped or name in kind.added():
+            owner = "SIERRA itself" if shipped else " and ".join(kind.packages(name))
             raise ConfigError(f"[plugins] {kind.key}: {owner} has a {kind.word} {name!r} already; give {place} another name")
 
 
@@ -216,7 +217,8 @@ def _refuse_own(root: Path, path: str, module: str, line: int) -> None:
 
 def _is_own(root: Path, file: Path) -> bool:
     """Check whether a module's file belongs to the project, and not to a virtual environment in it."""
-    return file.is_relative_to(root) and not set(INSTALLED).intersection(file.parts)
+    file = file.resolve()
+    return file.is_relative_to(root) and not set(INSTALLED).intersection(file.relative_to(root).parts)
 
 
 # The modules
@@ -253,22 +255,36 @@ def _imported(name: str, root: Path, path: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         raise PluginError(f"[plugins]: {path} cannot be imported: {_in_words(error)}; correct it") from error
     finally:
-        own = sorted(added for added in sys.modules.keys() - before if _is_foreign(root, added))
-        files = [str(sys.modules.pop(added).__file__) for added in own]
-    if files:
+        loaded = {added: _file(added) for added in sys.modules.keys() - before if _is_foreign(root, added)}
+        for added in loaded:
+            del sys.modules[added]
+    loaded |= {known: _file(known) for known in _modules_in(sys.modules[name]) if _is_foreign(root, known)}
+    if loaded:
         for added in [added for added in sys.modules if added.startswith(name.partition(".")[0])]:
             del sys.modules[added]  # so that the next use fails too
+        first = min(loaded)
         raise PluginError(
-            f"[plugins]: {path} has loaded {files[0]} by other means than relative imports, so that it is not recorded with "
-            f"the plug-in; write it as in `from . import {own[0].rpartition('.')[2]}`"
+            f"[plugins]: {path} has loaded {loaded[first]} by other means than relative imports, so that it is not recorded "
+            f"with the plug-in; write it as in `from . import {first.rpartition('.')[2]}`"
         )
     return sys.modules[name]
 
 
+def _modules_in(module: ModuleType) -> set[str]:
+    """Return the names of the modules in a module, and of those that its classes and functions come from."""
+    values = list(vars(module).values())
+    modules = {value.__name__ for value in values if isinstance(value, ModuleType)}
+    return modules | {str(value.__module__) for value in values if isinstance(value, type | FunctionType)}
+
+
+def _file(name: str) -> str:
+    return str(getattr(sys.modules.get(name), "__file__", ""))
+
+
 def _is_foreign(root: Path, name: str) -> bool:
     """Check whether a module is of a file of the project, and was not made here."""
-    file = getattr(sys.modules.get(name), "__file__", None)
-    return not name.startswith((PREFIX, f"{plugin_registry.SIERRA}.")) and isinstance(file, str) and _is_own(root, Path(file))
+    file = _file(name)
+    return bool(file) and not name.startswith((PREFIX, f"{plugin_registry.SIERRA}.")) and _is_own(root, Path(file))
 
 
 def _in_words(error: BaseException) -> str:

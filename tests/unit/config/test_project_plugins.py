@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -118,6 +119,17 @@ def make_own(folder: Path) -> Path:
     with (folder / "sierra.toml").open("a") as file:
         file.write('[plugins]\ntemplates = ["own.py:Arena"]\ncriteria = ["own.py:Squares"]\n')
     return folder
+
+
+def test_platform_of_the_project_has_options(tmp_path: Path) -> None:
+    code = PLATFORM.replace("Options = NoOptions", "Options = RoboOptions").replace("n * FACTOR", "n * self.options.factor")
+    code = code.replace("self.words = project.command", "self.words, self.options = project.command, options")
+    code = code.replace("class RoboSim", "class RoboOptions(Table):\n    factor: int = 1\n\nclass RoboSim")
+    folder = make(tmp_path / "p", code.replace("import Axis", "import Table, Axis"), "[platforms.RoboSim]\nfactor = 7\n")
+    assert counts(folder) == ["7", "14"]
+    file = folder / "sierra.toml"
+    file.write_text(file.read_text().replace("factor = 7", "factr = 7"))
+    assert refused(folder, *RUN) == "[platforms.RoboSim]: unknown key 'factr'; did you mean 'factor'?"
 
 
 def test_template_format_and_range_of_the_project_are_chosen_by_the_names_of_their_classes(tmp_path: Path) -> None:
@@ -263,6 +275,14 @@ def test_plugin_imports_its_own_files_by_relative_imports_only(tmp_path: Path, m
     )  # fmt: skip
     for _ in range(2):
         assert refused(folder, *RUN).startswith(f"[plugins]: robosim.py has loaded {folder}/factors.py by other means than ")
+    monkeypatch.syspath_prepend(str(folder))
+    importlib.import_module("factors")
+    monkeypatch.undo()
+    dynamic = "import importlib\nfactors = importlib.import_module('factors')\nFACTOR = factors.FACTOR"
+    (folder / "robosim.py").write_text(PLATFORM.replace("FACTOR = 2", dynamic))
+    for _ in range(2):
+        assert refused(folder, *RUN).startswith(f"[plugins]: robosim.py has loaded {folder}/factors.py by other means than ")
+    del sys.modules["factors"]
     (folder / "robosim.py").write_text(IMPORTING.replace("from .tools.factors", "from ..other.factors"))
     assert refused(folder, *RUN) == "robosim.py, line 4: a relative import leads out of the project; import files in it"
 
