@@ -1,7 +1,8 @@
 """The grammar of criteria: `parse` reads a criterion, `text` writes its canonical text.
 
     criterion = name ("=" (list | span) | "." dotted)
-    list      = item {"," item}                        all numbers, or all names, each once
+    list      = item {"," item}                        all numbers, or all texts, each once
+    item      = number | name | quoted                 0.5, low, "exponential(0.2s)": see `sierra.util.quoted_values`
     span      = number ":" number ":" count            noise=0:1:5
     dotted    = "Log" whole                            population_size.Log8
               | "Linear" whole [".C" count]            population_size.Linear100.C10; the default count is 10
@@ -17,6 +18,10 @@ names, whether the project or a platform defines them.
 
 A text that is almost a number (`0p2` in a list, `1_000`, `007`, `nan`) is neither a number nor a name. It is an error, like
 every text that could be mistaken for another range.
+
+In quotes, it is a text. A number in quotes is the same value as without them, if its canonical form is the same text: `"1"` is
+1, but `"1.10"` and `"1e3"` are texts, because their digits would get lost. If a list has a text and any quotes, all its values
+are texts: `1,"a b"` are the texts 1 and a b.
 """
 
 from __future__ import annotations
@@ -50,10 +55,14 @@ from sierra.model import (
 )
 from sierra.store.schema import RESERVED
 from sierra.util.lazy_definitions import regex
-from sierra.util.text import outside
+from sierra.util.quoted_values import QUOTE, pieces, quoted, split_off, unquoted
+from sierra.util.text import outside, visible
 
 """`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""
 MONTE_CARLO = "montecarlo"
+EXAMPLE = '="random walk",low'
+LONGEST = 200
+"""The largest length of a criterion that a message proposes."""
 VARIABLE_DENSITY = "population_variable_density"
 
 _NAME = regex(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -129,7 +138,8 @@ def _check_axis(criterion: Criterion, first: Criterion) -> None:
 def _criterion(text: str, tables: Tables) -> Criterion:
     if not text:
         raise QueryError("a criterion must not be empty; use population_size.Log8")
-    if not text.isprintable() or " " in text:
+    without_quoted, _ = split_off(text)
+    if not without_quoted.isprintable() or " " in without_quoted:
         raise QueryError(_with_blanks(text))
     name, separator, rest = (*re.split(r"([.=])", text, maxsplit=1), "", "")[:3]
     if not _NAME.fullmatch(name):
@@ -177,16 +187,61 @@ def _steps(name: str, start: str, end: str, count: int) -> Scale:
 
 def _spelled(name: str, rest: str) -> Scale:
     """Parse the text after `=`: a list, or a span."""
-    if ":" not in rest:
-        return Listed(tuple(value(word) for word in rest.split(",")))
-    parts = rest.split(":")
+    parts = pieces(rest, ":")
+    if len(parts) == 1:
+        return Listed(_listed(name, pieces(rest, ",")))
     if len(parts) != 3 or not _WHOLE.fullmatch(parts[2]):
         raise QueryError(f"a range needs from, to and a count; use {name}=0:1:5")
     return Span(fraction(parts[0]), fraction(parts[1]), whole(parts[2]))
 
 
+def _listed(name: str, words: list[str]) -> tuple[Value, ...]:
+    """Return the values of a list. If it has a text and any quotes, all are texts."""
+    try:
+        listed = tuple(map(value, words))
+    except _NeedsQuotesError as error:
+        raise QueryError(f"{error}; {_as_typed(name, ','.join(words))}") from None
+    is_text = [isinstance(each, str) for each in listed]
+    if any(is_text) and not all(is_text) and any(word.startswith(QUOTE) for word in words):
+        return tuple(unquoted(word) or word for word in words)
+    return listed
+
+
+class _NeedsQuotesError(QueryError):
+    """The error that a value must be in quotes."""
+
+
 def value(word: str) -> Value:
     """Return the value that a word in a list of values means. Raises QueryError."""
+    return _quoted(word) if QUOTE in word else _unquoted(word)
+
+
+def _quoted(word: str) -> Value:
+    """Return the text of a word in quotes, or the number whose canonical form it is."""
+    content = unquoted(word)
+    if content is None:
+        raise _NeedsQuotesError(
+            f'{shown(word)} should begin and end with quotes, with \\" for a quote and \\\\ for a backslash in it'
+        )
+    if not content:
+        raise QueryError("a value must not be empty; leave it out, or use a name such as none")
+    if wrong := next((each for each in content if each in "\t\r\n" or visible(each) != each), None):
+        raise QueryError(f"{shown(word)} contains {wrong!a}, which cannot be seen; use scenarios whose changes set such values")
+    number = _as_number(content)
+    return content if number is None else number
+
+
+def _as_number(content: str) -> Value | None:
+    """Return the number whose canonical text this is; None if there is none."""
+    try:
+        number = _unquoted(content)
+        ranges.check(Listed((number,)))
+    except QueryError:
+        return None
+    return number if not isinstance(number, str) and value_text(number) == content else None
+
+
+def _unquoted(word: str) -> Value:
     if _WHOLE.fullmatch(word):
         return whole(word)
     if NUMBER.fullmatch(word):
@@ -197,8 +252,19 @@ def value(word: str) -> Value:
         start, end = ends.groups()
         raise QueryError(f"{shown(word)} is not a range; use {start}:{end}:COUNT, or a list of values: {start},{end}")
     if not _ITEM.fullmatch(word):
+        if word.strip(".-"):
+            raise _NeedsQuotesError(f"{shown(word)} needs quotes: it is no number, and no name of letters, digits, _ - and .")
         raise QueryError(f"{shown(word)} is not a value; use a number, or a name of letters, digits, _ - and .")
     return word
+
+
+def value_text(value: Value) -> str:
+    """Return the canonical text of a value in a list: in quotes only if it needs them."""
+    if isinstance(value, str):
+        return value if _is_name(value) else quoted(value)
+    if isinstance(value, float):
+        return repr(value + 0.0).replace("e+", "e")
+    return str(value)
 
 
 def _written(scale: Scale) -> str:
@@ -212,7 +278,7 @@ def _written(scale: Scale) -> str:
         case Span(start, end, count):
             return f"={ranges.plain(start)}:{ranges.plain(end)}:{count}"
         case Listed(listed):
-            return "=" + ",".join(map(_written_value, listed))
+            return "=" + ",".join(map(value_text, listed))
         case MonteCarlo(count):
             return f".C{count}"
         case ConstantDensity(density, increment, count):
@@ -225,10 +291,12 @@ def _written(scale: Scale) -> str:
             assert_never(scale)
 
 
-def _written_value(value: Value) -> str:
-    if isinstance(value, float):
-        return repr(value + 0.0).replace("e+", "e")
-    return str(value)
+def _is_name(text: str) -> bool:
+    """Return True if a text means itself without quotes."""
+    try:
+        return _unquoted(text) == text
+    except QueryError:
+        return False
 
 
 def _written_step(number: Fraction) -> str:
@@ -270,19 +338,34 @@ def _monte_carlo_mistaken(name: str, rest: str) -> str:
 def _with_blanks(text: str) -> str:
     """Return a message that a criterion contains blanks, with a proposal if they are within its values and it is short."""
     name, _, values = text.partition("=")
-    words = [word.strip(" '\"") for word in values.split(",")]
-    proposal = f"{name}={','.join(word.replace(' ', '_') for word in words)}"
-    if _NAME.fullmatch(name) and any(" " in word for word in words) and _is_valid(proposal):
-        return f"a value must not contain blanks; use {proposal}, or scenarios whose changes set such values"
+    if _NAME.fullmatch(name) and any(" " in word.strip(" '") for word in _items(values)):
+        return f"a value with blanks needs quotes; {_as_typed(name, values)}"
     return "a criterion must not contain blanks; use noise=0,0.5,1"
+
+
+def _as_typed(name: str, values: str) -> str:
+    """Return how values that need quotes are typed in a shell, which removes quotes that are not in others."""
+    import shlex
+
+    listed = [unquoted(word) or word.strip("\"' ") for word in _items(values)]
+    proposal = f"{name}={','.join(map(value_text, listed))}"
+    return f"use {shlex.quote(proposal if _is_valid(proposal) else name + EXAMPLE)}"
+
+
+def _items(values: str) -> list[str]:
+    """Return the items of a list in which quotes may be missing: a comma in brackets belongs to an item."""
+    unclosed = values.count("'") % 2 or any(values.count(pair[0]) != values.count(pair[1]) for pair in ("()", "[]"))
+    if QUOTE in values or unclosed:
+        return pieces(values, ",")
+    ends = [*outside(values, ","), len(values)]
+    return [values[start:end] for start, end in zip((0, *(end + 1 for end in ends)), ends, strict=False)]
 
 
 def _is_valid(text: str) -> bool:
     try:
-        parse(text)
+        return len(text) <= LONGEST and bool(parse(text))
     except QueryError:
         return False
-    return len(text) <= DIGITS
 
 
 def _right_name(name: str) -> str:

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from sierra.design.query import grammar, ranges
 from sierra.errors import QueryError
 from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, VariableDensity
+from sierra.util.quoted_values import quoted
+from sierra.util.text import visible
 from tests.effort import is_cheap
 
 NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,12}", fullmatch=True).filter(lambda name: name != "montecarlo")
@@ -25,6 +27,13 @@ POSITIVES = DECIMALS.map(abs).filter(bool)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 CATEGORIES = st.from_regex(r"[A-Za-z][A-Za-z0-9_.-]{0,8}", fullmatch=True).filter(
     lambda word: word.lower() not in ("nan", "inf", "infinity")
+)
+
+TEXTS = st.one_of(
+    st.text(min_size=1, max_size=9).filter(lambda text: visible(text) == text and not set(text) & set("\t\r\n")),
+    st.text('"\\\\ ,:=()1.a', min_size=1, max_size=9),
+    st.one_of(WHOLES, FLOATS).map(str),
+    CATEGORIES,
 )
 
 
@@ -62,6 +71,9 @@ SCALES: st.SearchStrategy[Scale] = st.one_of(
     .map(lambda each: Listed(tuple(each)))
     .filter(right),
     st.lists(CATEGORIES, min_size=1, max_size=9, unique=True).map(lambda each: Listed(tuple(each))),
+    st.lists(TEXTS, min_size=1, max_size=9, unique=True)
+    .filter(lambda texts: any(isinstance(grammar.value(quoted(each)), str) for each in texts))
+    .map(lambda texts: Listed(tuple(texts))),
     st.builds(ConstantDensity, POSITIVES, POSITIVES, st.integers(1, 40)),
 )
 CRITERIA = st.one_of(
@@ -73,7 +85,7 @@ CRITERIA = st.one_of(
 )
 SUGGESTION = re.compile(r"Log\d+|Linear\d+(?:\.C\d+)?|=[-\d:]+|\.-?\d+\.-?\d+\.C\d+")
 ALPHABET = st.sampled_from(
-    [*"ab_.=,:-+pCIe0159 \n", "Log", "Linear", "Lgo", "x.", "x=", "montecarlo", ".C", "٣", "é", "\u2028"]
+    [*'ab_.=,:-+pCIe0159 \n"\\()', "Log", "Linear", "Lgo", "x.", "x=", "montecarlo", ".C", "٣", "é", "\u2028"]
 )
 
 
@@ -101,6 +113,18 @@ ALPHABET = st.sampled_from(
             ("1.2.3", "v2-rc.1", "2024-01-01"),
         ),
         ("policy=p5,e1", Listed(("p5", "e1")), ("p5", "e1")),
+        ('interval="exponential(0.2s)"', Listed(("exponential(0.2s)",)), ("exponential(0.2s)",)),
+        (
+            'law="random walk","levy (0.5)",none',
+            Listed(("random walk", "levy (0.5)", "none")),
+            ("random walk", "levy (0.5)", "none"),
+        ),
+        (r'x="a,b","c:d:5","=","\"\\"', Listed(("a,b", "c:d:5", "=", '"\\')), ("a,b", "c:d:5", "=", '"\\')),
+        ('x="ångström","龍 1","🤖\u200d🔧"', Listed(("ångström", "龍 1", "🤖\u200d🔧")), ("ångström", "龍 1", "🤖\u200d🔧")),
+        ('x="1",0.5,"-2"', Listed((1, 0.5, -2)), (1, 0.5, -2)),
+        ('x=1,"a b",2.50', Listed(("1", "a b", "2.50")), ("1", "a b", "2.50")),
+        ('version="1.10","1.9","007","1e3"', Listed(("1.10", "1.9", "007", "1e3")), ("1.10", "1.9", "007", "1e3")),
+        ('x="nan"', Listed(("nan",)), ("nan",)),
         ("montecarlo.C3", MonteCarlo(3), (1, 2, 3)),
     ],
 )
@@ -138,6 +162,9 @@ def test_densities_have_no_values_without_a_platform(text: str) -> None:
         ("rate=1E3,1e+22,-0.0,+7", "rate=1000.0,1e22,0.0,7"),
         ("population_variable_density.1.2p50.C4", "population_variable_density.1p0.2p5.C4"),
         ("population_constant_density.5.I0p5.C4", "population_constant_density.5p0.I0p5.C4"),
+        ('x="low","v2-rc.1","1.2.3"', "x=low,v2-rc.1,1.2.3"),
+        ('x="1","2.5"', "x=1,2.5"),
+        ('x=1,"low"', 'x="1",low'),
     ],
 )
 def test_criteria_are_written_as_one_canonical_text(text: str, canonical: str) -> None:
@@ -183,7 +210,17 @@ def read(text: str) -> tuple[Criterion | None, str]:
         return None, str(error)
 
 
-@pytest.mark.parametrize("text", ["x=" + "1" * 200_000 + "!", "x=" + "-" * 200_000 + "!", "x." + "1." * 200_000, "L" * 200_000])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x=" + "1" * 200_000 + "!",
+        "x=" + "-" * 200_000 + "!",
+        "x." + "1." * 200_000,
+        "L" * 200_000,
+        'x="' + '\\"' * 100_000,
+        'x="' * 70_000,
+    ],
+)
 def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
     def refused() -> None:
         with pytest.raises(QueryError):
@@ -203,15 +240,40 @@ def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
         ("noise\n=1", r"'noise\n=1': a criterion must not contain blanks; use noise=0,0.5,1"),
         (
             "law=slow law,fast",
-            "'law=slow law,fast': a value must not contain blanks; "
-            "use law=slow_law,fast, or scenarios whose changes set such values",
+            """'law=slow law,fast': a value with blanks needs quotes; use 'law="slow law",fast'""",
         ),
         (
             "law='slow law', fast",
-            """"law='slow law', fast": a value must not contain blanks; """
-            "use law=slow_law,fast, or scenarios whose changes set such values",
+            """"law='slow law', fast": a value with blanks needs quotes; use 'law="slow law",fast'""",
         ),
-        ("law=slow law,a=b", "'law=slow law,a=b': a criterion must not contain blanks; use noise=0,0.5,1"),
+        ("law=slow law,a=b", """'law=slow law,a=b': a value with blanks needs quotes; use 'law="slow law","a=b"'"""),
+        (
+            "interval=exponential(0.2s)",
+            "'interval=exponential(0.2s)': 'exponential(0.2s)' needs quotes: it is no number, and no name of letters, digits, "
+            "_ - and .; use 'interval=\"exponential(0.2s)\"'",
+        ),
+        (
+            "t=uniform(1,2),x",
+            "'t=uniform(1,2),x': 'uniform(1' needs quotes: it is no number, and no name of letters, digits, _ - and .; "
+            "use 't=\"uniform(1,2)\",x'",
+        ),
+        (
+            "who=it's",
+            """"who=it's": "it's" needs quotes: it is no number, and no name of letters, digits, _ - and .; """
+            """use 'who="it'"'"'s"'""",
+        ),
+        (
+            'law="slow',
+            """'law="slow': '"slow' should begin and end with quotes, with \\" for a quote and \\\\ for a backslash in it; """
+            "use law=slow",
+        ),
+        ('x=""', """'x=""': a value must not be empty; leave it out, or use a name such as none"""),
+        (
+            'x="a\tb"',
+            """'x="a\\tb"': '"a\\tb"' contains '\\t', which cannot be seen; use scenarios whose changes set such values""",
+        ),
+        ('x="1",1', """'x="1",1': 1 is listed twice; use it once"""),
+        ('x="a b","a b"', """'x="a b","a b"': 'a b' is listed twice; use it once"""),
         ("2fast=1", "'2fast=1': '2fast' is not a name of letters, digits and _; use fast"),
         ("max-speed=1", "'max-speed=1': 'max-speed' is not a name of letters, digits and _; use max_speed"),
         ("=1", "'=1': '' is not a name of letters, digits and _; use population_size.Log8"),
@@ -306,7 +368,8 @@ def test_suggestions_of_errors_are_valid_criteria(scale: str) -> None:
         Criterion("x", Span(Fraction(1, 3), Fraction(1), 3)),
         Criterion("x", Listed(())),
         Criterion("x", Listed(("1", "2"))),
-        Criterion("x", Listed(("a,b",))),
+        Criterion("x", Listed(("a\nb",))),
+        Criterion("x", Listed(("",))),
         Criterion("x", Listed((math.nan,))),
         Criterion("x", Listed((True,))),
     ],
