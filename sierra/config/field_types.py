@@ -25,6 +25,7 @@ from pydantic import (
 from sierra.config import group_names, targets
 from sierra.model import Measure
 from sierra.store.layout import STORE
+from sierra.util.quoted_values import words
 
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
@@ -179,9 +180,9 @@ ONE_OR_MORE = BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_
 ListOfWords = Annotated[tuple[str, ...], ONE_OR_MORE]
 Criteria = Annotated[
     tuple[str, ...],
-    BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
+    BeforeValidator(lambda v: words(v) if isinstance(v, str) else v, json_schema_input_type=Words),
 ]
-"""Criteria as words, or as text that is split at blanks."""
+"""Criteria as words, or as text that is split at blanks outside of quotes."""
 Commands = Annotated[
     tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...],
     BeforeValidator(_as_commands, json_schema_input_type=str | tuple[tuple[str, ...], ...]),

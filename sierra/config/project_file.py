@@ -107,7 +107,7 @@ class QueryTable(OfQuery):
     """A named query, for `sierra run NAME`. What it does not say is as for all queries, at the top level."""
 
     criteria: Annotated[Criteria, Field(min_length=1)] = Field(
-        description="criteria, one for each axis, as on the command line; text is split at spaces"
+        description="criteria, one for each axis, as on the command line; text is split at spaces outside of double quotes"
     )
 
 

@@ -7,6 +7,7 @@ be pairs: the same values and seeds. Other batches, such as those of several con
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -17,6 +18,7 @@ from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
+from sierra.util.quoted_values import words
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -84,7 +86,7 @@ def batches(store: Store, targets: Sequence[str], batch: str | None = None) -> d
         raise Missing(f"no batch is recorded for target {' or '.join(targets)} yet; record them with sierra run")
     found = {row.target: row.batch for row in store.select(_Batch, LAST, targets=list(targets), **asked[0]._asdict())}
     if lacking := [target for target in targets if target not in found]:
-        command = f"sierra run {asked[0].query} --target {','.join(targets)}"
+        command = _command(asked[0], targets)
         raise Missing(f"{asked[0].query} was not run for target {few(lacking, 3)}; record all batches with: {command}")
     chosen = {target: found[target] for target in targets}
     members = {row.batch: row.runs for row in store.select(_Members, MEMBERS, batches=sorted(set(chosen.values())))}
@@ -93,9 +95,13 @@ def batches(store: Store, targets: Sequence[str], batch: str | None = None) -> d
         if members[chosen[target]] != first:
             raise UsageError(
                 f"the runs for targets {targets[0]!r} and {target!r} are no pairs: their seeds or numbers differ; "
-                f"run the query for both at once: sierra run {asked[0].query} --target {','.join(targets)}"
+                f"run the query for both at once: {_command(asked[0], targets)}"
             )
     return chosen
+
+
+def _command(asked: _Request, targets: Sequence[str]) -> str:
+    return shlex.join(["sierra", "run", *words(asked.query), "--target", ",".join(targets)])
 
 
 def fitting(figure: Figure, *, declared: bool) -> Figure:

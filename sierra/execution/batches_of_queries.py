@@ -17,6 +17,7 @@ from sierra.execution import resolve_query
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass, field
+from sierra.util.quoted_values import words
 
 RECORDED = "SELECT batch FROM batches WHERE batch = $b"
 SAME_QUERY = """
@@ -83,7 +84,7 @@ def labelled(config: Project, word: str) -> tuple[str, QueryRequest]:
     is_criterion = label in {*config.variables, "controller", "scenario"}
     if equals and name in config.queries and not is_criterion:
         return label, query_request.request([name])
-    return word if word in config.queries else "", query_request.request(word.split())
+    return word if word in config.queries else "", query_request.request(words(word))
 
 
 def identity(project: LoadedProject, request: QueryRequest) -> dict[str, JsonView]:

@@ -12,6 +12,7 @@ from sierra.packages.members import MANIFEST
 from sierra.packages.needs import Machine
 from sierra.packages.subject import Member
 from sierra.util.lazy_definitions import regex
+from sierra.util.quoted_values import words
 from sierra.util.text import counted, one_line, size
 
 QUICK_S = 600
@@ -89,7 +90,7 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield "runs."
     yield "In `project/` itself, commands write to the store, and the package would no longer be verified:\n"
     copy = "mkdir -p reproduction\ncp -r project reproduction/project\ncd reproduction/project"
-    yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"
+    yield f"```sh\n{copy}\nsierra run {shlex.join(words(one_line(described.batches[0].query)))}\n```"
 
 
 def beginning(version: str, members: Mapping[str, Member], seconds: float | None = None) -> Iterator[str]:

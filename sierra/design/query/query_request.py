@@ -16,6 +16,7 @@ from sierra.config.field_types import Table
 from sierra.config.validate import options
 from sierra.design.query.grammar import setting
 from sierra.errors import Missing, UsageError
+from sierra.util.quoted_values import words
 from sierra.util.regular_files import read_regular
 from sierra.util.text import half_character
 
@@ -80,7 +81,7 @@ def request(
 def repeated(row: Mapping[str, Any], runs: int, target: str | None = None) -> QueryRequest:
     """Return the request that repeats a recorded batch, from its row of `batches` and the number of runs per experiment."""
     named = {name: row[name] for name in ("controller", "scenario") if name not in row["axes"]}
-    return request(row["query"].split(), runs=runs, sets=map(setting, row["overrides"]), target=target, **named)
+    return request(words(row["query"]), runs=runs, sets=map(setting, row["overrides"]), target=target, **named)
 
 
 def read(path: Path) -> RequestFile:
