@@ -4,10 +4,10 @@
     comparison = name operator value {"," value}
     operator   = "=" | "!=" | "<" | "<=" | ">" | ">="
 
-Values have the form of the values in a criterion: `0.5`, `1e-3`, `low`; a label of a controller or scenario, which may have
-blanks, stands for its name: `random walk`. With `=`, a list means one of its values; with `!=`, none of them; the other
-operators take one number. A value after `=` or `!=` must be a value of the variable, so that a mistyped value is an error and
-not an empty selection.
+Values have the form of the values in a criterion: `0.5`, `1e-3`, `low`, `"levy (0.5)"`; a label of a controller or scenario,
+which may have blanks, stands for its name: `random walk`, also in quotes. With `=`, a list means one of its values; with `!=`,
+none of them; the other operators take one number. A value after `=` or `!=` must be a value of the variable, so that a mistyped
+value is an error and not an empty selection.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from sierra.design.query import grammar
 from sierra.errors import QueryError
 from sierra.model import Axis, Batch, Value
 from sierra.util.lazy_definitions import dataclass, regex
+from sierra.util.quoted_values import split_off, unquoted
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ ORDERED: Mapping[str, Callable[[float, float], bool]] = {
 _COMPARISON = regex(r"\s*(?P<name>[A-Za-z_][A-Za-z0-9_]*)\s*(?P<operator><=|>=|!=|=|<|>)\s*(?P<values>[^<>=!\s]+)\s*")
 _AND = regex(r"\sand\s")
 _BLANKS = regex(r"\s*,\s*")
+_PLACE = regex(r'"([0-9]+)"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,9 @@ def matching(text: str, axes: Sequence[Axis], cells: Cells, origin: str, labels:
     Raises QueryError for an invalid condition, for an unknown variable or value, and if it selects nothing.
     """
     try:
-        comparisons = [_comparison(part) for part in _AND.split(_BLANKS.sub(",", _with_names(text, labels)))]
+        outside, quotes = split_off(text)
+        parts = _AND.split(_BLANKS.sub(",", _with_names(outside, labels)))
+        comparisons = [_comparison(part, quotes, axes, labels) for part in parts]
         for one in comparisons:
             _check(one, axes, labels)
     except QueryError as error:
@@ -138,12 +142,29 @@ def _named(item: str, names: Mapping[str, str], comparison: re.Match[str]) -> st
     return comparison[1] + ",".join(names.get(word, word) for word in re.findall(item, comparison[2]))
 
 
-def _comparison(text: str) -> Comparison:
+def _comparison(text: str, quotes: Sequence[str], axes: Sequence[Axis], labels: Labels) -> Comparison:
+    """Return a comparison; `quotes` are the parts in quotes, which `"0"`, `"1"`, … stand for in its text."""
+
+    def written(part: str) -> str:
+        return _PLACE.sub(lambda place: quotes[int(place[1])], part)
+
     found = _COMPARISON.fullmatch(text)
     if found is None:
-        raise QueryError(f"{text.strip()!r} is not a comparison; use, for example, {EXAMPLE!r}")
-    values = tuple(grammar.value(word) for word in found["values"].split(","))
-    return Comparison(found["name"], found["operator"], values)
+        raise QueryError(f"{written(text.strip())!r} is not a comparison; use, for example, {EXAMPLE!r}")
+    axis = next((axis for axis in axes if axis.name == found["name"]), Axis(found["name"], ()))
+    known = labels.get(axis.name, {})
+    values = tuple(_value(written(word), axis, known) for word in found["values"].split(","))
+    return Comparison(axis.name, found["operator"], values)
+
+
+def _value(word: str, axis: Axis, labels: Mapping[Value, Value]) -> Value:
+    """Return the value of an axis that a word means: its texts are also found if they look like numbers, and by label."""
+    value = grammar.value(word)
+    if axis.numeric:
+        return value
+    content = unquoted(word) or word
+    names = {str(label): name for name, label in labels.items()} if word != content else {}
+    return content if content in axis.values else names.get(content, value)
 
 
 def _check(one: Comparison, axes: Sequence[Axis], labels: Labels) -> None:
@@ -160,11 +181,14 @@ def _check(one: Comparison, axes: Sequence[Axis], labels: Labels) -> None:
         if not axis.numeric or isinstance(one.values[0], str):
             raise QueryError(f"{one.operator} compares numbers; {_values(axis, labels)}: use = or !=")
     elif unknown := [value for value in one.values if value not in axis.values]:
-        raise QueryError(f"{one.name} is never {unknown[0]}; {_values(axis, labels)}")
+        raise QueryError(f"{one.name} is never {grammar.value_text(unknown[0])}; {_values(axis, labels)}")
 
 
 def _values(axis: Axis, labels: Labels) -> str:
     """Return the values of a variable in words, with their labels."""
     known = labels.get(axis.name, {})
-    texts = [f"{value} ({known[value]})" if known.get(value, value) != value else str(value) for value in axis.values]
+    texts = [
+        f"{grammar.value_text(value)} ({known[value]})" if known.get(value, value) != value else grammar.value_text(value)
+        for value in axis.values
+    ]
     return f"{axis.name} is {few(texts, SHOWN)}"
