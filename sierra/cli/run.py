@@ -108,6 +108,7 @@ def run(
       max_speed=0.2,0.4,1.6            these values
       noise=0:1:5                      from, to, number of values
       scenario=low,high                groups of changes in sierra.toml
+      'law="random walk",none'         texts with blanks, brackets and others
       montecarlo.C20                   only the random seed changes
 
     \b
