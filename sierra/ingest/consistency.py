@@ -286,8 +286,15 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
         wanted = set(runs)
         return {row.run: row.ordinal for row in places if row.run in wanted}, votes
 
+    def recorded() -> Iterator[TableLayout]:
+        return map(TableLayout.load, store.values(str, RECORDED_FORMS, output=name))
+
     def names() -> set[str]:
-        return {column for form in store.values(str, RECORDED_FORMS, output=name) for column in TableLayout.load(form).columns}
+        return {column for layout in recorded() for column in layout.columns}
+
+    def old_texts() -> set[str]:
+        old = (layout for layout in recorded() if not layout.times)
+        return {column for layout in old for column, kind in layout.columns.items() if kind == "text"}
 
     def example() -> tuple[bytes, int] | None:
         for row in store.select(_Example, SIBLINGS + SIBLINGS_EXAMPLE, **alike):
@@ -295,7 +302,7 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
                 return store.object(row.sha256), row.rows
         return None
 
-    return Siblings(frozenset(mixed), ask, names, example)
+    return Siblings(frozenset(mixed), ask, old_texts, names, example)
 
 
 class _Place(NamedTuple):

@@ -38,6 +38,7 @@ CONTROL = regex(r"[\x00-\x08\x0e-\x1f]")
 class Csv(Text):
     """The reader of delimited text."""
 
+    times = True
     _longest = 0
     """The length of the longest line of the part in bytes; determined only for files of megabytes."""
 

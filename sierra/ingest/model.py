@@ -124,6 +124,8 @@ class Siblings:
     """The columns in which some of these files have values that are not numbers."""
     ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Votes]] = lambda runs: ({}, {})
     """A function of runs. It returns each run's experiment, and the votes of the files that were read before."""
+    old_texts: Callable[[], AbstractSet[str]] = frozenset
+    """A function that returns the columns that an earlier version recorded as texts, even if they are times."""
     names: Callable[[], AbstractSet[str]] = frozenset
     """A function that returns all names of columns with which the table was ever recorded."""
     example: Callable[[], tuple[bytes, int] | None] = lambda: None
@@ -145,6 +147,8 @@ class Reading:
     """By file and column: the place where text begins, in a column in which most siblings so far have numbers."""
     faults: Mapping[str, str]
     shape: Shape
+    timed: AbstractSet[tuple[str, str]] = frozenset()
+    """The files whose columns of text are no times."""
 
 
 class AtFaultError(Exception):

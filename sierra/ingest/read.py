@@ -10,12 +10,13 @@ The kind of values in a column (numbers, flags, texts) is not a fault here, beca
 together. Files with other kinds go into separate Parquet files, and `find_odd` decides. If most of a file's siblings have
 text in a column, the file's numbers are kept as text, unchanged: as numbers, 007 and 1e5 would become other texts.
 
-Whole numbers are BIGINT (DECIMAL(38,0) if they are too large), other numbers DOUBLE, `true`/`false` BOOLEAN, and all other
-values VARCHAR. Whole numbers that DOUBLE cannot hold keep their digits: beside them, nan is NULL, and beside fractions, the
-texts of the numbers are recorded too (see `sierra.store.union_files`). An empty field is NULL. A column without any value is
-BOOLEAN, which every other type can hold. Types are inferred from a few files but checked in all, because DuckDB would round
-1.5 to fit BIGINT and read 1 as true. JSON's lists and objects are kept as JSON. A column whose name is a SIERRA column, or
-differs from another only in case, gets a trailing underscore.
+Whole numbers are BIGINT (DECIMAL(38,0) if they are too large), other numbers DOUBLE, `true`/`false` BOOLEAN, dates with a time
+in a CSV TIMESTAMP, with or without a time zone, and all other values VARCHAR. Columns that an earlier version recorded as texts
+stay texts in their store. Whole numbers that DOUBLE cannot hold keep their digits: beside them, nan is NULL, and beside
+fractions, the texts of the numbers are recorded too (see `sierra.store.union_files`). An empty field is NULL. A column without
+any value is BOOLEAN, which every other type can hold. Types are inferred from a few files but checked in all, because DuckDB
+would round 1.5 to fit BIGINT and read 1 as true. JSON's lists and objects are kept as JSON. A column whose name is a SIERRA
+column, or differs from another only in case, gets a trailing underscore.
 """
 
 from __future__ import annotations

@@ -97,7 +97,11 @@ def _layout(reading: Reading, file: Written) -> str:
     columns, csv = reading.columns[key], reading.shape.format == "csv"
     name = None if reading.shape.many else shown(file.name)
     return TableLayout(
-        name, columns if csv else dict(sorted(columns.items())), file.ended or not csv, reading.hints.get(key, {})
+        name,
+        columns if csv else dict(sorted(columns.items())),
+        file.ended or not csv,
+        reading.hints.get(key, {}),
+        "text" in columns.values() and key in reading.timed,
     ).dump()
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sierra.ingest.messages import shown
-from sierra.ingest.model import AtFaultError, Found, Group, Shape, Siblings, Written
+from sierra.ingest.model import AtFaultError, Found, Group, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader, these
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import read_parquet
@@ -19,17 +20,21 @@ from sierra.store.type_inference import (
     EXACT_TEXT,
     LOGICAL,
     NAN,
+    TIME_KINDS,
     WHOLE,
     as_read,
     as_stored,
     bit,
     common,
+    is_time,
     is_whole,
     kind_of,
     narrowest,
     odd,
     right_kind,
+    sibling_kind,
     text_beside,
+    time_text,
 )
 
 Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
@@ -47,11 +52,20 @@ class Text(TableReader):
 
     as_written = True
     """True if the text of a number with a decimal point is as in the file; False if a parser made it."""
+    times = False
+    """True if dates with a time are times; JSON has texts of its own."""
 
     def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._with_nan: set[tuple[str, str]] = set()
         """The columns, each with the path of a file in which they have nan that is recorded as missing."""
+        self._untimed: set[str] = set()
+        """The paths of files with times that are texts, as an earlier version recorded them."""
+
+    def read(self, files: Sequence[Written]) -> Reading:
+        timed = [file for file in files if self.times]
+        reading = super().read(files)
+        return replace(reading, timed={(file.execution, file.name) for file in timed if file.path not in self._untimed})
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         """Return a relation on $files with the columns c0, c1, … and the file. Columns are VARCHAR or as in `types`."""
@@ -159,7 +173,7 @@ class Text(TableReader):
         doubtful = [
             name
             for name, seen in found.items()
-            if name in self.siblings.mixed or len({kind_of(kind) for kind in seen.values() if kind}) > 1
+            if name in self.siblings.mixed or len({sibling_kind(kind) for kind in seen.values() if kind}) > 1
         ]
         doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in found[name].values())]
         kept = dict(found)
@@ -172,7 +186,7 @@ class Text(TableReader):
             for file in files:
                 if kind := seen.get(file.path):
                     group = groups.get(file.run)
-                    counts.setdefault(group, Counter(votes.get((group, name), {})))[kind_of(kind)] += 1
+                    counts.setdefault(group, Counter(votes.get((group, name), {})))[sibling_kind(kind)] += 1
             right = {group: right_kind(kinds) for group, kinds in counts.items()}
             kept[name] = {
                 file.path: "VARCHAR" if kind and right[groups.get(file.run)] == "text" else kind
@@ -256,6 +270,9 @@ class Text(TableReader):
             case "BOOLEAN":
                 sound = f"regexp_full_match({cell}, {quote(LOGICAL)})"
                 value = f"CAST(trim({cell}) AS BOOLEAN)"
+            case _ if kind in TIME_KINDS:
+                sound = is_time(cell, kind)
+                value = f"CAST({time_text(cell)} AS {kind})"
             case _:
                 sound = f"regexp_full_match({cell}, {quote(WHOLE)})"
                 value = f"CAST({cell} AS {kind})"
@@ -307,7 +324,7 @@ class Text(TableReader):
         found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
         cells = ", ".join(f"c{places[name]}" for name in wanted)
         each = f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
-        bits = bit("cell", as_written=self.as_written)
+        bits = bit("cell", as_written=self.as_written, times=self.times)
         for path, place, seen in self.fetch(
             f"SELECT {identifier(FILE)}, place, bit_or({bits}) FROM {each} GROUP BY 1, 2", files
         ):
@@ -319,6 +336,9 @@ class Text(TableReader):
         kind = narrowest(bits)
         if bits & NAN and kind is not None and is_whole(kind):
             self._with_nan.add((name, path))
+        if kind in TIME_KINDS and name in self.siblings.old_texts():
+            self._untimed.add(path)
+            return "VARCHAR"
         return kind
 
 
@@ -366,6 +386,6 @@ def kinds_of(files: Sequence[Written], types: Mapping[str, str], found: Found, k
         for name in types:
             kind = found[name].get(file.path)
             as_text = kind not in (None, "VARCHAR") and kept[name].get(file.path) == "VARCHAR"
-            mine[name] = kind_of(kind or EMPTY) + AS_TEXT * as_text
+            mine[name] = sibling_kind(kind or EMPTY) + AS_TEXT * as_text
         by_file[file.path] = same.setdefault(tuple(mine.values()), mine)
     return by_file

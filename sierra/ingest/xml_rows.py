@@ -82,6 +82,8 @@ class XmlRows(Rewriter):
 class _Rows(Csv):
     """The reader of the CSV; a file without rows has no columns either."""
 
+    times = False
+
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         without = {file.path: None for file in files if not file.bytes}
         return {**super().sort([file for file in files if file.bytes]), **without}

@@ -1,8 +1,8 @@
 """Times that are no numbers, as a time axis: seconds since midnight of the day on which a run's first row was written.
 
 A clock is `00:00:10`, also with days before it as SUMO writes them (`1:00:00:00`). A moment is a date with a time as ISO 8601
-has it, with or without a zone, or a time of Parquet. The day of a moment is that of its own zone, or of UTC if it has none. A
-clock without days is not continued after midnight: its time goes back then, which is an error elsewhere.
+has it, with or without a zone, or a time of CSV or Parquet. The day of a text is that of its own zone; other days are those of
+UTC. A clock without days is not continued after midnight: its time goes back then, which is an error elsewhere.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def kind_of(run: Callable[[str], Sequence[Sequence[Any]]], relation: str, column
     `run` executes a statement.
     """
     if STAMP.fullmatch(kind) or kind == "TIME":
-        return TimeKind.TIME if kind == "TIME" else TimeKind.NANOSTAMP if kind == "TIMESTAMP_NS" else TimeKind.STAMP
+        return TimeKind.TIME if kind == "TIME" else TimeKind.NANOSTAMP if kind.endswith("_NS") else TimeKind.STAMP
     if kind != "VARCHAR":
         return None
     cell = f"trim({identifier(column)})"

@@ -23,6 +23,8 @@ class TableLayout:
     """False if the file's last line is not complete."""
     hints: Mapping[str, str] = field(default_factory=dict)
     """By column: the place where text begins, in a column in which most siblings have numbers."""
+    times: bool = False
+    """True for a CSV whose columns of text are no times; earlier versions recorded times as texts."""
 
     @classmethod
     def load(cls, text: str | None) -> TableLayout:
@@ -33,4 +35,5 @@ class TableLayout:
     def dump(self) -> str:
         """Return the layout as JSON."""
         fields = {"file": self.file, "columns": self.columns, "ended": self.ended}
-        return json.dumps({**fields, "hints": self.hints} if self.hints else fields)
+        more = {name: value for name in ("hints", "times") if (value := getattr(self, name))}
+        return json.dumps(fields | more)

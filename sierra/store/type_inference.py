@@ -16,6 +16,16 @@ POINTED = r" *[-+]?0*[1-9][0-9]{15,}[.]0* *"
 LOGICAL = r" *(?i:true|false) *"
 VISUAL_C = r"([-+]?)1\.#(?i:(inf)|ind|qnan|snan)0*([eE][-+]?[0-9]+)?"
 """Infinity and nan as older C libraries of Windows print them: `1.#INF`, `-1.#IND`, `1.#QNAN0`."""
+MINUTE, SECOND = r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ](?:[01][0-9]|2[0-3]):[0-5][0-9]", r":[0-5][0-9]"
+DAY_AND_TIME = rf"{MINUTE}(?:{SECOND}(?:[.,][0-9]{{1,9}})?)?"
+"""The pattern of a date with a time as ISO 8601 has it. Leap seconds do not match: DuckDB has none."""
+ZONE = r"(?:Z|[-+](?:[01][0-9]|2[0-3])(?::?[0-5][0-9])?)"
+NANOSECONDS = r"[.,][0-9]{7}"
+"""The pattern of a fraction of a second that microseconds cannot hold."""
+LOCAL_TIME, LOCAL_TIME_NS = "TIMESTAMP", "TIMESTAMP_NS"
+INSTANT, INSTANT_NS = "TIMESTAMP WITH TIME ZONE", "TIMESTAMPTZ_NS"
+TIME_KINDS = {LOCAL_TIME: LOCAL_TIME, LOCAL_TIME_NS: LOCAL_TIME, INSTANT: INSTANT, INSTANT_NS: INSTANT}
+"""The types of times, each with that of less digits: programs may leave out zeros at the end of fractions."""
 HUGE = "DECIMAL(38,0)"
 EMPTY = '"NULL"'
 """DuckDB's name for the type of a Parquet column that is declared to have no values."""
@@ -31,6 +41,8 @@ BESIDE = "# text of "
 """The beginning of the recorded names of such columns; real columns are unlikely to have such a name."""
 NAN, INEXACT = 32, 64
 """The bits of `bit` for nan, and (with the bit of its type) for a whole number that DOUBLE cannot hold."""
+LOCAL, ZONED, FINE, FAR = 128, 256, 512, 1024
+"""The bits of `bit` for times without and with a zone, with nanoseconds, and too far from 1970 for nanoseconds."""
 NUMBERS = 2 | 4 | 8 | NAN
 """The bits of `bit` for texts that are numbers."""
 
@@ -84,12 +96,13 @@ def text_beside(column: str) -> str:
     return BESIDE + column
 
 
-def bit(cell: str, *, as_written: bool = True) -> str:
+def bit(cell: str, *, as_written: bool = True, times: bool = False) -> str:
     """Return the SQL expression that classifies the text of a cell: one bit for each kind, 0 for an empty cell.
 
     A whole number that DOUBLE cannot hold has the bit `INEXACT` too, also if it is written as 9007199254740993.0.
 
     `as_written`: the text is that of a file; otherwise a parser made it from a DOUBLE, so that digits before .0 mean nothing.
+    `times`: dates with a time are no texts.
     """
     whole = f"regexp_full_match({cell}, {quote(WHOLE)})"
     rounded = f"(TRY_CAST(TRY_CAST({cell} AS DOUBLE) AS HUGEINT) = TRY_CAST({cell} AS HUGEINT)) IS NOT TRUE"
@@ -102,8 +115,33 @@ def bit(cell: str, *, as_written: bool = True) -> str:
         f"CASE WHEN length({cell}) > 38 AND {whole} THEN {8 + INEXACT} "
         f"{f'WHEN {pointed} THEN {8 + INEXACT} ' if as_written else ''}"
         f"WHEN regexp_matches({cell}, '[nN] *$|#(?i:ind|qnan|snan)') THEN {NAN} ELSE 8 END "
-        f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
+        f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE {_time_bit(cell) if times else 16} END"
     )
+
+
+def _time_bit(cell: str) -> str:
+    """Return the SQL expression for the bits of a date with a time; 16 for another text, and for a day that does not exist."""
+    local, zoned = (is_time(cell, kind) for kind in (LOCAL_TIME_NS, INSTANT_NS))
+    fine = f"CASE WHEN regexp_matches({cell}, {quote(NANOSECONDS)}) THEN {FINE} ELSE 0 END"
+    far = f"CASE WHEN TRY_CAST({time_text(cell)} AS {{}}) IS NULL THEN {FAR} ELSE 0 END"
+    exists = f"TRY_CAST({time_text(cell)} AS {{}}) IS NOT NULL AND NOT starts_with(trim({cell}), '0000')"
+    return (
+        f"CASE WHEN length({cell}) < 16 THEN 16 "
+        f"WHEN {local} AND {exists.format(LOCAL_TIME)} THEN {LOCAL} + {fine} + {far.format(LOCAL_TIME_NS)} "
+        f"WHEN {zoned} AND {exists.format(INSTANT)} THEN {ZONED} + {fine} + {far.format(INSTANT_NS)} ELSE 16 END"
+    )
+
+
+def is_time(cell: str, kind: str) -> str:
+    """Return the SQL condition that a text has the form of a time of a type, which can hold all its digits."""
+    form = DAY_AND_TIME if kind.endswith("_NS") else DAY_AND_TIME.replace("{1,9}", "{1,6}")
+    zone = ZONE if TIME_KINDS[kind] == INSTANT else ""
+    return f"regexp_full_match({cell}, {quote(f' *{form}{zone} *')})"
+
+
+def time_text(cell: str) -> str:
+    """Return the SQL expression for the text of a time as DuckDB reads it."""
+    return f"replace(trim({cell}), ',', '.')"
 
 
 def no_nan(cell: str) -> str:
@@ -148,11 +186,26 @@ def narrowest(bits: int) -> str | None:
     """
     if bits in (0, 1):
         return "BOOLEAN" if bits else None
+    if bits & (LOCAL | ZONED):
+        return _narrowest_time(bits)
     if bits & 17:
         return "VARCHAR"
     if bits & 8 or (bits & NAN and not bits & INEXACT):
         return EXACT_TEXT if bits & INEXACT else "DOUBLE"
     return HUGE if bits & 4 else "BIGINT"
+
+
+def _narrowest_time(bits: int) -> str:
+    """Return the type of times that are all with a zone, or all without one; VARCHAR for others."""
+    kinds = {LOCAL: (LOCAL_TIME, LOCAL_TIME_NS), ZONED: (INSTANT, INSTANT_NS)}.get(bits & ~(FINE | FAR))
+    if kinds is None or bits & (FINE | FAR) == FINE | FAR:
+        return "VARCHAR"
+    return kinds[bool(bits & FINE)]
+
+
+def sibling_kind(kind: str) -> str:
+    """Return the kind by which a column of a text file is compared with those of siblings: that of times ignores digits."""
+    return TIME_KINDS.get(kind) or kind_of(kind)
 
 
 def as_stored(kind: str) -> str:
