@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -16,9 +17,9 @@ from typing import TYPE_CHECKING
 
 from sierra.config.output_tables import Tolerance
 from sierra.replay.clock_columns import Clock, clock_of
-from sierra.store.type_inference import BESIDE
+from sierra.store.type_inference import BESIDE, MINUTE, SECOND, ZONE
 from sierra.util.arrow_columns import values_of
-from sierra.util.lazy_definitions import dataclass, field, replace
+from sierra.util.lazy_definitions import dataclass, field, regex, replace
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -39,6 +40,9 @@ LONGEST = 80
 """Maximum number of characters of a value in a line."""
 EXACT_UP_TO = 2.0**52
 """Limit below which whole numbers are exact as doubles, and so are the distances between them."""
+UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+"""The nanoseconds in the units of Arrow's times."""
+TIME = regex(rf"(?P<second>{MINUTE}(?P<of>{SECOND})?)(?(of)(?:[.,](?P<fraction>[0-9]{{1,9}}))?)(?P<zone>(?:{ZONE})?)")
 LARGEST_ULP = 2.0**971
 """Unit in the last place of the greatest double, for which numpy returns infinity."""
 
@@ -459,7 +463,8 @@ def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.boo
         if pa.types.is_timestamp(recorded.type) and pa.types.is_timestamp(found.type) and recorded.type.tz == found.type.tz:
             with contextlib.suppress(pa.ArrowInvalid):  # outside of the years 1677 to 2262
                 recorded, found = (column.cast(pa.timestamp("ns", column.type.tz)) for column in (recorded, found))
-        pairs = zip(values_of(recorded), values_of(found), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
+        old, new = _as_times(recorded, found) or (values_of(recorded), values_of(found))
+        pairs = zip(old, new, strict=True)  # Python compares numbers exactly, 2**53 + 1 too
         return np.array([one != other or (any(flags) and one is not None) for one, other in pairs], dtype=bool)
     same = pc.fill_null(pc.equal(recorded, found), False)
     same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(found)))
@@ -467,6 +472,32 @@ def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.boo
         neither = pc.and_(pc.fill_null(pc.is_nan(recorded), False), pc.fill_null(pc.is_nan(found), False))
         same = pc.or_(same, neither)
     return ~np.asarray(same.to_numpy())
+
+
+def _as_times(*columns: pa.ChunkedArray) -> list[list[int | str | None]] | None:
+    """Return times in nanoseconds if one column has times, and the other texts, as an earlier version recorded times."""
+    import pyarrow as pa
+
+    zones = [column.type.tz is not None for column in columns if pa.types.is_timestamp(column.type)]
+    if len(zones) != 1 or not any(pa.types.is_string(column.type) for column in columns):
+        return None
+    return [
+        [None if value is None else value * UNITS[column.type.unit] for value in column.cast(pa.int64()).to_pylist()]
+        if pa.types.is_timestamp(column.type)
+        else [None if value is None else _nanoseconds(value, zones[0]) for value in column.to_pylist()]
+        for column in columns
+    ]
+
+
+def _nanoseconds(text: str, zoned: bool) -> int | str:
+    """Return the time that a text means, in nanoseconds since 1970; the text itself if it is no such time."""
+    found = TIME.fullmatch(text.strip(" "))
+    if found is None or bool(found["zone"]) != zoned:
+        return text
+    with contextlib.suppress(ValueError):
+        since = datetime.fromisoformat(found["second"] + found["zone"]) - datetime(1970, 1, 1, tzinfo=UTC if zoned else None)
+        return (since.days * 86_400 + since.seconds) * UNITS["s"] + int((found["fraction"] or "").ljust(9, "0"))
+    return text
 
 
 def _cut(text: str) -> str:
