@@ -184,22 +184,23 @@ def readable(text: str) -> str:
     return safe(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
-def fields(record: Mapping[str, object], indent: str = "") -> None:
-    """Print names and values, a line each; on a terminal, long values are wrapped."""
+def fields(record: Mapping[str, object], indent: str = "", columns: int = 0) -> None:
+    """Print names and values, a line each; on a terminal, long values are wrapped, and elsewhere if `columns` are given."""
     width = max((len(name) for name in record), default=0)
     for name, value in record.items():
         label = f"{indent}{name.ljust(width)}  "
-        print(label + ("\n" + " " * len(label)).join(_lines(cell(value), len(label))))
+        print(label + ("\n" + " " * len(label)).join(_lines(cell(value), len(label), columns)))
 
 
-def _lines(text: str, indent: int) -> list[str]:
+def _lines(text: str, indent: int, columns: int) -> list[str]:
     """Return a text as lines that fit the terminal, or as one line without a terminal.
 
     Words stay whole, so that users can copy them.
     """
-    if not sys.stdout.isatty():
+    is_terminal = sys.stdout.isatty()
+    if not is_terminal and not columns:
         return [text]
-    room = max(shutil.get_terminal_size().columns - indent, 20)
+    room = max((shutil.get_terminal_size().columns if is_terminal else columns) - indent, 20)
     return textwrap.wrap(text, room, break_long_words=False, break_on_hyphens=False) or [""]
 
 

@@ -12,6 +12,7 @@ import typer
 from sierra.cli.output import note, table
 from sierra.errors import Missing
 from sierra.util.hashing import short
+from sierra.util.kept_log import last_lines
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def _print_failures(summary: Summary) -> None:
         values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
         several = f"{failure.count} runs failed, e.g." if failure.count > 1 else "failed:"
         print(f"{several} {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
-        for line in (failure.log or "").splitlines()[-5:]:
+        for line in last_lines(failure.log or "", 5):
             print(f"    {line}")
     more = summary.failed - sum(failure.count for failure in summary.failures)
     if more > 0:

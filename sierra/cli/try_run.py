@@ -19,6 +19,8 @@ from sierra.util.text import counted, few, size
 if TYPE_CHECKING:
     from sierra.execution.trial import Trial
 
+COLUMNS = 100
+"""The width of what is printed where there is no terminal."""
 NAMED = 8
 """The largest number of names in a line."""
 
@@ -118,7 +120,7 @@ class Printer:
 def print_trial(trial: Trial) -> None:
     """Print what a run did."""
     print("--")
-    fields(dict(_facts(trial)))
+    fields(dict(_facts(trial)), columns=COLUMNS)
     if trial.files:
         tables = any(one.table for one in trial.files)
         columns = ["file", "size", "table", "rows", "columns"] if tables else ["file", "size"]
@@ -128,7 +130,7 @@ def print_trial(trial: Trial) -> None:
                 size(one.bytes),
                 one.table,
                 one.rows,
-                ", ".join(f"{name} ({kind})" for name, kind in one.columns.items()),
+                few([f"{name} ({kind})" for name, kind in one.columns.items()], COLUMNS // 20),
             ]
             for one in trial.files[: NAMED * 4]
         ]

@@ -47,7 +47,7 @@ from sierra.store.views import INVALID_TRIAL
 from sierra.util.fs import inside, write_whole
 from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
-from sierra.util.kept_log import kept_of
+from sierra.util.kept_log import kept_of, with_cause
 from sierra.worker import worker
 
 PENDING_RUNS = 4_000
@@ -532,5 +532,5 @@ def last_words(folder: str) -> str | None:
     for name in (RUN_STDERR, RUN_STDOUT):
         content, _ = kept_of(f"{folder}/{name}")
         if content.strip():
-            return content[-LOG_SHOWN:].decode("utf-8", "replace").strip()
+            return with_cause(content.decode("utf-8", "replace"), LOG_SHOWN)
     return None

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Sequence
 from pathlib import Path
 
+from sierra.util.lazy_definitions import regex
+
 KEPT = 1 << 20
 """The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
+FATAL = regex(r"^.*\bFATAL\b.*$|^fatal( error)?: .*$", re.MULTILINE)
+"""The lines that programs call fatal, as ARGoS, ROS and Gazebo do."""
 
 
 def kept_of(path: str, most: int = KEPT) -> tuple[bytes, int]:
@@ -36,3 +41,20 @@ def shares(sizes: Sequence[int], most: int) -> list[int]:
         found[place] = min(sizes[place], left // (len(sizes) - done))
         left -= found[place]
     return found
+
+
+def with_cause(text: str, most: int) -> str:
+    """Return the last `most` characters of a log; the first line that is called fatal stays, although many follow it."""
+    cause, rest = _fatal(text), text[-most:].strip()
+    return rest if not cause or cause in rest else f"{cause}\n[...]\n{rest}"
+
+
+def last_lines(text: str, most: int) -> list[str]:
+    """Return the last lines of a log, and before them the first one that is called fatal."""
+    cause, lines = _fatal(text), text.splitlines()
+    return lines[-most:] if not cause or cause in lines[-most:] else [cause, *lines[1 - most :]]
+
+
+def _fatal(text: str) -> str | None:
+    found = FATAL.search(text)
+    return found[0].strip() if found else None

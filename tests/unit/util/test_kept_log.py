@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sierra.util.kept_log import kept_of, shares
+from sierra.util.kept_log import kept_of, last_lines, shares, with_cause
+from tests.projects import make, quick
 
 
 def test_a_long_log_keeps_its_beginning_and_its_end(tmp_path: Path) -> None:
@@ -28,3 +30,34 @@ def test_no_log_takes_the_share_of_another(sizes: list[int], most: int) -> None:
     assert sum(found) <= most
     fair = most // max(1, len(sizes))
     assert all(min(size, fair) <= share <= size for size, share in zip(sizes, found, strict=True))
+
+
+# The cause of a failure stays in what is shown of a log, although many lines follow it.
+
+CAUSE = "[FATAL] Failed to load the controller: speed is not a number"
+MORE = [f"  ... caused by exception {number}" for number in range(400)]
+
+
+def test_the_first_fatal_line_stays() -> None:
+    text = "\n".join(["begin", CAUSE, *MORE])
+    kept = with_cause(text, 200)
+    assert kept.splitlines()[:2] == [CAUSE, "[...]"]
+    assert kept.endswith(text[-100:])
+    assert last_lines(kept, 5) == [CAUSE, *MORE[-4:]]
+
+
+def test_other_logs_are_cut_as_before() -> None:
+    text = "\n".join(MORE)
+    assert with_cause(text, 200) == text[-200:].strip()
+    assert last_lines(text, 5) == MORE[-5:]
+    assert last_lines("", 5) == []
+    assert last_lines(f"a\n{CAUSE}\nb", 5) == ["a", CAUSE, "b"]
+
+
+@pytest.mark.integration
+def test_a_failed_run_says_its_cause(tmp_path: Path) -> None:
+    said = "\\n".join([CAUSE, *MORE])
+    folder = make(tmp_path / "project", simulator=f"import sys\nsys.exit('''{said}''')\n")
+    failed = quick(folder, "run", "population_size=1", "--runs", "1")
+    assert failed.returncode == 1
+    assert f"    {CAUSE}\n    {MORE[-4]}\n" in failed.stdout
