@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sierra.setup.init.write import Guess
 
 T = TypeVar("T")
+INTERRUPTED = "a further run was interrupted: sierra.toml has what the first one has shown"
 LONG_S = 60.0
 """If a run takes longer than this, `sierra init` does not try another seed."""
 
@@ -119,6 +120,8 @@ def init(
     _say(folder, wizard.write(folder, guess, trial), guess, trial, as_json=as_json)
     if trial is not None and (failure := _failure(guess, trial)):
         raise SierraError(failure)
+    if INTERRUPTED in guess.notes:
+        raise typer.Exit(130)
 
 
 def _tried(folder: Path, guess: Guess, *, quiet: bool) -> tuple[Guess, Trial | None]:
@@ -136,6 +139,8 @@ def _tried(folder: Path, guess: Guess, *, quiet: bool) -> tuple[Guess, Trial | N
         return replace(guess, notes=(*guess.notes, first)), None
     if first is None:
         return guess, None
+    if first.status is Status.INTERRUPTED:
+        raise typer.Exit(130)
     if first.status is Status.FAILED and (more := wizard.with_lacking(folder, guess, first)):
         lacked = few(more.files[len(guess.files) :], 4)
         again = _again(
@@ -152,6 +157,7 @@ def _tried(folder: Path, guess: Guess, *, quiet: bool) -> tuple[Guess, Trial | N
 
 def _declared(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> tuple[Guess, Trial]:
     """Return the guess with the declarations that a run's tables need, and a run that has them, if it is successful."""
+    from sierra.errors import SierraError
     from sierra.model import Status
     from sierra.setup.init import wizard
 
@@ -159,9 +165,14 @@ def _declared(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> tuple
     if more is None:
         return guess, first
     names = few([f"[outputs.{name}]" for name in more.outputs], 4)
-    again = _again(folder, more, f"tables need a declaration; trying again with {names}", quiet=quiet)
+    try:
+        again = _again(folder, more, f"tables need a declaration; trying again with {names}", quiet=quiet)
+    except SierraError as error:  # a name in a file that sierra.toml cannot have
+        return replace(guess, notes=(*guess.notes, f"{names} is not written: {error}")), first
     if again is not None and again.status is Status.OK:
         return more, again
+    if again is not None and again.status is Status.INTERRUPTED:
+        return replace(guess, notes=(*guess.notes, INTERRUPTED)), first
     why = f"{names} is not written: the run failed with it: {again.reason}" if again is not None else ""
     return (replace(guess, notes=(*guess.notes, why)) if why and first.status is Status.OK else guess), first
 
@@ -180,13 +191,16 @@ def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Gu
     from sierra.model import Status
     from sierra.setup.init import wizard
 
-    if not guess.seeded or (first.wall_s or 0) > LONG_S:
+    if not guess.seeded or (first.wall_s or 0) > LONG_S or INTERRUPTED in guess.notes:
         return wizard.with_findings(guess, first)
     if not quiet:
         print("trying another seed")
     second = wizard.try_run(folder, guess, lambda log, content: None, seed=first.seed + 1)
-    if second is None or isinstance(second, str) or second.status is not Status.OK:
+    if second is None or isinstance(second, str):
         return wizard.with_findings(guess, first)
+    if second.status is not Status.OK:
+        why = INTERRUPTED if second.status is Status.INTERRUPTED else f"a run with seed {second.seed} failed: {second.reason}"
+        return wizard.with_findings(replace(guess, notes=(*guess.notes, why)), first)
     same = tuple(text for text in second.notes if text.startswith(SAME_TABLES))
     return wizard.with_findings(replace(guess, notes=(*guess.notes, *same)), first, second)
 
@@ -194,7 +208,6 @@ def _tried_again(folder: Path, guess: Guess, first: Trial, *, quiet: bool) -> Gu
 def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:
     """Execute one run and print what it did unless `quiet`; return the trial, or why there is none."""
     from sierra.cli.try_run import Printer, print_trial
-    from sierra.model import Status
     from sierra.setup.init import wizard
 
     if guess.can_be_tried and not quiet:
@@ -208,8 +221,6 @@ def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:
         for text in found.notes:
             note(one_line(text))
         print_trial(found)
-    if found.status is Status.INTERRUPTED:
-        raise typer.Exit(130)
     return found
 
 
@@ -264,6 +275,8 @@ def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json
         print(f"  beside the inputs: {one_line(few(guess.files, 4))}")
     for name, place in guess.variables.items():
         print(f"  {name} = {one_line(place)}")
+    for name, keys in guess.outputs.items():
+        print(f"  table {one_line(name)} from {one_line(str(keys['file']))}")
     for text in guess.notes:
         note(one_line(text))
     if command:
@@ -281,8 +294,10 @@ def _answer(path: Path, guess: Guess) -> dict[str, object]:
         **({"files": list(guess.files)} if guess.files else {}),
         "platform": guess.platform,
         "command": guess.command,
-        "seed": guess.seed,
+        "seed": {"environment": guess.variable_seed} if guess.variable_seed else guess.seed,
         "variables": dict(guess.variables),
+        **({"environment": dict(guess.environment)} if guess.environment else {}),
+        **({"outputs": {name: dict(keys) for name, keys in guess.outputs.items()}} if guess.outputs else {}),
         "source": list(guess.source),
         "notes": list(guess.notes),
     }

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, cached_property, partial
@@ -125,6 +125,10 @@ class Kind:
     def added(self) -> tuple[str, ...]:
         """Return the names that other packages offer, shipped names included."""
         return tuple(sorted(self._others()))
+
+    def installed(self) -> Collection[str]:
+        """Return the names that installed packages offer, without those of files of a project."""
+        return _offers(tuple(sys.path))[self.group].keys()
 
     def packages(self, name: str) -> tuple[str, ...]:
         """Return the other packages that offer a name."""

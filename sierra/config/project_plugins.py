@@ -114,7 +114,7 @@ def _check_names(kind: Kind, places: Iterable[str]) -> None:
     for place in places:
         name = place.partition(":")[2]
         shipped = name in kind.shipped or extensions.home(kind.key, name) is not None
-        if shipped or name in kind.added():
+        if shipped or name in kind.installed():
             owner = "SIERRA itself" if shipped else " and ".join(kind.packages(name))
             raise ConfigError(f"[plugins] {kind.key}: {owner} has a {kind.word} {name!r} already; give {place} another name")
 
@@ -182,7 +182,10 @@ def _relative(root: Path, path: str, node: ast.ImportFrom) -> Iterator[str]:
     if node.module:
         yield from _file_of(root, module)
     for name in node.names:
-        yield from _file_of(root, module / name.name)
+        files = list(_file_of(root, module / name.name))
+        if not files and not module.parts and not (root / PACKAGE).exists():
+            raise ConfigError(f"{path}, line {node.lineno}: there is no {name.name}.py in {root}; correct the import")
+        yield from files
 
 
 def _file_of(root: Path, module: PurePosixPath) -> Iterator[str]:
@@ -252,7 +255,9 @@ def _imported(name: str, root: Path, path: str) -> ModuleType:
     before = set(sys.modules)
     try:
         __import__(name)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a plug-in may raise what it likes, such as SystemExit
         raise PluginError(f"[plugins]: {path} cannot be imported: {_in_words(error)}; correct it") from error
     finally:
         loaded = {added: _file(added) for added in sys.modules.keys() - before if _is_foreign(root, added)}

@@ -225,7 +225,7 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
 def _keys(store: Store, row: _Content) -> Keys:
     """Return the keys that read a file that is no plain CSV, as one file shows."""
     content = _content(store, row.sha256 if row.size <= most_searched(row.path) else None)
-    return (text_headers.keys_of(content) if content else None) or {}
+    return text_headers.better_keys_of(content) if content else {}
 
 
 def _content(store: Store, sha256: str | None) -> bytes | None:

@@ -9,6 +9,7 @@ from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from sierra import templates
+from sierra.config.change_tables import VALUE
 from sierra.config.project_file import Project
 from sierra.containers import images
 from sierra.containers.images.image import AnyImage
@@ -62,6 +63,17 @@ def doubts(designed: Design, command: Sequence[str], config: Project) -> Iterato
             yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} uses the first"
     if config.template_paths and not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
         yield "the command does not contain {input}: all experiments are the same unless it finds the generated file itself"
+    yield from _twice(designed, config)
+
+
+def _twice(designed: Design, config: Project) -> Iterator[str]:
+    """Yield a note for each variable of the query whose option the command has too: a program takes one of the values."""
+    for name in [axis.name for axis in designed.axes if axis.name in config.variables]:
+        options = [word.partition("=")[0] for word in config.variables[name].argument if VALUE not in word.partition("=")[0]]
+        own = [word for word in config.command[1:] if word.partition("=")[0] in options[:1] and VALUE not in word]
+        if own:
+            twice = f"the command has {own[0]!r}, which the variable {name!r} adds too"
+            yield f"{twice}: one of the two has no effect; remove it there"
 
 
 def not_repeated(designed: Design, config: Project, templates: Iterable[Path]) -> Iterator[str]:

@@ -355,7 +355,7 @@ def _file(store: Store, one: ArtifactRow, folder: Path | None) -> TriedFile:
     flags = _flags(store, one, columns) if one.rows == 1 and one.output else {}
     time = _time(store, one, columns) if (one.rows or 0) > 1 and one.output else ""
     content = read_small(folder and folder / RUN_OUTPUT / one.path) if automatic_format(one.path) == "csv" else None
-    keys = (text_headers.keys_of(content) if content else None) or {}
+    keys = text_headers.better_keys_of(content) if content else {}
     return TriedFile(one.path, one.size, one.output, one.rows, columns, one.sha256, flags, time, keys)
 
 

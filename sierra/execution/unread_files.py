@@ -23,6 +23,7 @@ from sierra.config.plugin_registry import READERS
 from sierra.ingest import json_lists, printed_lines, text_headers, xml_lists
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
+from sierra.ingest.open_names import OF_ROBOT
 from sierra.store.layout import RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass, field, regex
 
@@ -265,10 +266,13 @@ def _ending(path: str) -> str:
 
 def pattern(one: Alike) -> str:
     """Return the value of `file` for these files: a path, or a pattern if their names differ."""
-    stars = ["{tick}"] if len(one.varying) == 1 else [f"{{tick{number}}}" for number in range(1, len(one.varying) + 1)]
+    parts = re.split("([0-9]+)", one.path)
+    stars = [f"{{tick{number}}}" for number in range(1, len(one.varying) + 1)]
+    if len(one.varying) == 1:
+        before = "".join(parts[: 2 * min(one.varying) - 1])
+        stars = ["{robot}" if OF_ROBOT.search(before) else "{tick}"]
     if one.most < 2:  # each run has one such file, with another number in its name
         stars = ["*"] * len(one.varying)
-    parts = re.split("([0-9]+)", one.path)
     for place, star in zip(sorted(one.varying), stars, strict=True):
         parts[2 * place - 1] = star
     return "".join(parts)

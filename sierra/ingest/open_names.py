@@ -76,7 +76,8 @@ def of_robots(columns: Mapping[str, Collection[str]]) -> dict[str, str]:
     found: dict[str, str] = {}
     for (text, place, numbers), paths in alike.items():
         same = {tuple(columns[path]) for path in paths}
-        if len(paths) > 1 and len(same) == 1 and ROBOT not in {name.lower() for name in columns[paths[0]]}:
+        plain = not any(character in paths[0] for character in "*?[{")
+        if plain and len(paths) > 1 and len(same) == 1 and ROBOT not in {name.lower() for name in columns[paths[0]]}:
             parts = (f"{{{ROBOT}}}" if nth == place else number for nth, number in enumerate(numbers))
             found |= dict.fromkeys(paths, "".join(chain.from_iterable(zip(text, (*parts, text[-1]), strict=False))))
     return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from sierra.ingest import text_headers
 from sierra.ingest.delimiters import DELIMITERS
@@ -21,8 +21,13 @@ NUMBER = regex(
     r"(?<![\w.])[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?(?![0-9]|[.,_][0-9]|[eEx][-+0-9])|(?i:nan|inf(?:inity)?)\b)",
     re.ASCII,
 )
-NAMED = regex(r"([A-Za-z_]\w*)(?P<sign>\s*[=:]|\s*->)?\s*[\[(]?\s*$", re.ASCII)
+NAMED = regex(r"([^\W\d]\w*)(?P<sign>\s*[=:]|\s*->)?\s*[\[(]?\s*$")
 """The end of the text before a number: its name, perhaps with a sign between them."""
+THOUSANDS = regex(r"[0-9],[0-9]")
+CLOCK = regex(r"[0-9]{1,4}[-:/][0-9]{1,2}[-:/][0-9]{1,4}(?:[T ][0-9:.]+)?|[0-9]{1,2}:[0-9]{2}(?::[0-9.]+)?")
+"""Dates and times of day, which are no results."""
+PLACE = "\x00"
+"""The place of a date or a time of day in a text; lines with control characters are not looked at."""
 VALUE = r"[-+.\w]+"
 """Numbers, also such as nan."""
 ABOUT_THE_PROGRAM = frozenset(["version", "v", "seed", "port", "pid", "threads"])
@@ -33,7 +38,7 @@ FEWEST = 2
 CONTROL = regex(r"[\x00-\x08\x0b-\x1f\x7f]")
 
 Form = tuple[tuple[str, ...], tuple[str, ...]]
-"""The texts between the numbers of a line, and the names of the numbers; "" for one without a name."""
+"""The texts between the numbers of a line, and the names of the numbers."""
 
 
 def keys_of(content: bytes) -> dict[str, dict[str, Key]]:
@@ -63,8 +68,11 @@ def _is_object(line: str) -> bool:
 def _tables(lines: list[str]) -> dict[str, dict[str, Key]]:
     counts: dict[Form, int] = {}
     for line in lines:
-        if (form := _form(line)) is not None:
+        form = _form(line)
+        if form is not None:
             counts[form] = counts.get(form, 0) + 1
+    if any(map(THOUSANDS.search, lines)):
+        return {}  # are these one number, or two?
     forms = [form for form, count in counts.items() if count >= FEWEST or _has_signs(form)]
     patterns = {form: _pattern(form) for form in forms}
     if len(forms) > MOST_TABLES or any(_matched(pattern, lines) != counts[form] for form, pattern in patterns.items()):
@@ -78,14 +86,36 @@ def _tables(lines: list[str]) -> dict[str, dict[str, Key]]:
 
 def _form(line: str) -> Form | None:
     """Return the form of a line with a named number; None for other lines."""
-    texts, names, end = [], [], 0
+    clocks = [found.span() for found in CLOCK.finditer(line)]
+    texts, numbers, end = [], [], 0
     for number in NUMBER.finditer(line):
-        text, end = line[end : number.start()], number.end()
-        called = NAMED.search(text)
-        name = called[1] if called else ""
-        texts.append(re.sub(r"\s+", " ", text))
-        names.append(next(other for other in _numbered(name) if other not in names) if name else "")
-    return ((*texts, re.sub(r"\s+", " ", line[end:]).rstrip()), tuple(names)) if any(names) else None
+        if not any(begin <= number.start() < after for begin, after in clocks):
+            texts.append(_plain(line[end : number.start()]))
+            numbers.append(number)
+            end = number.end()
+    texts.append(_plain(line[end:]).rstrip())
+    called = [NAMED.search(text) for text in texts[:-1]]
+    if not any(name is not None and name[1].isascii() for name in called):
+        return None
+    return tuple(texts), tuple(_unique(texts, [name[1] if name and name[1].isascii() else "" for name in called]))
+
+
+def _plain(text: str) -> str:
+    """Return the text between two numbers, without the width of blanks, dates and times of day."""
+    return CLOCK.sub(PLACE, re.sub(r"\s+", " ", text))
+
+
+def _unique(texts: Sequence[str], called: Sequence[str]) -> Iterator[str]:
+    """Yield different names for the numbers of a line: the words before them, and for others a number behind the last name."""
+    taken: set[str] = set()
+    last = "number"
+    for text, name in zip(texts, called, strict=False):
+        words = re.sub(r"\W+", "_", text).strip("_")
+        several = called.count(name) > 1 and words.isascii() and words.isidentifier() and words != name
+        last = (words if several else name) if name else last
+        own = next(free for free in _numbered(last) if free.lower() not in taken)
+        taken.add(own.lower())
+        yield own
 
 
 def _numbered(name: str) -> Iterator[str]:
@@ -105,13 +135,14 @@ def _pattern(form: Form) -> str:
     texts, names = form
     parts = [_literal(texts[0])]
     for name, text in zip(names, texts[1:], strict=True):
-        parts += [f"(?P<{name}>{VALUE})" if name else VALUE, _literal(text)]
+        parts += [f"(?P<{name}>{VALUE})", _literal(text)]
     return f"^{''.join(parts)}\\s*$"
 
 
 def _literal(text: str) -> str:
     """Return a regular expression for a text in which blanks may have another width: numbers may be aligned."""
-    return r"\s+".join(re.sub(r"\\([-=:,;/<>%&'\"#@!~])", r"\1", re.escape(part)) for part in text.split(" "))
+    literal = r"\s+".join(re.sub(r"\\([-=:,;/<>%&'\"#@!~])", r"\1", re.escape(part)) for part in text.split(" "))
+    return literal.replace(PLACE, r"[-0-9T:./]+")
 
 
 def _matched(pattern: str, lines: list[str]) -> int:

@@ -7,9 +7,11 @@ Numbers may have a decimal comma. A proposal is made only if all lines below hav
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
+from sierra.config.field_types import NAME
 from sierra.ingest.delimiters import COMMA, DELIMITERS, POINT, delimiter_of, reads_as_number, split
 from sierra.store.sql_names import unmarked
 from sierra.store.type_inference import as_float
@@ -32,8 +34,15 @@ MOST = 200
 GROUPED = regex(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+")
 """Numbers whose comma may be that of thousands."""
 Key = str | bool | int | list[str]
+CHANGING_NO_ROWS = frozenset(["decimal"])
 Cells = Mapping[int, Sequence[str]]
 """The cells of lines, by the place of the line."""
+
+
+def better_keys_of(content: bytes) -> Mapping[str, Key]:
+    """Return the keys that read a table better that is read without them: only those that change neither rows nor names."""
+    keys = keys_of(content) or {}
+    return keys if keys.keys() <= CHANGING_NO_ROWS else {}
 
 
 def keys_of(content: bytes) -> Mapping[str, Key] | None:
@@ -76,6 +85,8 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
     if numbers and not _is_small_table(rows, above, numbers, width):
         return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
+    if any(_may_be_row(_cells(lines[place], delimiter), width) for place in marks if place > (above[-1] if above else first)):
+        return None  # these are rows, too
     body = [rows[place] for place in rows if place >= first]
     is_plain = _are_numbers(body, is_number)
     keys: dict[str, Key] = {"decimal": ","} if delimiter != DELIMITERS[0] and _has_decimal_commas(body) else {}
@@ -103,6 +114,10 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
         return {**keys, **({"delimiter": delimiter} if delimiter == BLANKS else {}), "header": False}
     if not _are_names(names, width) or names in [rows[place] for place in above[:-1]]:
         return None  # with the same names above, a run has appended to its file
+    if len(above) > 1 and _are_names(rows[above[-2]], width):
+        return None  # are these two lines of names?
+    if delimiter == BLANKS and any(other in lines[head] for other in DELIMITERS if other != "\t"):
+        return None
     if delimiter == BLANKS or (width > 1 and delimiter_of(lines[head]) != delimiter):
         keys["delimiter"] = delimiter
     return keys
@@ -131,6 +146,8 @@ def _keys_of_repeated_names(lines: Sequence[str], delimiter: str) -> dict[str, K
     others = [line for line in lines if line != head]
     if len(others) + 1 == len(lines) or any(line.startswith(head) for line in others) or not _are_names(names, len(names)):
         return None
+    if not all(re.fullmatch(NAME, name) for name in names):
+        return None  # `columns` cannot declare them
     keys = _keys([head, *others], delimiter)
     if keys is None or keys.keys() - {"delimiter"}:
         return None
@@ -186,8 +203,13 @@ def _first_row(rows: Cells, is_number: Callable[[str], bool]) -> int | None:
     return first
 
 
+def _may_be_row(cells: Sequence[str], width: int) -> bool:
+    """Return whether a line that is marked as a comment may be a row of the table, such as `#ff0000,3`."""
+    return len(cells) == width and any(map(reads_as_number, cells))
+
+
 def _are_units(cells: Sequence[str]) -> bool:
-    return all(map(UNIT.fullmatch, cells))
+    return all(map(UNIT.fullmatch, cells)) and any(re.search(r"[^\W\d]|[\[(\u00b0]", cell) for cell in cells)
 
 
 def _are_names(cells: Sequence[str], width: int) -> bool:

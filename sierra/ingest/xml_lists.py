@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.xml_rows import parse
@@ -25,7 +25,8 @@ def keys_of(content: bytes) -> Mapping[str, str] | None:
     except UnreadableError:
         return None
     repeated = [path for path, most in counted.most.items() if most > 1]
-    path = _most_frequent(_outermost(repeated), counted.total)
+    outermost = _outermost(repeated)
+    path = outermost[0] if len(outermost) == 1 else None  # of several lists, somebody has to choose
     while path is not None and (within := _outermost(other for other in repeated if other.startswith(f"{path}/"))):
         if len(within) > 1:
             return None  # the rows of one list would have several values of the other
@@ -43,7 +44,6 @@ class _Counted:
 
     most: dict[str, int] = field(default_factory=dict)
     """The largest number of elements with a path within one element."""
-    total: Counter[str] = field(default_factory=Counter)
     filled: set[str] = field(default_factory=set)
     """The paths of elements with attributes, texts, or such elements within them."""
     _within: list[Counter[str]] = field(default_factory=lambda: [Counter()])
@@ -54,7 +54,6 @@ class _Counted:
             raise UnreadableError(f"line {line}: more than {DEEPEST} elements within each other")
         path = f"{self._paths[-1]}/{name}"
         self._within[-1][path] += 1
-        self.total[path] += 1
         self.most[path] = max(self.most.get(path, 0), self._within[-1][path])
         self._paths.append(path)
         self._within.append(Counter())
@@ -80,7 +79,3 @@ def _outermost(paths: Iterable[str]) -> list[str]:
     """Return the paths that are within no other of them."""
     known = set(paths)
     return [path for path in known if not any(path.startswith(f"{other}/") for other in known)]
-
-
-def _most_frequent(paths: Sequence[str], total: Mapping[str, int]) -> str | None:
-    return max(sorted(paths), key=lambda path: total[path], default=None)

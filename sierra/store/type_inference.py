@@ -56,12 +56,14 @@ def right_kind(kinds: Mapping[str, int]) -> str:
     """Return the kind that sibling files are expected to have in a column, from the number of files per kind.
 
     This is the kind that at least half of the files have; in a tie, numbers win. Otherwise it is text, which can hold
-    everything.
+    everything. It is also text if some have times and others have texts: `never` instead of a time is a value.
     """
     counts: Counter[str] = Counter()
     for kind, number in kinds.items():
         if kind != "empty":
             counts[own_kind(kind)] += number
+    if counts["text"] and any(kind in TIME_KINDS for kind in counts):
+        return "text"
     most = max(counts, key=lambda kind: (counts[kind], kind == "number"), default="empty")
     return most if 2 * counts[most] >= counts.total() or not counts.keys() <= {"number", "flag", "text"} else "text"
 

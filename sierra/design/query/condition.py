@@ -23,7 +23,7 @@ from sierra.design.query import grammar
 from sierra.errors import QueryError
 from sierra.model import Axis, Batch, Value
 from sierra.util.lazy_definitions import dataclass, regex
-from sierra.util.quoted_values import split_off, unquoted
+from sierra.util.quoted_values import QUOTE, split_off, unquoted
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -98,7 +98,8 @@ def matching(text: str, axes: Sequence[Axis], cells: Cells, origin: str, labels:
     Raises QueryError for an invalid condition, for an unknown variable or value, and if it selects nothing.
     """
     try:
-        outside, quotes = split_off(text)
+        has_quotes = any(QUOTE in str(label) for of_values in labels.values() for label in of_values.values())
+        outside, quotes = split_off(_with_names(text, labels) if has_quotes else text)
         parts = _AND.split(_BLANKS.sub(",", _with_names(outside, labels)))
         comparisons = [_comparison(part, quotes, axes, labels) for part in parts]
         for one in comparisons:

@@ -29,6 +29,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
@@ -56,11 +57,13 @@ from sierra.model import (
 from sierra.store.schema import RESERVED
 from sierra.util.lazy_definitions import regex
 from sierra.util.quoted_values import QUOTE, pieces, quoted, split_off, unquoted
-from sierra.util.text import outside, visible
+from sierra.util.text import outside
 
 """`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""
 MONTE_CARLO = "montecarlo"
 EXAMPLE = '="random walk",low'
+_FILLERS = "\u115f\u1160\u3164\uffa0"
+"""Letters that cannot be seen."""
 LONGEST = 200
 """The largest length of a criterion that a message proposes."""
 VARIABLE_DENSITY = "population_variable_density"
@@ -225,8 +228,13 @@ def _quoted(word: str) -> Value:
         )
     if not content:
         raise QueryError("a value must not be empty; leave it out, or use a name such as none")
-    if wrong := next((each for each in content if each in "\t\r\n" or visible(each) != each), None):
+    joined = re.sub("(?<=[^\x00-\x7f])[\u200c\u200d](?=[^\x00-\x7f])", "", content)  # scripts and emojis need them
+    if wrong := next((each for each in joined if not each.isprintable() or each in _FILLERS), None):
         raise QueryError(f"{shown(word)} contains {wrong!a}, which cannot be seen; use scenarios whose changes set such values")
+    if (composed := unicodedata.normalize("NFC", content)) != content:
+        raise QueryError(
+            f"{shown(word)} has letters with separate accents; use {shown(quoted(composed))}, which looks the same"
+        )
     number = _as_number(content)
     return content if number is None else number
 
@@ -347,7 +355,10 @@ def _as_typed(name: str, values: str) -> str:
     """Return how values that need quotes are typed in a shell, which removes quotes that are not in others."""
     import shlex
 
-    listed = [unquoted(word) or word.strip("\"' ") for word in _items(values)]
+    items = _items(values)
+    if any(unquoted(word) is None and QUOTE in word for word in items):
+        return f"use {shlex.quote(name + EXAMPLE)}"  # nobody knows which quotes were meant
+    listed = [unquoted(word) or word.strip("' ") for word in items]
     proposal = f"{name}={','.join(map(value_text, listed))}"
     return f"use {shlex.quote(proposal if _is_valid(proposal) else name + EXAMPLE)}"
 

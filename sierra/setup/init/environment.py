@@ -5,7 +5,10 @@ Programs without arguments may take numbers from such variables, or the name of 
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import takewhile
 from pathlib import Path
 
 from sierra.model import IN_PROJECT
@@ -18,8 +21,14 @@ READS = regex(
     r"[\"']?([A-Za-z_][A-Za-z0-9_]*)[\"']?(?:\s*,\s*[\"']?([^\"',)\]]*))?"
 )
 """Reads of a variable in several languages, with a default if there is one: `os.environ.get("N", "4")`, `getenv("N")`."""
-OF_SHELL = regex(r"\$\{?([A-Z][A-Z0-9_]+)(?::-([^}]*))?\}?")
-"""Reads of a variable in a shell."""
+OF_SHELL = regex(r"\$\{?([A-Z][A-Z0-9_]+)(?::?[-=]([^}]*))?\}?")
+"""Reads of a variable in a shell, with a default if there is one."""
+SET_BY_SHELL = regex(
+    r"(?:^|[;&]|\b(?:local|declare|readonly|for|read)\b)\s*([A-Z][A-Z0-9_]+)(?:=(?!.*\$\{?\1\b)|\s+in\b|\s*$)",
+    re.MULTILINE,
+)
+"""Variables that a script gives values of its own."""
+ASSIGNED = regex(r"([A-Za-z_][A-Za-z0-9_]*)=(.*)", re.DOTALL)
 LANGUAGES = (".py", ".jl", ".R", ".lua", ".pl", ".rb", ".js", ".c", ".cc", ".cpp", ".cxx", ".java", ".rs", ".go")
 SHELLS = (".sh", ".bash")
 SIZE = 1 << 20
@@ -44,14 +53,33 @@ def read_by(root: Path, words: Iterable[str]) -> dict[str, str]:
     code = [path for path in named if path.is_file() and path.suffix in (*LANGUAGES, *SHELLS)]
     if not code:
         code = [path for path in sorted(root.iterdir()) if path.is_file() and path.suffix in LANGUAGES]
-    return {name: default for path in code for name, default in _read(path) if not OF_SYSTEM.fullmatch(name)}
+    found: dict[str, str] = {}
+    for path in code:
+        for name, default in _read(path):
+            if not OF_SYSTEM.fullmatch(name):
+                found[name] = found.get(name) or default
+    return found
+
+
+def split_off(command: str) -> tuple[dict[str, str], str]:
+    """Return the variables that are set before a command, as a shell understands them, and the command without them."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return {}, command
+    count = len(list(takewhile(ASSIGNED.fullmatch, words)))
+    assigned = {found[1]: found[2] for word in words[:count] if (found := ASSIGNED.fullmatch(word))}
+    return (assigned, shlex.join(words[count:])) if count and words[count:] else ({}, command)
 
 
 def _read(path: Path) -> Iterator[tuple[str, str]]:
     with open_regular(path) as file:
         text = file.read(SIZE).decode("utf-8", "replace")
+    own = {found[1] for found in SET_BY_SHELL.finditer(text)} if path.suffix in SHELLS else set()
     for reads in (READS, *([OF_SHELL] if path.suffix in SHELLS else [])):
-        yield from ((found[1], (found[2] or "").strip()) for found in reads.finditer(text) if found[1].isupper())
+        yield from (
+            (found[1], (found[2] or "").strip()) for found in reads.finditer(text) if found[1].isupper() and found[1] not in own
+        )
 
 
 def of_file(names: Iterable[str]) -> str | None:

@@ -48,7 +48,9 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
         seed=None,
         variables=places,
         other_variables={
-            name: by_name[argument].declared for name, argument in named.items() if argument not in chosen.values()
+            name: by_name[argument].declared
+            for name, argument in named.items()
+            if argument not in chosen.values() and (seed is None or argument != seed.name)
         },
         tried=tuple(
             filter(None, (arguments.criterion(name, value) for name, value in {**dict.fromkeys(used, "1"), **values}.items()))

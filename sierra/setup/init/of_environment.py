@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +12,13 @@ from sierra.setup.init.answers import NONE, Ask, Options
 from sierra.setup.init.write import ENVIRONMENT, Guess
 
 
-def guess(root: Path, options: Options, ask: Ask | None, started: str, reads: Mapping[str, str]) -> Guess:
-    """Return the guess for a program that is started like this; `reads` are its variables with their defaults."""
+def guess(
+    root: Path, options: Options, ask: Ask | None, started: str, reads: Mapping[str, str], assigned: Collection[str] = ()
+) -> Guess:
+    """Return the guess for a program that is started like this; `reads` are its variables with their defaults.
+
+    `assigned` are those whose values the user has given.
+    """
     seeds = environment.seeds(reads)
     seed = variables.choose_seed(seeds, options.seed, ask, partial(_check_seed, reads), "variable of the environment")
     by_key = {f"/{name.lower()}": name for name in reads}
@@ -38,7 +43,7 @@ def guess(root: Path, options: Options, ask: Ask | None, started: str, reads: Ma
         other_variables={
             name: f"{ENVIRONMENT}{variable}" for name, variable in named.items() if variable not in chosen.values()
         },
-        environment=dict.fromkeys(rest, environment.SOME),
+        environment={name: reads[name] for name in assigned if name not in (seed, *chosen.values())},
         tried=tuple(filter(None, (arguments.criterion(name, value) for name, value in tried.items()))),
         source=source.choose(root, (), options.source, ask),
         next=next((variables.around(name, value) for name, value in tried.items()), None),
@@ -51,8 +56,8 @@ def guess(root: Path, options: Options, ask: Ask | None, started: str, reads: Ma
 
 def _doubts(seed: str | None, rest: list[str]) -> tuple[str, ...]:
     no_seed = 'all runs of an experiment are the same until they use the seed: set seed = { environment = "SEED" }'
-    made_up = f"the program has no default for {', '.join(rest)}: [environment] set has {environment.SOME}, change it"
-    return (*([] if seed else [no_seed]), *([made_up] if rest else []))
+    needed = f"the program reads {', '.join(rest)} too; if they have no defaults, set them under [environment]"
+    return (*([] if seed else [no_seed]), *([needed] if rest else []))
 
 
 def _check_seed(reads: Mapping[str, str], text: str) -> str | None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from sierra.config import extensions
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
-from sierra.setup.init import command, folder, named_files, of_arguments, of_template
+from sierra.setup.init import command, environment, folder, named_files, of_arguments, of_environment, of_template
 from sierra.setup.init.answers import SHOWN, Ask, Options, Question
 from sierra.setup.init.of_trial import with_findings, with_lacking, with_outputs
 from sierra.setup.init.write import Guess, parsed, write
@@ -49,6 +49,11 @@ def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
     and nobody can be asked.
     """
     folder.check(root)
+    assigned, started = environment.split_off(options.command or "")
+    if assigned:
+        reads = {**environment.read_by(root, started.split()), **assigned}
+        started = command.choose(root, None, started, ask) or ""
+        return of_environment.guess(root, options, ask, started, reads, tuple(assigned))
     if options.template is None:
         options = replace(options, template=command.named_template(root, options.command))
     if options.template is None and command.needs_no_template(root, options.command):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -132,11 +133,16 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
 def _declared_outputs(guess: Guess) -> Iterator[str]:
     for name, keys in guess.outputs.items():
         about = _about_file(str(keys["file"]))
-        yield f"\n[outputs.{name}]{about and f'  # {about}'}"
+        yield f"\n[outputs.{_key(name)}]{about and f'  # {about}'}"
         for key, value in keys.items():
             yield f"{key} = {_toml(value)}{ABOUT_KEYS.get(key, '')}"
         if keys.get("header") is False and "columns" not in keys:
             yield '# columns = ["time", "x"]  # the file has no names; write one for each column'
+
+
+def _key(name: str) -> str:
+    """Return a name as a key of TOML, quoted only if necessary."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
 def _about_file(file: str) -> str:
@@ -173,12 +179,12 @@ def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
     for unread in tried.unread:
         if unread.keys and unread.name not in guess.outputs:
             yield "# These files become a table only if they are declared:"
-            yield f"# [outputs.{unread.name}]"
+            yield f"# [outputs.{_key(unread.name)}]"
             yield from (f"# {key} = {_toml(value)}" for key, value in unread.keys.items())
     first = next((file for file in tried.files if file.table and file.table not in guess.outputs), None)
     if first is not None and not guess.outputs:
         yield "# Such tables need no declaration. To set a time axis, units or required rows:"
-        yield f"# [outputs.{first.table}]"
+        yield f"# [outputs.{_key(str(first.table))}]"
         yield f"# file = {quoted(one_line(first.path))}"
         yield f"# time = {quoted(first.time)}" if first.time else '# units = { distance = "m" }'
 

@@ -18,6 +18,7 @@ XML: list[tuple[str, str | None]] = [
     ('<f><timestep time="0"><vehicle id="a"/><vehicle id="b"/></timestep><timestep time="1"/></f>', "//vehicle"),
     ("<r><a><x>1</x></a><a><x>2</x></a><b><a/></b></r>", "/r/a"),
     ('<r><i n="1"><p/><p/><q/><q/></i><i n="2"/></r>', None),  # two lists in each row
+    ('<r><s><i n="1"/><i n="2"/></s><u><j n="1"/><j n="2"/></u></r>', None),  # which of the two lists?
     ("<a><b/><b/></a>", None),  # nothing in them
     ('<a><b x="1"/></a>', None),  # nothing is repeated
     ("<a>" * 100_000, None),
@@ -36,6 +37,7 @@ def test_repeated_elements_are_rows(tmp_path: Path, content: str, rows: str | No
         assert len(read) == 2
 
 
+AT = {"at": 1.5, "at_2": 2, "step": 1, "step_2": 9}
 PRINTED: list[tuple[str, dict[str, Any]]] = [
     (
         "Begin ...\nstep 0: score=3.5\nstep 1: score=-1e-3\n",
@@ -48,6 +50,10 @@ PRINTED: list[tuple[str, dict[str, Any]]] = [
         {"lines": [{"Robot": 3, "after": 12.5}, {"Robot": 4, "after": 2.5}]},
     ),
     ("[12:00:01] energy 3.5\n[12:00:02] energy 3.6\n", {"lines": [{"energy": 3.5}, {"energy": 3.6}]}),
+    ("at=[1.5, 2] step 1/9\nat=[3.5, 4] step 2/9\n", {"lines": [AT, {"at": 3.5, "at_2": 4, "step": 2, "step_2": 9}]}),
+    ("max-speed=1 min-speed=2\n", {"max": [{"max_speed": 1, "min_speed": 2}]}),
+    ("cost=950.6\ncost=1,020.8\n", {}),  # is the comma that of thousands?
+    ("Größe=1\nGröße=2\n", {}),  # no name that a group can have
     ("time,x\n0,1.5\n1,2.5\n", {"stdout": [{"time": 0, "x": 1.5}, {"time": 1, "x": 2.5}]}),
     ('{"a": 1}\n{"a": 2}\n', {"stdout": [{"a": 1}, {"a": 2}]}),
     ("version: 1.2\nListening on port 8080\ndone\n", {}),
@@ -81,6 +87,7 @@ def test_named_numbers_in_lines_are_columns(tmp_path: Path, content: str, tables
         (["robot_1.csv"], None, ""),
         (["floor-1.csv", "floor-2.csv"], None, ""),
         (["plant1.csv", "plant2.csv"], None, ""),
+        (["a*robot1.csv", "a*robot2.csv"], None, ""),
         (["run1_robot1.csv", "run2_robot2.csv"], None, ""),
     ],
 )

@@ -38,6 +38,11 @@ TABLES: list[tuple[bytes, dict[str, Any] | None]] = [
     (b"t,v\nt,vw\n0,1\nt,v\n1,2\n", None),  # the names are the beginning of another line
     (b"a,b\n-1,2\nt,v\n0,1\n1,2\n", {"skip": 2}),  # a small table above, as wide as the other one
     (b"a,b\n1,2\n3,4\nt,v\n0,1\n1,2\n", None),  # which of them is it?
+    (b"# made\ncolour,n\n#ff0000,3\nred,4\n", None),  # is the marked line a row?
+    (b"first robot,second robot\ne-puck 1,e-puck 2\ne-puck 3,e-puck 4\n", None),  # no names between blanks
+    (b"battery,rssi\n-,-\n99,-60\n97,-61\n", None),  # values are missing, these are no units
+    (b"left,right\nspeed,dist\n1,2\n", None),  # two lines of names
+    (b"time [s],x\n1,2\ntime [s],x\n2,3\n", None),  # `columns` cannot have this name
     (b"name,v\na,n/a\nb,1\n", None),  # rows with texts are no headers
     (b"name,2001,2002\na,1,2\n", None),
     (b"t,1,2\n0,2,3\n", None),

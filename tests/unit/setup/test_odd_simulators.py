@@ -169,6 +169,83 @@ def test_a_column_of_0_and_1_is_a_rate(tmp_path: Path) -> None:
     assert 'rates = ["success"]' in (folder / "sierra.toml").read_text()
 
 
+def script(tmp_path: Path, text: str) -> Path:
+    (tmp_path / "sim.py").write_text(f"import random, sys\nseed = int(sys.argv[-1])\nrandom.seed(seed)\n{text}")
+    return tmp_path
+
+
+SEEDED = ("--command", "python3 sim.py --robots 4 --seed 1")
+
+
+def test_a_table_that_is_read_stays_as_it_is(tmp_path: Path) -> None:
+    folder = script(tmp_path, "open('hits.csv', 'w').write('colour,count\\n#ff0000,3\\nred,4\\n#00ff00,5\\n')\n")
+    assert quick(folder, "init", "-y", *SEEDED).returncode == 0
+    assert "\n[outputs." not in (folder / "sierra.toml").read_text()
+    assert quick(folder, "run", "population_size=1", "--runs", "2", "--no-figures").returncode == 0
+    quick(folder, "outputs", "--write")
+    assert "comment" not in (folder / "sierra.toml").read_text()
+    assert quick(folder, "run", "population_size=1", "--runs", "2", "--no-figures").returncode == 0
+    assert outputs(folder)["hits"]["most"] == 3
+
+
+def test_many_files_of_robots_and_those_in_folders_have_robots_and_not_ticks(tmp_path: Path) -> None:
+    text = "for r in range(30):\n    open(f'robot_{r}.csv', 'w').write(f'distance\\n{r}\\n')\n"
+    folder = script(tmp_path, text)
+    assert quick(folder, "init", "-y", *SEEDED).returncode == 0
+    assert 'file = "robot_{robot}.csv"' in (folder / "sierra.toml").read_text()
+    assert quick(folder, "run", "population_size=1", "--runs", "2", "--no-figures").returncode == 0
+    stats = json.loads(quick(folder, "stats", "robot", "distance", "--json").stdout)
+    assert [row["mean"] for row in stats] == [14.5]
+
+
+def test_names_beyond_ascii_are_valid_toml(tmp_path: Path) -> None:
+    folder = script(tmp_path, "open('größe.csv', 'w').write('Zeit;E\\n0;1,5\\n1;2,5\\n')\n")
+    assert quick(folder, "init", "-y", *SEEDED).returncode == 0
+    assert '[outputs."größe"]' in (folder / "sierra.toml").read_text()
+    assert quick(folder, "run", "population_size=1", "--runs", "2", "--no-figures").returncode == 0
+
+
+def test_a_seed_with_which_the_run_fails_is_noted(tmp_path: Path) -> None:
+    folder = script(tmp_path, "print('result=success time=3.5' if seed % 2 == 0 else 'result=timeout time=60.5')\n")
+    said = json.loads(quick(folder, "init", "--json", *SEEDED).stdout)
+    assert [note for note in said["notes"] if note.startswith("a run with seed ") and "failed: " in note]
+    assert list(said["outputs"]) == ["result"]
+
+
+SHELL = """\
+#!/bin/sh
+: "${ROBOTS:=3}" "${FAIL:=0.01}" "${SEED:=1}"
+LENGTH=${LENGTH:-40}
+OUT=log.csv
+printf 'time,alive\\n0,%s\\n1,%s%s\\n' "$ROBOTS" "$LENGTH" "$SEED" > $OUT
+"""
+
+
+@pytest.mark.parametrize("command", ["./patrol.sh", "ROBOTS=2 FAIL=0.5 SEED=7 ./patrol.sh"])
+def test_defaults_of_a_shell_script_stay(tmp_path: Path, command: str) -> None:
+    (tmp_path / "patrol.sh").write_text(SHELL)
+    (tmp_path / "patrol.sh").chmod(0o755)
+    assert quick(tmp_path, "init", "-y", "--command", command).returncode == 0
+    written = (tmp_path / "sierra.toml").read_text()
+    assert 'seed = { environment = "SEED" }' in written
+    assert 'population_size = { environment = "ROBOTS" }' in written
+    assert "LENGTH = " not in written
+    assert ('set = { FAIL = "0.5" }' in written) == command.startswith("ROBOTS")
+    assert quick(tmp_path, "run", "population_size=1,4", "--runs", "2", "--no-figures").returncode == 0
+    assert outputs(tmp_path)["log"]["most"] == 2
+
+
+def test_an_option_of_the_command_and_of_a_variable_is_noted(tmp_path: Path) -> None:
+    folder = made(tmp_path, "g3_ignores")
+    assert quick(folder, "init", "-y", *USUAL).returncode == 0
+    written = (folder / "sierra.toml").read_text()
+    (folder / "sierra.toml").write_text(written.replace("{arguments}", "{arguments} --robots 4"))
+    said = quick(folder, "run", "population_size=1,2", "-n").stderr
+    assert (
+        "note: the command has '--robots', which the variable 'population_size' adds too: one of the two has no effect" in said
+    )
+
+
 @pytest.mark.nightly
 def test_the_output_of_ngspice_is_a_table_without_names(tmp_path: Path, require: Callable[..., str]) -> None:
     require("ngspice", there=shutil.which("ngspice") is not None)
