@@ -27,13 +27,15 @@ UNIT = regex(
     r"([/*^.][-\w/*^.]*)?"
 )
 """The units in a line below the names of columns."""
+NAME_AND_UNIT = regex(r"([^\s\[(]+)(?:\s*[\[(]([^\[\]()]*)[\])])?")
+"""A name, perhaps with its unit, as in `distance[m]`."""
 MISSING = frozenset(["na", "n/a", "null", "none", "-", "--", "?"])
 """Texts of cells without a value."""
 MOST = 200
 """The largest number of lines above the first row."""
 GROUPED = regex(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+")
 """Numbers whose comma may be that of thousands."""
-Key = str | bool | int | list[str]
+Key = str | bool | int | list[str] | dict[str, str]
 CHANGING_NO_ROWS = frozenset(["decimal"])
 Cells = Mapping[int, Sequence[str]]
 """The cells of lines, by the place of the line."""
@@ -85,7 +87,8 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
     if numbers and not _is_small_table(rows, above, numbers, width):
         return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
-    if any(_may_be_row(_cells(lines[place], delimiter), width) for place in marks if place > (above[-1] if above else first)):
+    within = [lines[place] for place in marks if place > (above[-1] if above else first)]
+    if any(_may_be_row(line, _cells(line, delimiter), width) for line in within):
         return None  # these are rows, too
     body = [rows[place] for place in rows if place >= first]
     is_plain = _are_numbers(body, is_number)
@@ -101,10 +104,11 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
         keys |= {"units_row": True} if has_units else {}
         keys |= {"skip": head} if skips else {}
         keys |= _comment(mark for place, mark in marks.items() if place > head or not skips)
-    elif (head := first - 1) in marks and (names := _marked_names(lines[head], delimiter, width)):
+    elif (head := first - 1) in marks and (names := _only_names(lines, marks, head, delimiter, width)):
         keys |= {"skip": head} if head else {}
-        if max(marks) > head:  # comments within the table, of which its names could not be told
-            return None
+    elif head in marks and (declared := _declared_names([lines[place] for place in marks if place < first], delimiter, width)):
+        delimited = {"delimiter": delimiter} if delimiter != DELIMITERS[0] else {}
+        return {**keys, **delimited, **_comment(marks.values()), "header": False, **declared}
     elif not is_plain:
         return None  # its first line may be a header with numbers in it
     else:
@@ -134,6 +138,30 @@ def _marked_names(line: str, delimiter: str, width: int) -> tuple[str, ...]:
     bare = unmarked(line.strip())
     cells = _cells(bare, delimiter) if bare != line.strip() else ()
     return cells if _are_names(cells, width) else ()
+
+
+def _only_names(lines: Sequence[str], marks: Mapping[int, str], head: int, delimiter: str, width: int) -> tuple[str, ...]:
+    """Return the names in a comment, if no comment follows it; nothing if it has units, or other words."""
+    names = _marked_names(lines[head], delimiter, width) if max(marks) == head else ()
+    return () if _are_units(names) else names
+
+
+def _declared_names(comments: Sequence[str], delimiter: str, width: int) -> dict[str, Key]:
+    """Return the keys that declare the names, and the units, in comments above the first row; nothing if these are other words.
+
+    The last comment has the names, perhaps with units behind them, or has the units of the one before.
+    """
+    below = _cells(unmarked(comments[-1].strip()), delimiter) if len(comments) > 1 else ()
+    has_units = len(below) == width and _are_units(below)
+    named = _marked_names(comments[-2 if has_units else -1], delimiter, width) if comments else ()
+    parts = [NAME_AND_UNIT.fullmatch(name) for name in named]
+    names = [part[1] for part in parts if part]
+    if not names or len({name.lower() for name in names}) < width or not all(re.fullmatch(NAME, name) for name in names):
+        return {}
+    units = below if has_units else [part[2] or "" for part in parts if part]
+    bare = {name: unit.strip("[]()") for name, unit in zip(names, units, strict=True)}
+    of_columns = {name: unit for name, unit in bare.items() if unit not in ("", "-", "1")}
+    return {"columns": names, **({"units": of_columns} if of_columns else {})}
 
 
 def _keys_of_repeated_names(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
@@ -203,9 +231,11 @@ def _first_row(rows: Cells, is_number: Callable[[str], bool]) -> int | None:
     return first
 
 
-def _may_be_row(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line that is marked as a comment may be a row of the table, such as `#ff0000,3`."""
-    return len(cells) == width and any(map(reads_as_number, cells))
+def _may_be_row(line: str, cells: Sequence[str], width: int) -> bool:
+    """Return whether a marked line may be a row of the table, such as `#ff0000,3`; `# total: 3` is none."""
+    mark = MARK.match(line)
+    is_apart = mark is not None and not line[mark.end() : mark.end() + 1].strip()
+    return not is_apart and len(cells) == width and any(map(reads_as_number, cells))
 
 
 def _are_units(cells: Sequence[str]) -> bool:

@@ -158,6 +158,8 @@ def _about_file(file: str) -> str:
 
 def _toml(value: object) -> str:
     """Return a value as TOML; a regular expression is not escaped."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{_key(name)} = {_toml(own)}' for name, own in value.items())} }}"
     literal = isinstance(value, str) and "\\" in value and "'" not in value and value.isprintable()
     return f"'{value}'" if literal else quoted(value)
 

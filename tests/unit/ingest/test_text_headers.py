@@ -43,6 +43,14 @@ TABLES: list[tuple[bytes, dict[str, Any] | None]] = [
     (b"battery,rssi\n-,-\n99,-60\n97,-61\n", None),  # values are missing, these are no units
     (b"left,right\nspeed,dist\n1,2\n", None),  # two lines of names
     (b"time [s],x\n1,2\ntime [s],x\n2,3\n", None),  # `columns` cannot have this name
+    (
+        b"# flock: N=10\n#  t[s]  order\n0.0 0.5\n0.5 0.6\n# contacts: 16\n",
+        {"delimiter": "blanks", "comment": "#", "header": False, "columns": ["t", "order"], "units": {"t": "s"}},
+    ),
+    (
+        b"# made\n# time,alive\n# [s],[%]\n0,100\n1,50\n",
+        {"comment": "#", "header": False, "columns": ["time", "alive"], "units": {"time": "s", "alive": "%"}},
+    ),
     (b"name,v\na,n/a\nb,1\n", None),  # rows with texts are no headers
     (b"name,2001,2002\na,1,2\n", None),
     (b"t,1,2\n0,2,3\n", None),
