@@ -2,7 +2,7 @@
 
 An execution that was observed counts if it did not use any of these files. For one that was not observed, observed executions
 of its session with its experiment or its seed stand, as for reuse: it counts if one of its experiment was observed completely
-and has succeeded, and if none of them used any of the files. Until one of its experiment is recorded, nobody knows.
+and has succeeded, and if none of them used any of the files. That is known at the end of the session.
 
 A run that only listed a folder has not used the changed files whose names it has seen there. Other runs of its experiment may
 have listed the folder at another time, and so it stands for them only if the file was never removed or replaced.
@@ -12,15 +12,12 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Collection
-from datetime import UTC, datetime
 from typing import NamedTuple
 
 from sierra.ingest.observations import observed
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement
 from sierra.model import Status
-from sierra.store.layout import SessionPaths
-from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass
 
@@ -103,11 +100,3 @@ def by_siblings(store: Store, context: Context, runs: Collection[str], doubt: Do
         snapshot.add_table("changed", path=paths, folder=folders, file=names, absent=absent)
         verdicts = snapshot.select(_Verdict, BY_SIBLINGS, batch=context.batch, session=context.session)
     return {verdict.run: verdict.counts for verdict in verdicts if verdict.counts is not None}
-
-
-def record_findings(store: Store, session: SessionPaths, context: Context, executions: Collection[str], reason: str) -> None:
-    """Record that executions have failed which were recorded as successful before."""
-    now, lamport = datetime.now(UTC), context.lamport()
-    writer = store.writer(session.segment, context.batch)
-    writer.records(FindingRow(execution, now, Status.FAILED, reason, lamport) for execution in sorted(executions))
-    store.publish(writer)

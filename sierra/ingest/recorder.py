@@ -111,8 +111,6 @@ class Recorder:
         self._pending: list[Judgement] = []
         self._waiting: list[Judgement] = []
         """Unobserved executions of which only observed ones can tell whether they used files that have changed."""
-        self._by_siblings: dict[str, str] = {}
-        """Executions that count because of observed ones, with their runs."""
         self.doubted = False
         """True if executions have failed because files have changed."""
         self._other_rows: dict[str, list[Mapping[str, RecordValue]]] = {}
@@ -207,7 +205,8 @@ class Recorder:
     def flush(self, *, last: bool = False) -> list[tuple[str, Status, str]]:
         """Write everything pending; return the run, status and reason of each execution that is not successful.
 
-        If files have changed, executions that were not observed may wait for those that are, at most until the `last` call.
+        If files have changed, executions that were not observed wait until the `last` call, when all that are observed are
+        recorded: any of these may still show that the experiment uses the files.
         Raises Missing if the disk is full or read-only; then nothing is lost.
         """
         self._flushed = time.monotonic()
@@ -219,8 +218,6 @@ class Recorder:
         if doubt is not None and self._waiting:
             self._pending, self._waiting = self._by_others(doubt, last=last)
             failed += self._record_pending() if self._pending else []
-        if doubt is not None and last:
-            failed += self._failed_since(doubt)
         self._record_late()
         return failed
 
@@ -245,24 +242,14 @@ class Recorder:
         judged, waiting = [], []
         for pending in self._waiting:
             verdict = counts.get(pending.result.run)
-            if verdict:
-                self._by_siblings[pending.result.execution] = pending.result.run
-                judged.append(pending)
-            elif verdict is None and not last:
+            if verdict is not False and not last:
                 waiting.append(pending)
+            elif verdict:
+                judged.append(pending)
             else:
                 self.doubted = True
                 judged.append(doubt.failed(pending, UNOBSERVED if verdict is None else ""))
         return judged, waiting
-
-    def _failed_since(self, doubt: Doubt) -> list[tuple[str, Status, str]]:
-        """Record findings about executions that do not count any more, because others of their experiments used the files."""
-        counts = changed_files.by_siblings(self._store, self.context, set(self._by_siblings.values()), doubt)
-        failed = {execution: run for execution, run in self._by_siblings.items() if not counts.get(run)}
-        if failed:
-            self.doubted = True
-            changed_files.record_findings(self._store, self._session, self.context, failed, doubt.reason)
-        return [(run, Status.FAILED, doubt.reason) for run in failed.values()]
 
     def _record_pending(self) -> list[tuple[str, Status, str]]:
         """Write everything pending; return the run, status and reason of each execution that is not successful."""
