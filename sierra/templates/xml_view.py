@@ -330,10 +330,12 @@ class View:
         """
         counted = Counter(call for element in self.root.iter(etree.Element) for call in self._calls(element))
         named: dict[Element, str] = {}
+        beside = Counter((element.getparent(), element.tag) for element in self.root.iter(etree.Element))
         for element in self.root.iter(etree.Element):
             place = next((call for call in self._calls(element) if counted[call] == 1 and self._alone(call)), None)
-            if place is None and (around := named.get(element.getparent())) is not None and self._is_only(element):
-                place = f"{around}/{self._qualified(element.tag)}"
+            if place is None and (around := named.get(element.getparent())) is not None:
+                is_only = beside[element.getparent(), element.tag] == 1 and "local-name()" not in self._qualified(element.tag)
+                place = f"{around}/{self._qualified(element.tag)}" if is_only else None
             if place is None:
                 continue
             named[element] = place
@@ -349,12 +351,6 @@ class View:
             tag,
             *(f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id", "variable") if "'" not in element.get(key, "'")),
         ]
-
-    def _is_only(self, element: Element) -> bool:
-        """Return True if an element has a plain name, and no other element beside it has the same one."""
-        beside = element.getparent()
-        same = [other for other in beside if other.tag == element.tag] if beside is not None else []
-        return len(same) == 1 and "local-name()" not in self._qualified(element.tag)
 
     def _alone(self, call: str) -> bool:
         """Return True if a name that occurs once selects one element; `local-name()` may match other namespaces too."""
