@@ -85,6 +85,8 @@ class TakenOutputs:
     unread: tuple[UnreadFiles, ...]
     target: str | None = None
     """The target that the batch was requested for."""
+    all_failed: bool = False
+    """True if no run was successful: then these are the runs whose tables could not be read."""
 
 
 class _Layout(NamedTuple):
@@ -219,7 +221,8 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
         )
         for row in rows
     ]
-    return TakenOutputs(batch, runs, tables, unread_files(kinds, outputs, [table.name for table in tables], runs))
+    unread = unread_files(kinds, outputs, [table.name for table in tables], runs)
+    return TakenOutputs(batch, runs, tables, unread, all_failed=failed and runs > 0)
 
 
 def _keys(store: Store, row: _Content) -> Keys:
