@@ -23,7 +23,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
 from sierra.store.table_layout import Columns, TableLayout
-from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
+from sierra.store.type_inference import AS_TEXT, TIME_KINDS, own_kind, right_kind
 from sierra.store.views import ORDER
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, verb
@@ -251,10 +251,11 @@ def _unlike(form: TableLayout, likely: _Usual, ragged: bool, allow: str) -> str 
 
 
 def _misfit(columns: Columns, kinds: Columns) -> tuple[str, str] | None:
-    """Return the first column with an unexpected kind, and that kind. If text is expected, values kept as text are accepted."""
+    """Return the first column with an unexpected kind, and that kind. Where text is expected, values kept as text and times fit."""
     for name, kind in columns.items():
         right = kinds.get(name, kind)
-        if kind not in (right, "empty") and not (right == "text" and kind.endswith(AS_TEXT)):
+        is_text = right == "text" and (kind.endswith(AS_TEXT) or kind in TIME_KINDS)
+        if kind not in (right, "empty") and not is_text:
             return name, kind
     return None
 

@@ -150,12 +150,27 @@ def test_programs_may_leave_out_zeros_in_some_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_texts_among_times_of_other_runs_are_noticed(tmp_path: Path) -> None:
+def test_texts_among_times_of_other_runs_make_a_column_of_texts(tmp_path: Path) -> None:
     folder = project(tmp_path / "project")
     (folder / "sim.py").write_text(SIMULATOR.replace('{second}.5+02:00"', '{second}"if second or given["number"] else "n/a"'))
     (folder / "input.json").write_text('{"n": 1, "seed": 0, "name": "a", "number": 0}')
     config = CONFIG + '[[run_changes]]\nset = "/number"\nvalue = "{run}"\n'
     (folder / "sierra.toml").write_text(config)
-    done = quick(folder, "run", "n=1", "--runs", "4", "--no-figures")
-    assert done.returncode == 1
-    assert "has text in column 'stamp', but other runs have TIMESTAMP" in done.stdout + done.stderr
+    done, _ = run(folder, "n=1", "--runs", "4")
+    assert (done["failed"], done["executed"]) == (0, 4)
+    assert type_of(folder) == "VARCHAR"
+    assert sql(folder, "SELECT count(*) AS n FROM out WHERE stamp = 'n/a'") == [{"n": 1}]
+
+
+@pytest.mark.integration
+def test_texts_after_recorded_times_fail_no_run(tmp_path: Path) -> None:
+    folder = project(tmp_path / "project")
+    late = '{second}"if second or given["number"] < 3 else "n/a"'
+    (folder / "sim.py").write_text(SIMULATOR.replace('{second}.5+02:00"', late))
+    (folder / "input.json").write_text('{"n": 1, "seed": 0, "name": "a", "number": 0}')
+    (folder / "sierra.toml").write_text(CONFIG + '[[run_changes]]\nset = "/number"\nvalue = "{run}"\n')
+    for runs in ("3", "4"):
+        done, _ = run(folder, "n=1", "--runs", runs)
+        assert done["failed"] == 0
+    assert type_of(folder) == "VARCHAR"
+    assert sql(folder, "SELECT count(*) AS n FROM out WHERE stamp = 'n/a'") == [{"n": 1}]
