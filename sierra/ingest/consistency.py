@@ -251,7 +251,7 @@ def _unlike(form: TableLayout, likely: _Usual, ragged: bool, allow: str) -> str 
 
 
 def _misfit(columns: Columns, kinds: Columns) -> tuple[str, str] | None:
-    """Return the first column with an unexpected kind, and that kind. Where text is expected, values kept as text and times fit."""
+    """Return the first column with an unexpected kind, and that kind; times and values kept as text pass for text."""
     for name, kind in columns.items():
         right = kinds.get(name, kind)
         is_text = right == "text" and (kind.endswith(AS_TEXT) or kind in TIME_KINDS)
