@@ -204,7 +204,7 @@ def test_placeholders_without_a_value_are_all_variables(tmp_path: Path) -> None:
     (folder / "world.txt").write_text("robots {{count}} seed {{seed}} speed {{speed}}\n")
     done = quick(folder, "init", "-y", *GIVEN)
     assert done.returncode == 0
-    assert "run        count=1 speed=1, seed " in done.stdout
+    assert "  count=1 speed=1, seed " in done.stdout
     assert sorted(settings(folder)["variables"].values()) == ["/count", "/speed"]
     text = (folder / "sierra.toml").read_text()
     assert '# changes = [{ set = "/count", value = 1 }, { set = "/speed", value = 1 }]' in text

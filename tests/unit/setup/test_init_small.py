@@ -55,9 +55,10 @@ def test_the_time_axis_is_proposed_by_the_rule_of_figures(tmp_path: Path, column
 
 
 @pytest.mark.nightly
-def test_after_an_init_that_failed_the_missing_project_is_named(tmp_path: Path) -> None:
+def test_where_only_a_run_was_tried_the_missing_project_is_named(tmp_path: Path) -> None:
     (tmp_path / "sim.py").write_text("import sys\nsys.exit(3)\n")
     assert quick(tmp_path, "init", "-y", "--command", "python3 sim.py --robots 2").returncode == 1
+    (tmp_path / "sierra.toml").unlink()
     for words in (("try",), ("ls",), ("run", "robots=1")):
         done = quick(tmp_path, *words)
         assert (done.returncode, done.stderr.count("\n")) == (3, 1)
