@@ -1785,7 +1785,7 @@ class Project:
         >>> [(table.name, table.rows) for table in project.outputs(summary.batch).tables]
         [('swarm', '5 rows')]
         """
-        return self._taken(self._asked(query, target))
+        return self._taken(self._asked(query, target), inside=True)
 
     def declare_outputs(self, *query: str, target: str | None = None) -> dict[str, dict[str, Key]]:
         """Write the undeclared tables of a batch into `sierra.toml`, as `[outputs.NAME]`; return what was written.
@@ -1805,11 +1805,11 @@ class Project:
         declare_outputs.write(self._found, tables, comments(found), found.target if found.target in self.targets else None)
         return tables
 
-    def _taken(self, batch: str) -> TakenOutputs:
+    def _taken(self, batch: str, *, inside: bool) -> TakenOutputs:
         from sierra.execution import outputs_taken, targets
 
         declared = targets.of_batch(self._loaded, self.store, batch).config.outputs
-        found = outputs_taken.taken(self.store, batch, declared)
+        found = outputs_taken.taken(self.store, batch, declared, inside=inside)
         return replace(found, target=targets.recorded(self.store, batch)) if self.targets else found
 
     def _asked(self, query: Sequence[str], target: str | None) -> str:
@@ -1832,7 +1832,7 @@ class Project:
 
         if not any(outputs_taken.is_new(self.store, session) for session in summary.sessions):
             return summary
-        return replace(summary, outputs=self._taken(summary.batch))
+        return replace(summary, outputs=self._taken(summary.batch, inside=False))
 
     def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         from sierra.replay import determinism  # loads everything that a replay needs

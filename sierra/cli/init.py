@@ -129,7 +129,7 @@ def _tried(folder: Path, guess: Guess, *, quiet: bool) -> tuple[Guess, Trial | N
 
     If the run fails because it lacks files of the project, another run gets them. If its tables need declarations, another run
     has them. Returns the guess with what the runs have shown, and the first run that succeeded, or else the first one.
-    Raises typer.Exit if a run was interrupted.
+    Raises typer.Exit if the first run was interrupted; what it has shown is kept if a later one is.
     """
     from sierra.model import Status
     from sierra.setup.init import wizard

@@ -34,7 +34,7 @@ from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.hashing import sha256, short
 from sierra.util.lazy_definitions import dataclass, regex, replace
-from sierra.util.text import counted, few, like
+from sierra.util.text import counted, few, like, numbered
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -619,4 +619,4 @@ def _accepted(frame: Frame, output: OutputTable) -> Mapping[int, Mapping[str, in
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
     """Return a file name for a figure that is valid on all systems and not taken."""
     plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
-    return next(free for free in (plain, *(f"{plain}_{n}" for n in range(2, len(taken) + 3))) if free not in taken)
+    return next(free for free in numbered(plain) if free not in taken)

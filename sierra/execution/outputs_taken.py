@@ -183,8 +183,11 @@ def _format(output: Output) -> str:
     return "lines" if output.lines else output.kind
 
 
-def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutputs:
-    """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones."""
+def taken(store: Store, batch: str, outputs: Mapping[str, Output], *, inside: bool) -> TakenOutputs:
+    """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones.
+
+    `inside`: look into files of tables for keys that read them better.
+    """
     with store.snapshot(batch) as snapshot:
         snapshot.views.make(("effective", "all_artifacts", "all_judgements", "batch_runs", "batches", "specs"))
         snapshot.run(MINE, {"batch": batch})
@@ -207,7 +210,7 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
         for alike, place in snapshot.run(VARYING) if any(row.files > 1 for row in rows) else ():
             places.setdefault(alike, set()).add(place)
     tables = tuple(
-        replace(table, keys=_keys(store, contents[table.name])) if table.format == "csv" and not table.declared else table
+        replace(table, keys=_keys(store, contents[table.name])) if inside and _is_undeclared_csv(table) else table
         for table in tables
     )
     kinds = [
@@ -223,6 +226,10 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
     ]
     unread = unread_files(kinds, outputs, [table.name for table in tables], runs)
     return TakenOutputs(batch, runs, tables, unread, all_failed=failed and runs > 0)
+
+
+def _is_undeclared_csv(table: TakenTable) -> bool:
+    return table.format == "csv" and not table.declared
 
 
 def _keys(store: Store, row: _Content) -> Keys:

@@ -26,6 +26,7 @@ from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, tab
 from sierra.ingest.open_names import OF_ROBOT
 from sierra.store.layout import RUN_STDOUT
 from sierra.util.lazy_definitions import dataclass, field, regex
+from sierra.util.text import numbered
 
 NUMBER = regex("[0-9]+")
 NAMED: Mapping[str, str] = {
@@ -281,4 +282,4 @@ def pattern(one: Alike) -> str:
 def _free(path: str, taken: Collection[str]) -> str:
     """Return a name for the table of a file that no other table has."""
     name = re.sub("_*[0-9]+$", "", table_name(path)) or table_name(path)
-    return next(one for number in range(1, len(taken) + 3) if (one := name + f"_{number}" * (number > 1)).lower() not in taken)
+    return next(free for free in numbered(name) if free.lower() not in taken)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.json_rows import DOT, parsed
+from sierra.util.text import toml_value
 
 DEEPEST = 6
 """The largest number of keys that lead to a list."""
@@ -33,14 +33,7 @@ def keys_of(content: bytes) -> Mapping[str, str] | None:
 
 def in_words(keys: Mapping[str, object]) -> str:
     """Return keys as they are written in `sierra.toml`."""
-    return ", ".join(f"{name} = {_toml(value)}" for name, value in keys.items())
-
-
-def _toml(value: object) -> str:
-    """Return a value as TOML: a text, a number, a list, or a table in one line."""
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{json.dumps(key, ensure_ascii=False)} = {_toml(own)}' for key, own in value.items())} }}"
-    return json.dumps(value, ensure_ascii=False)
+    return ", ".join(f"{name} = {toml_value(value)}" for name, value in keys.items())
 
 
 def _lists(value: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], list[object]]]:

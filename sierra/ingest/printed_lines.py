@@ -16,6 +16,7 @@ from sierra.ingest.match_outputs import table_name
 from sierra.ingest.text_headers import Key
 from sierra.store.layout import RUN_STDOUT
 from sierra.util.lazy_definitions import regex
+from sierra.util.text import numbered
 
 NUMBER = regex(
     r"(?<![\w.])[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?(?![0-9]|[.,_][0-9]|[eEx][-+0-9])|(?i:nan|inf(?:inity)?)\b)",
@@ -44,10 +45,11 @@ Form = tuple[tuple[str, ...], tuple[str, ...]]
 def keys_of(content: bytes) -> dict[str, dict[str, Key]]:
     """Return the keys of the tables that a program prints, by the name of the table; none if somebody has to choose."""
     try:
-        lines = content.decode().splitlines()
+        text = content.decode()
     except UnicodeDecodeError:
         return {}
-    if not lines or CONTROL.search(content.decode()):
+    lines = text.splitlines()
+    if not lines or CONTROL.search(text):
         return {}
     if all(_is_object(line) for line in lines if line.strip()):
         return {RUN_STDOUT: {"file": RUN_STDOUT, "format": "jsonl"}}
@@ -87,11 +89,10 @@ def _tables(lines: list[str]) -> dict[str, dict[str, Key]]:
 def _form(line: str) -> Form | None:
     """Return the form of a line with a named number; None for other lines."""
     clocks = [found.span() for found in CLOCK.finditer(line)]
-    texts, numbers, end = [], [], 0
+    texts, end = [], 0
     for number in NUMBER.finditer(line):
         if not any(begin <= number.start() < after for begin, after in clocks):
             texts.append(_plain(line[end : number.start()]))
-            numbers.append(number)
             end = number.end()
     texts.append(_plain(line[end:]).rstrip())
     called = [NAMED.search(text) for text in texts[:-1]]
@@ -113,14 +114,9 @@ def _unique(texts: Sequence[str], called: Sequence[str]) -> Iterator[str]:
         words = re.sub(r"\W+", "_", text).strip("_")
         several = called.count(name) > 1 and words.isascii() and words.isidentifier() and words != name
         last = (words if several else name) if name else last
-        own = next(free for free in _numbered(last) if free.lower() not in taken)
+        own = next(free for free in numbered(last) if free.lower() not in taken)
         taken.add(own.lower())
         yield own
-
-
-def _numbered(name: str) -> Iterator[str]:
-    yield name
-    yield from (f"{name}_{number}" for number in range(2, 1000))
 
 
 def _has_signs(form: Form) -> bool:
@@ -128,7 +124,7 @@ def _has_signs(form: Form) -> bool:
     texts, names = form
     called = [NAMED.search(text) for text in texts[:-1]]
     of_program = any(name.lower() in ABOUT_THE_PROGRAM for name in names)
-    return not of_program and all(one is not None and one["sign"] for one in called)
+    return not of_program and all(name is not None and name["sign"] for name in called)
 
 
 def _pattern(form: Form) -> str:
@@ -155,4 +151,4 @@ def _names(form: Form) -> Iterator[str]:
     word = re.match(r"\W*([A-Za-z_]\w*)", texts[0])
     name = word[1].lower() if word else ""
     own = name if name and name not in {column.lower() for column in names} else "lines"
-    yield from map(table_name, _numbered(own))
+    yield from map(table_name, numbered(own))

@@ -107,8 +107,7 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
     elif (head := first - 1) in marks and (names := _only_names(lines, marks, head, delimiter, width)):
         keys |= {"skip": head} if head else {}
     elif head in marks and (declared := _declared_names([lines[place] for place in marks if place < first], delimiter, width)):
-        delimited = {"delimiter": delimiter} if delimiter != DELIMITERS[0] else {}
-        return {**keys, **delimited, **_comment(marks.values()), "header": False, **declared}
+        return {**keys, **_named_delimiter(delimiter), **_comment(marks.values()), "header": False, **declared}
     elif not is_plain:
         return None  # its first line may be a header with numbers in it
     else:
@@ -200,9 +199,11 @@ def _is_small_table(rows: Cells, above: Sequence[int], numbers: Sequence[int], w
 
 def _is_number(delimiter: str) -> Callable[[str], bool]:
     """Return the test for a number, which may have a decimal comma if cells are separated by something else."""
-    if delimiter == DELIMITERS[0]:
-        return reads_as_number
-    return lambda cell: reads_as_number(cell) or COMMA.fullmatch(cell) is not None
+    return reads_as_number if delimiter == DELIMITERS[0] else _reads_with_comma
+
+
+def _reads_with_comma(cell: str) -> bool:
+    return reads_as_number(cell) or COMMA.fullmatch(cell) is not None
 
 
 def _are_numbers(rows: Iterable[Iterable[str]], is_number: Callable[[str], bool]) -> bool:
@@ -215,7 +216,7 @@ def _has_decimal_commas(rows: Sequence[Sequence[str]]) -> bool:
     cells = [cell for row in rows for cell in row]
     with_commas = [column for column in zip(*rows, strict=True) if any(map(COMMA.fullmatch, column))]
     commas = [cell for column in with_commas for cell in column if COMMA.fullmatch(cell)]
-    are_numbers = _are_numbers(with_commas, lambda cell: reads_as_number(cell) or COMMA.fullmatch(cell) is not None)
+    are_numbers = _are_numbers(with_commas, _reads_with_comma)
     return are_numbers and not all(map(GROUPED.fullmatch, commas)) and not any(map(POINT.fullmatch, cells))
 
 

@@ -16,7 +16,7 @@ DEEPEST = 64
 def keys_of(content: bytes) -> Mapping[str, str] | None:
     """Return `rows` for the elements that are repeated in a document; None if it has no such elements.
 
-    Of elements within repeated elements, those are rows that are repeated there: the others are columns of each row.
+    If elements are repeated within repeated elements, the inner ones are the rows. Other inner elements are columns.
     """
     counted = _Counted()
     try:

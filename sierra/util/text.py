@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 STEERING = (
     (0x00, 0x08), (0x0B, 0x0C), (0x0E, 0x1F), (0x7F, 0x9F),  # control characters except tab and the ends of lines
@@ -108,6 +109,26 @@ def outside(text: str, wanted: str) -> Iterator[int]:
             depth -= 1
         elif character == wanted and not depth:
             yield place
+
+
+def toml_key(name: str) -> str:
+    """Return a name as a key of TOML, in quotes only if necessary."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_value(name)
+
+
+def toml_value(value: object) -> str:
+    """Return a value as TOML, on one line; texts, numbers and lists of them are the same in JSON."""
+    import json
+
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{toml_key(name)} = {toml_value(own)}' for name, own in value.items())} }}"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def numbered(name: str) -> Iterator[str]:
+    """Yield a name, and then the same name with numbers from 2 on: `log`, `log_2`, `log_3`, …"""
+    yield name
+    yield from (f"{name}_{number}" for number in itertools.count(2))
 
 
 def natural(name: str) -> tuple[tuple[str | int, ...], str]:

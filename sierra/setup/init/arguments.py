@@ -190,8 +190,12 @@ def placed(words: Sequence[str], seed: Argument | None, removed: Collection[Argu
     return tuple(left[:-1] if left[-1] == SPLICED and SPLICED not in words else left)
 
 
-def criterion(name: str, value: str) -> str | None:
-    """Return the criterion that gives a variable one value; None if a query cannot contain the value."""
+def criteria(values: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the criteria that give variables one value each, without those whose value a query cannot contain."""
+    return tuple(filter(None, (_criterion(name, value) for name, value in values.items())))
+
+
+def _criterion(name: str, value: str) -> str | None:
     try:
         return grammar.text(grammar.parse(f"{name}={value}"))
     except QueryError:

@@ -52,9 +52,7 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
             for name, argument in named.items()
             if argument not in chosen.values() and (seed is None or argument != seed.name)
         },
-        tried=tuple(
-            filter(None, (arguments.criterion(name, value) for name, value in {**dict.fromkeys(used, "1"), **values}.items()))
-        ),
+        tried=arguments.criteria({**dict.fromkeys(used, environment.SOME), **values}),
         source=source.choose(root, (), options.source, ask),
         next=" ".join(f"{name}=1,2" for name in used) or first,
         unset=tuple(f"{{{name}}}" for name in used),

@@ -41,10 +41,10 @@ def guess(
         variable_seed=seed or "",
         variables={name: f"{ENVIRONMENT}{variable}" for name, variable in chosen.items()},
         other_variables={
-            name: f"{ENVIRONMENT}{variable}" for name, variable in named.items() if variable not in chosen.values()
+            name: f"{ENVIRONMENT}{variable}" for name, variable in named.items() if variable not in (seed, *chosen.values())
         },
         environment={name: reads[name] for name in assigned if name not in (seed, *chosen.values())},
-        tried=tuple(filter(None, (arguments.criterion(name, value) for name, value in tried.items()))),
+        tried=arguments.criteria(tried),
         source=source.choose(root, (), options.source, ask),
         next=next((variables.around(name, value) for name, value in tried.items()), None),
         unset=(),

@@ -64,9 +64,7 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         | {name: f"{REPEAT}{path}" for name, path in variables.repeats(free, known).items()}
         | variables.words(content, known),
         environment=set_by,
-        tried=tuple(f"{name}={SOME}" for name, path in chosen.items() if path in unset)
-        if set(unset) <= set(chosen.values())
-        else (),
+        tried=_criteria(chosen, unset),
         source=source.choose(root, inputs.paths, options.source, ask),
         next=variables.first_query(platform, content, chosen),
         unset=tuple(unset),

@@ -13,6 +13,7 @@ from sierra.ingest import open_names
 from sierra.model import Status
 from sierra.setup.init import folder, named_files
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
+from sierra.util.text import numbered
 
 if TYPE_CHECKING:
     from sierra.config.output_tables import Keys
@@ -69,19 +70,13 @@ def with_findings(guess: Guess, first: Trial, second: Trial | None = None) -> Gu
         pattern = open_files.get(file.path)
         name = file.table
         if pattern and not pattern.endswith(ROTATION) and pattern not in names:
-            name = _free(open_names.name_of(pattern), outputs)
+            name = next(free for free in numbered(open_names.name_of(pattern)) if free not in outputs)
         name = names.setdefault(pattern or name, name)
         declared = outputs.get(name, {})
         keys = {**_keys_of(file, second, open_files, has_events="rows" in declared and not file.time), **declared}
         if pattern or keys:
             outputs[name] = {"file": pattern or file.path, **keys}
     return replace(guess, outputs=outputs)
-
-
-def _free(name: str, taken: Mapping[str, object]) -> str:
-    return next(
-        free for number in range(1, len(taken) + 2) if (free := f"{name}_{number}" if number > 1 else name) not in taken
-    )
 
 
 def _keys_of(file: TriedFile, second: Trial | None, patterns: Mapping[str, str], *, has_events: bool) -> dict[str, Key]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +52,7 @@ def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
     folder.check(root)
     assigned, started = environment.split_off(options.command or "")
     if assigned:
-        reads = {**environment.read_by(root, started.split()), **assigned}
+        reads = {**environment.read_by(root, shlex.split(started)), **assigned}
         started = command.choose(root, None, started, ask) or ""
         return of_environment.guess(root, options, ask, started, reads, tuple(assigned))
     if options.template is None:

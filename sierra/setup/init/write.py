@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from functools import partial
-from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +18,7 @@ from sierra.setup.init.source import found
 from sierra.store.layout import CONFIG, RUN_STDOUT
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass, field
-from sierra.util.text import counted, few, one_line
+from sierra.util.text import counted, few, one_line, toml_key, toml_value
 
 if TYPE_CHECKING:
     from sierra.config.output_tables import Keys
@@ -41,8 +38,6 @@ ABOUT_KEYS = {
 }
 """Comments on keys of outputs."""
 OTHER_FORMATS = (*(ending.lstrip(".") for ending in (*folder.DATA, *folder.TEXTS)), "text")
-quoted = partial(dumps, ensure_ascii=False)
-"""Format texts and lists of them as TOML does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,16 +128,11 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
 def _declared_outputs(guess: Guess) -> Iterator[str]:
     for name, keys in guess.outputs.items():
         about = _about_file(str(keys["file"]))
-        yield f"\n[outputs.{_key(name)}]{about and f'  # {about}'}"
+        yield f"\n[outputs.{toml_key(name)}]{about and f'  # {about}'}"
         for key, value in keys.items():
             yield f"{key} = {_toml(value)}{ABOUT_KEYS.get(key, '')}"
         if keys.get("header") is False and "columns" not in keys:
             yield '# columns = ["time", "x"]  # the file has no names; write one for each column'
-
-
-def _key(name: str) -> str:
-    """Return a name as a key of TOML, quoted only if necessary."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
 def _about_file(file: str) -> str:
@@ -158,10 +148,8 @@ def _about_file(file: str) -> str:
 
 def _toml(value: object) -> str:
     """Return a value as TOML; a regular expression is not escaped."""
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{_key(name)} = {_toml(own)}' for name, own in value.items())} }}"
     literal = isinstance(value, str) and "\\" in value and "'" not in value and value.isprintable()
-    return f"'{value}'" if literal else quoted(value)
+    return f"'{value}'" if literal else toml_value(value)
 
 
 def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
@@ -181,54 +169,54 @@ def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
     for unread in tried.unread:
         if unread.keys and unread.name not in guess.outputs:
             yield "# These files become a table only if they are declared:"
-            yield f"# [outputs.{_key(unread.name)}]"
+            yield f"# [outputs.{toml_key(unread.name)}]"
             yield from (f"# {key} = {_toml(value)}" for key, value in unread.keys.items())
     first = next((file for file in tried.files if file.table and file.table not in guess.outputs), None)
     if first is not None and not guess.outputs:
         yield "# Such tables need no declaration. To set a time axis, units or required rows:"
-        yield f"# [outputs.{_key(str(first.table))}]"
-        yield f"# file = {quoted(one_line(first.path))}"
-        yield f"# time = {quoted(first.time)}" if first.time else '# units = { distance = "m" }'
+        yield f"# [outputs.{toml_key(str(first.table))}]"
+        yield f"# file = {toml_value(one_line(first.path))}"
+        yield f"# time = {toml_value(first.time)}" if first.time else '# units = { distance = "m" }'
 
 
 def _lines(root: Path, guess: Guess, tried: Trial | None) -> Iterator[str]:
     yield "# The experiments that SIERRA runs. For all keys: sierra schema sierra.toml"
     yield from _inputs(guess)
     if guess.command:
-        yield f"command = {quoted(guess.command)}"
+        yield f"command = {toml_value(guess.command)}"
         yield f"# {_about_command(guess)}"
     yield from _seed(guess)
     yield "runs = 10  # per experiment\n"
     yield from _variables(guess)
     variables = {**({"PYTHONPATH": guess.module_path} if guess.module_path else {}), **guess.environment}
     if variables:
-        yield f"\n[environment]\nset = {{ {', '.join(f'{name} = {quoted(text)}' for name, text in variables.items())} }}"
+        yield f"\n[environment]\nset = {{ {', '.join(f'{name} = {toml_value(text)}' for name, text in variables.items())} }}"
     for name in dict.fromkeys(PORT.findall(guess.command or "")):
         yield f"\n# [services.{name}]  # a program that runs beside each run; declare it before the first run"
-        yield f"# command = {quoted('./server --port {port}')}"
-        yield f"# ready = {{ port = {quoted('{port}')} }}"
+        yield f"# command = {toml_value('./server --port {port}')}"
+        yield f"# ready = {{ port = {toml_value('{port}')} }}"
     if guess.source:
         yield "\n[source]  # the code that results depend on; changes to other files make no new runs"
-        yield f"paths = {quoted(guess.source)}"
+        yield f"paths = {toml_value(guess.source)}"
     else:
         code, left_out = found(root, guess.template_paths, tried)
         proposed = code if 0 < len(code) <= SHOWN else ("src", "sim.py")
         without = f"  # not {few(left_out, SHOWN)}" if left_out else ""
-        yield f"\n# {SOURCE}\n# [source]\n# paths = {quoted(proposed)}{without}"
+        yield f"\n# {SOURCE}\n# [source]\n# paths = {toml_value(proposed)}{without}"
 
 
 def _inputs(guess: Guess) -> Iterator[str]:
     if guess.template:
-        yield f"template = {quoted(guess.template)}  # SIERRA makes the input of each run from this file"
+        yield f"template = {toml_value(guess.template)}  # SIERRA makes the input of each run from this file"
     if guess.templates:
-        several = ", ".join(f"{name} = {quoted(path)}" for name, path in guess.templates.items())
+        several = ", ".join(f"{name} = {toml_value(path)}" for name, path in guess.templates.items())
         yield f"templates = {{ {several} }}  # SIERRA makes the inputs of each run from these files"
     if guess.files:
-        yield f"files = {quoted(guess.files)}  # these lie beside the inputs of each run"
+        yield f"files = {toml_value(guess.files)}  # these lie beside the inputs of each run"
     if guess.format:
-        yield f"template_format = {quoted(guess.format)}"
+        yield f"template_format = {toml_value(guess.format)}"
     if guess.platform != "command":
-        yield f"platform = {quoted(guess.platform)}  # starts the simulator and sets the seed"
+        yield f"platform = {toml_value(guess.platform)}  # starts the simulator and sets the seed"
 
 
 def _about_command(guess: Guess) -> str:
@@ -244,25 +232,27 @@ def _about_command(guess: Guess) -> str:
 
 def _seed(guess: Guess) -> Iterator[str]:
     if guess.variable_seed:
-        yield f"seed = {{ environment = {quoted(guess.variable_seed)} }}  # the variable of the environment that gets it"
+        yield f"seed = {{ environment = {toml_value(guess.variable_seed)} }}  # the variable of the environment that gets it"
     elif guess.seed:
-        yield f"seed = {quoted(guess.seed)}  # an XPath: where the seed of each run goes"
+        yield f"seed = {toml_value(guess.seed)}  # an XPath: where the seed of each run goes"
     elif guess.platform == "command" and "{seed}" not in (guess.command or ""):
         yield f"# seed = {_example(guess, '//@seed', '/seed', '--seed {value}')}  # where the seed of each run goes"
     if guess.unset and guess.template:
-        sets = ", ".join(f"{{ set = {quoted(place)}, value = 1 }}" for place in guess.unset)
+        sets = ", ".join(f"{{ set = {toml_value(place)}, value = 1 }}" for place in guess.unset)
         yield f"# changes = [{sets}]  # values if a query does not vary them"
     if guess.ports:
-        sets = ", ".join(f"{{ set = {quoted(path)}, value = {quoted(f'{{{name}}}')} }}" for path, name in guess.ports.items())
+        sets = ", ".join(
+            f"{{ set = {toml_value(path)}, value = {toml_value(f'{{{name}}}')} }}" for path, name in guess.ports.items()
+        )
         yield f"# changes = [{sets}]  # free ports, if each run starts a server"
 
 
 def _example(guess: Guess, xml: str, other: str, argument: str) -> str:
     """Return the example that fits the inputs: a path in XML, or in another format, or words of the command."""
     if not guess.template_paths:
-        return f"{{ argument = {quoted(argument)} }}"
+        return f"{{ argument = {toml_value(argument)} }}"
     ending = guess.format or Path(guess.template_paths[0]).suffix.lstrip(".")
-    return quoted(other if ending in OTHER_FORMATS else xml)
+    return toml_value(other if ending in OTHER_FORMATS else xml)
 
 
 def _variables(guess: Guess) -> Iterator[str]:
@@ -285,7 +275,7 @@ def _declared(name: str, place: str) -> str:
     if place == f"{{{name}}}":
         return "{}"
     if place.startswith(REPEAT):
-        return f"{{ repeat = {quoted(place.removeprefix(REPEAT))} }}"
+        return f"{{ repeat = {toml_value(place.removeprefix(REPEAT))} }}"
     if place.startswith(ENVIRONMENT):
-        return f"{{ environment = {quoted(place.removeprefix(ENVIRONMENT))} }}"
-    return f"{{ argument = {quoted(place)} }}" if VALUE in place else quoted(place)
+        return f"{{ environment = {toml_value(place.removeprefix(ENVIRONMENT))} }}"
+    return f"{{ argument = {toml_value(place)} }}" if VALUE in place else toml_value(place)
