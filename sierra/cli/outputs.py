@@ -56,7 +56,7 @@ def outputs(
         else:
             before = f"targets.{found.target}." if found.target in opened.targets else ""
             names = ", ".join(f"[{before}outputs.{name}]" for name in written)
-            every = not found.unread and all(table.declared or table.name in written for table in found.tables)
+            every = not found.all_failed and all(table.declared or table.name in written for table in found.tables)
             nothing = "all tables are declared; nothing was changed" if every else "nothing was changed"
             print(f"{opened.file}: added {names}" if written else f"{opened.file}: {nothing}")
             files = [Output(file=str(keys["file"]), format="csv") for keys in written.values()]
