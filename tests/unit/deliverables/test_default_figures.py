@@ -22,7 +22,7 @@ rng = random.Random(seed)
 names = [f"a{number:02}" for number in range(20)]
 with open("wide.csv", "w") as file:
     print(*names, "energy", "huge", sep=",", file=file)
-    print(*(rng.random() for _ in names), count * 10 + rng.random(), 1e308, sep=",", file=file)
+    print(*(rng.random() for _ in names), count * 10 + rng.random(), rng.choice((1e308, 9e307)), sep=",", file=file)
 """
 
 BODIES = """with open("way.csv", "w") as file:
