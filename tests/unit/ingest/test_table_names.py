@@ -89,7 +89,7 @@ open({1: "é.csv", 2: "_.csv", 3: "É.csv"}[n], "w").write("v\\n1,234\\n2,345\\n
             "1,234 2,345",
             "'1,234' can be 1234, with a separator of thousands, or 1.234, with a decimal comma; write '1234' or '1.234'",
         ),
-        ("1,234 2,5", "write '2.5' instead of '2,5', with a decimal point"),
+        ("1,234 2,5", 'its numbers have a decimal comma ([outputs.t] file = "t.csv", decimal = "," reads them)'),
         ("1,234 1,234,567", "write '1,234,567' without separators between digits"),
     ],
 )
