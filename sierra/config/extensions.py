@@ -73,7 +73,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "options": {f"{name} --recover": "command:recovered" for name in ("show", "open show", "files", "open files")},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
-        "examples": {"ros": "examples/ros", "turtlebot3": "examples/turtlebot3"},
+        "examples": {"ros": "examples/ros", "ros2": "examples/ros2", "turtlebot3": "examples/turtlebot3"},
     },
     "sierra1": {
         "needs": {"argos": ""},

@@ -1,7 +1,8 @@
 """Launch files in XML: where settings of a run are in them, and the copies of the group that is one robot.
 
 A setting of SIERRA (`random_seed`, `population_size`, …) is a parameter in ROS 1, in the namespace `/sierra`. ROS 2 has no
-parameters that all nodes share: there, it is a variable of the launch file, `$(var sierra_random_seed)`.
+parameters that all nodes share: there, it is a variable of the launch file, `$(var sierra_random_seed)`, and a parameter
+of each node, `sierra_random_seed`.
 
 The one group of the template becomes a group for each robot. The launch file stays one that ROS reads by itself: a copy gets a
 namespace of its own, and values for the arguments that it may use (`$(arg robot)`, in ROS 2 `$(var robot)`).
@@ -53,9 +54,6 @@ class Dialect(Protocol):
 
     def namespace(self, group: ElementTree.Element) -> tuple[ElementTree.Element, str] | None:
         """Return the element with the namespace of a group, and the name of its attribute; None without a namespace."""
-
-    def recorder(self, topics: Sequence[str]) -> str:
-        """Return the element that records topics into `bag`."""
 
 
 class Launch1:
@@ -110,10 +108,11 @@ class Launch2:
         found = next((child for child in group if child.tag in self.pushed), None)
         return None if found is None else (found, "namespace")
 
-    def recorder(self, topics: Sequence[str]) -> str:
-        joined = "|".join(f"({one})" if "|" in one else one for one in topics)
-        words = f"ros2 bag record -s mcap -o $(env SIERRA_OUTPUT)/run --regex '{joined}'"
-        return f'<executable cmd="{words}" name="sierra_bag" output="screen"/>'
+    def parameters(self, template: TemplateView, values: Mapping[str, str], why: str) -> Iterator[Change]:
+        """Yield the changes that give all nodes parameters, by name."""
+        for name, value in values.items():
+            if not template.find(f"{ROOT}/set_parameter[@name='{name}']/@value"):
+                yield Add(ROOT, f'<set_parameter name="{name}" value="{value}"/>', at=0, expect=1, why=why)
 
 
 @dataclass(frozen=True, slots=True)

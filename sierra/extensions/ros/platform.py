@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field, StringConstraints
 
 from sierra.design.platforms.base import driver_path
-from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, Launch1, Launch2, Pose, RandomPoses, Robots
+from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, SETTINGS, Launch1, Launch2, Pose, RandomPoses, Robots
 from sierra.plugin import (
     Add,
     Axis,
@@ -36,7 +36,8 @@ from sierra.plugin import (
 from sierra.plugin import Pose as StartPose
 
 TABLE = "[platforms.ros]"
-DRIVER, KEEPER_FILE = "ros_driver.py", "ros_timekeeper.py"
+DRIVER, OF_ROS_1, OF_ROS_2 = "ros_driver.py", ("ros_timekeeper.py",), ("ros2_launcher.py", "ros2_watcher.py")
+"""The program that starts a run, and those that it needs beside it."""
 PYTHON = "/usr/bin/python3"
 """The Python of ROS 1 on Debian and Ubuntu: nodes name it in their first line."""
 CRITERIA: Mapping[str, str] = {"population_size": "number of robots: copies of the group that is one robot"}
@@ -126,6 +127,12 @@ class RosOptions(Table):
     record: tuple[Topic, ...] = Field(
         (), description="topics, or regular expressions of topics, that each run records into a bag", examples=[["/.*/odom"]]
     )
+    may_lose: bool = Field(
+        False, description="whether a run of ROS 2 is good although its recorder has lost messages; its log says how many"
+    )
+    seed_parameter: RosName | Literal[""] = Field(
+        "seed", description="parameter with which all nodes of ROS 2 get the seed; empty: only `sierra_random_seed`"
+    )
 
 
 class Ros:
@@ -169,15 +176,22 @@ class Ros:
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
         if not self._is_xml:
             return ()
-        options = self._options
-        changes = [*self._dialect.settings(template, self._settings(template), f"{TABLE}: settings of the run")]
-        if options.ros == 1:
+        options, settings, why = self._options, self._settings(template), f"{TABLE}: settings of the run"
+        changes: list[Change] = []
+        if isinstance(self._dialect, Launch2):
+            parameters = {f"{SETTINGS}_{name}": f"$(var {SETTINGS}_{name})" for name in settings}
+            parameters[f"{SETTINGS}_output"] = f"'$(var {SETTINGS}_output)'"
+            parameters |= {options.seed_parameter: f"$(var {SETTINGS}_random_seed)"} if options.seed_parameter else {}
+            parameters |= {"use_sim_time": "true"} if options.use_sim_time else {}
+            changes += self._dialect.parameters(template, parameters, why)  # before the variables, so that they come after them
+        changes += self._dialect.settings(template, settings, why)
+        if isinstance(self._dialect, Launch1):
             if options.use_sim_time:
                 time = '<param name="/use_sim_time" type="bool" value="true"/>'
                 changes.append(Add(ROOT, time, at=0, expect=1, why=f"{TABLE} use_sim_time"))
             changes.append(Add(ROOT, KEEPER, expect=1, why="platform ros: the time keeper"))
-        if options.record:
-            changes.append(Add(ROOT, self._dialect.recorder(options.record), expect=1, why=f"{TABLE} record"))
+            if options.record:
+                changes.append(Add(ROOT, self._dialect.recorder(options.record), expect=1, why=f"{TABLE} record"))
         return tuple(changes)
 
     def seed_changes(self) -> tuple[Change, ...]:
@@ -265,6 +279,7 @@ class Ros:
         words += () if options.barrier else ("--no-barrier",)
         words += ("--share-master",) if self._shares_master else ()
         words += ("--sim-time",) if options.use_sim_time else ()
+        words += ("--may-lose",) if options.may_lose else ()
         words += (word for topic in options.record for word in ("--record", topic))
         words += ("--bag", "run.bag" if options.ros == 1 else "run") if options.record else ()
         return (*self._python, self._driver, "{input}", "{output}", *launcher, *words)
@@ -272,7 +287,8 @@ class Ros:
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         made = self._robots.made(document) if self._is_xml else document
         drivers = Path(__file__).parent / "drivers"
-        return (self._input, made), *((name, (drivers / name).read_bytes()) for name in (DRIVER, KEEPER_FILE))
+        names = (DRIVER, *(OF_ROS_1 if self._options.ros == 1 else OF_ROS_2))
+        return (self._input, made), *((name, (drivers / name).read_bytes()) for name in names)
 
     def start_poses(self, document: bytes) -> tuple[StartPose, ...]:
         """Return what the launch file of a run tells its robots; see `sierra.plugin.Placing`."""

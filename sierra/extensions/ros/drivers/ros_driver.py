@@ -4,6 +4,9 @@ SIERRA lays this file beside the launch file of each run. It needs Python 3.8 or
 It starts the launch file with a master on a port of its own (ROS 1), or in a domain of its own (ROS 2). The exit status is 0
 only if the whole time is over, and no node has died until then.
 
+With `ros2`, `ros2_watcher.py` takes part in the run: it tells which nodes are there, records topics, reads `/clock`, and
+publishes `/sierra/started`. If there is no `ros2`, `ros2_launcher.py` starts the nodes.
+
 With `--share-master`, a run on several robots has one master, on its base station. Each of them executes this file, with a
 launch file of its own. They find the master by SIERRA_ADDRESS_0 and SIERRA_EXECUTION, from which its port follows, and agree by
 parameters of the master:
@@ -38,6 +41,7 @@ import os
 import random
 import re
 import select
+import shlex
 import shutil
 import signal
 import socket
@@ -49,6 +53,7 @@ import uuid
 import xmlrpc.client
 from pathlib import Path
 from typing import Any, Callable, Iterable
+from xml.etree import ElementTree
 
 PORTS = range(20000, 32768)  # below those that Linux gives to outgoing connections
 DOMAINS = range(1, 102)  # ROS_DOMAIN_ID: safe on Linux, without the default 0
@@ -56,12 +61,44 @@ SYSTEM = "/usr/share"  # the packages of Debian; a setup script names others
 TICK_S = 0.1
 GONE_S = 3.0
 SETTLED_S = 2.0  # without a new node, until all nodes of ROS 2 count as started
+GRAPH_S = 0.5  # without a new node or publisher, until all nodes of ROS 2 count as complete
+WATCHED_S = 20.0  # for the watcher to close its bag
 GRACE = ((signal.SIGINT, 15.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))  # signals to the launcher, and seconds after each
 SIGINT_S, SIGTERM_S = 5.0, 2.0  # for each node, by roslaunch
 LOG_LINES, CHUNK = 20, 1 << 16
 PACKAGE, KEEPER, RECORDER = "sierra_ros", "sierra_timekeeper", "sierra_bag"
 CORE = {"/master", "/rosout"}
 CALLER = "/sierra_driver"
+PROBE = """
+import sys
+from importlib.util import find_spec
+find_spec("rclpy") or sys.exit(1)
+print(find_spec("mcap") is not None, sys.prefix)
+"""
+PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+WITH_OLD_PROFILES = ("foxy", "galactic", "humble", "iron", "jazzy")
+PROFILE = """\
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <transport_descriptors>
+    <transport_descriptor>
+      <transport_id>here</transport_id>
+      <type>UDPv4</type>
+      <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
+      <maxInitialPeersRange>100</maxInitialPeersRange>
+    </transport_descriptor>
+  </transport_descriptors>
+  <participant profile_name="sierra" is_default_profile="true">
+    <rtps>
+      <userTransports><transport_id>here</transport_id></userTransports>
+      <useBuiltinTransports>false</useBuiltinTransports>
+      <builtin>
+        <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
+        <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
+      </builtin>
+    </rtps>
+  </participant>
+</profiles>
+"""  # Fast DDS over UDP on 127.0.0.1, with up to 100 processes; it discovers by unicast, because no multicast may be there
 HERE = "127.0.0.1"
 
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -70,7 +107,6 @@ DIED = re.compile(r"\[(\S+?)\]:? process has died (?:\[pid \d+, )?(exit code -?\
 FINISHED = re.compile(r"\[(\S+?)\]:? process has finished cleanly")
 REQUIRED = re.compile(r"REQUIRED process \[(\S+)\] has died!")
 REFUSED = re.compile(r"(cannot launch node of type .*|failed to start local process: .*|Unable to launch .*)")
-CLOCK = re.compile(r"(nanosec|sec): (\d+)")
 
 
 class Failure(Exception):
@@ -151,10 +187,14 @@ class Watch:
         """Nodes that the launcher starts again when they end."""
         self.started: dict[str, int] = {}
         """The id of each process that was started and has not been reported as ended."""
+        self.processes: set[str] = set()
+        """All processes that were started. Several may have the same node, as `ros2 launch` calls it."""
         self.nodes: set[str] = set()
         """All nodes that were started."""
+        self.ended: set[str] = set()
+        """Processes that have ended by themselves, without an error."""
         self.finished: set[str] = set()
-        """Nodes that have ended by themselves, without an error."""
+        """The nodes of these."""
         self.is_over = False
         """Whether the launcher ends its nodes; from then on, it is no failure if they end."""
         self.latest = 0.0
@@ -176,6 +216,7 @@ class Watch:
     def _report(self, text: str) -> None:
         if found := STARTED.search(text):
             self.started[found[1]] = int(found[2])
+            self.processes.add(found[1])
             self.nodes.add(node_of(found[1]))
             self.latest = time.monotonic()
         elif self.is_over:
@@ -198,6 +239,7 @@ class Watch:
             return
         if how:
             raise Died(f"the node {node} died early: {how}", process)
+        self.ended.add(process)
         self.finished.add(node)
 
     def check_alive(self) -> None:
@@ -245,8 +287,8 @@ class Launch:
 
     def awaits(self) -> list[str]:
         """Return the nodes that the run awaits, and that have not ended."""
-        started = [name for name in self.watch.nodes if is_named(name, self.given.awaited)]
-        return sorted(name for name in started if name not in self.watch.finished)
+        left = [node_of(process) for process in self.watch.processes - self.watch.ended]
+        return sorted(node for node in left if is_named(node, self.given.awaited))
 
     def execute(self) -> None:
         """Execute the run. Raises Failure."""
@@ -531,55 +573,191 @@ class Robot(Shared):
 
 
 class Launch2(Launch):
-    """A run of ROS 2: `ros2 launch` in a domain of its own. The driver itself keeps the time."""
+    """A run of ROS 2, in a domain of its own. The driver itself keeps the time."""
+
+    begin: float | None = None
+    first: float | None = None
+    """The simulated time when it was first seen."""
 
     def command(self) -> list[str]:
         given = self.given
         if given.length is None:
             raise Failure("ROS 2 needs --length")
-        self.environment.update(
-            ROS_DOMAIN_ID=self.reserve("domain", DOMAINS),
-            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",  # Iron and newer
-            ROS_LOCALHOST_ONLY="1",  # before
-            ROS_HOME=str(self.folder / "home"),
-        )
-        self.begin: float | None = None
-        self.clock: Clock | None = None
+        domain = self.reserve("domain", DOMAINS, is_free_domain)
+        self.environment.update(ROS_DOMAIN_ID=domain, ROS_HOME=str(self.folder / "home"))
+        self.stay_here()
         self.deadline = time.monotonic() + given.patience
-        return [given.launcher, "launch", "--noninteractive", str(given.launch)]
+        python, has_recorder = self.find_python()
+        self.add_packages(python)
+        self.start_watcher(python, has_recorder=has_recorder)
+        if shutil.which(given.launcher, path=self.environment.get("PATH")):
+            return [given.launcher, "launch", "--noninteractive", str(given.launch)]
+        return [python, beside("ros2_launcher.py"), str(given.launch)]
+
+    def stay_here(self) -> None:
+        """Let nodes discover those of this machine only, and use no shared memory: nodes that are killed would leave it behind.
+
+        For Fast DDS, only a profile can do this. Its file counts if there is no other one, and no other middleware is chosen.
+        """
+        for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+            self.environment.pop(name, None)
+        middleware = self.environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+        if "fastrtps" in middleware and not any(name in self.environment for name in PROFILES):
+            profile = self.folder / "fastdds.xml"
+            profile.write_text(PROFILE)
+            is_old = self.environment.get("ROS_DISTRO") in WITH_OLD_PROFILES
+            self.environment[PROFILES[is_old]] = str(profile)
+        else:
+            self.environment.update(ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")  # Iron and newer
+            self.environment.update(ROS_LOCALHOST_ONLY="1")  # before
+
+    def find_python(self) -> tuple[str, bool]:
+        """Return a Python that has rclpy, and whether it has mcap. Let its packages be found. Raises Failure."""
+        tried = [sys.executable, shutil.which("python3", path=self.environment.get("PATH")) or sys.executable]
+        for python in dict.fromkeys(tried):
+            done = subprocess.run([python, "-c", PROBE], env=self.environment, stdout=subprocess.PIPE, check=False)
+            if done.returncode == 0:
+                has_recorder, _, prefix = done.stdout.decode().strip().partition(" ")
+                self.add_prefix(prefix)
+                return python, has_recorder == "True"
+        raise Failure(
+            "no ROS 2: name its setup script in [platforms.ros], or install it by pip install 'sierra-experiments[ros2]', "
+            "which is there for Python 3.10 to 3.13 on Linux on x86-64"
+        )
+
+    def add_prefix(self, folder: str) -> None:
+        """Let packages in a folder be found, after those that are known."""
+        known = list(filter(None, self.environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+        if Path(folder, "share", "ament_index").is_dir() and folder not in known:
+            self.environment["AMENT_PREFIX_PATH"] = os.pathsep.join([*known, folder])
+
+    def add_packages(self, python: str) -> None:
+        """Let the packages of the project be found as if they were installed. Raises Failure."""
+        packages = [path for folder in self.given.packages for path in sorted(Path(folder).resolve().rglob("package.xml"))]
+        if self.given.packages and not packages:
+            raise Failure(f"there is no package.xml in {', '.join(self.given.packages)}, which packages names")
+        installed = self.folder / "packages"
+        index = installed / "share" / "ament_index" / "resource_index" / "packages"
+        index.mkdir(parents=True)
+        for path in packages:
+            name = (ElementTree.parse(path).findtext("name") or "").strip()  # noqa: S314 - the project's own file
+            if not re.fullmatch(r"\w+", name) or (index / name).exists():
+                raise Failure(f"{path}: a package needs a name of its own, but this is {name!r}")
+            (index / name).touch()
+            (installed / "share" / name).symlink_to(path.parent)
+            programs = installed / "lib" / name
+            programs.mkdir(parents=True)
+            for script in sorted(path.parent.glob("scripts/*")):
+                self.add_program(programs / script.name, script, python)
+        before = self.environment.get("AMENT_PREFIX_PATH")
+        self.environment["AMENT_PREFIX_PATH"] = os.pathsep.join(filter(None, [str(installed), before]))
+
+    @staticmethod
+    def add_program(program: Path, script: Path, python: str) -> None:
+        """Make the program of a node: a script in Python is started by the Python that has rclpy."""
+        with script.open("rb") as file:
+            is_python = script.suffix == ".py" or re.match(rb"#!.*\bpython[0-9.]*\s", file.readline())
+        if not is_python:
+            program.symlink_to(script)
+            return
+        words = " ".join(shlex.quote(word) for word in (python, str(script)))
+        program.write_text(f'#!/bin/sh\nexec {words} "$@"\n')
+        program.chmod(0o755)
+
+    def start_watcher(self, python: str, *, has_recorder: bool) -> None:
+        """Start the watcher, which records, and wait until it takes part. Raises Failure."""
+        given = self.given
+        bag = ["--bag", str(given.output.resolve() / given.bag)] if given.bag and has_recorder else []
+        clock = ["--clock"] if given.sim_time else []
+        self.watcher = Watcher([python, beside("ros2_watcher.py"), *given.record, *bag, *clock], self.environment)
+        self.recorder = None if has_recorder or not given.bag else self.start_recorder()
+        while not self.watcher.is_ready or (self.recorder is not None and not (given.output / given.bag).exists()):
+            self.watcher.look()
+            if time.monotonic() > self.deadline:
+                raise Failure(f"ROS 2 or its recorder did not start within {given.patience:g} s")
+            time.sleep(TICK_S)
+
+    def start_recorder(self) -> subprocess.Popen[bytes]:
+        """Start the recorder of ROS 2, where the package mcap is missing. Raises Failure."""
+        given = self.given
+        topics = "|".join(f"({topic})" if "|" in topic else topic for topic in given.record)
+        words = ["bag", "record", "-s", "mcap", "-o", str(given.output.resolve() / given.bag), "--regex", topics]
+        program = shutil.which("ros2", path=self.environment.get("PATH"))
+        if program is None:
+            raise Failure("the package mcap is missing, which records topics: pip install 'sierra-experiments[ros2]'")
+        return subprocess.Popen(
+            [program, *words], env=self.environment, stdin=subprocess.DEVNULL, stdout=sys.stderr, start_new_session=True
+        )
 
     def look(self) -> bool:
-        given = self.given
+        self.watcher.look()
         if self.begin is None:
-            if self.watch.nodes:
-                self.clock = Clock(given.launcher, self.environment) if given.sim_time else None
+            if not (missing := self.missing()):
+                self.watcher.start()
                 self.begin = self.deadline = time.monotonic()
-                self.deadline += given.patience
+                self.deadline += self.given.patience
             elif time.monotonic() > self.deadline:
-                raise Failure(f"no node was started within {given.patience:g} s")
+                raise Failure(f"after {self.given.patience:g} s, {missing}")
             return False
-        if self.clock is not None:
-            passed = self.clock.passed()
-            if passed is None and time.monotonic() > self.deadline:
-                raise Failure("nothing has published the simulated time (/clock)")
-        else:
-            passed = time.monotonic() - self.begin
-        if given.awaited:
+        passed = self.passed()
+        if self.given.awaited:
             return self.is_finished(passed)
-        return passed is not None and passed >= given.length and self.mark()
+        return passed is not None and passed >= self.given.length and self.mark()
+
+    def missing(self) -> str:
+        """Return what is missing until the time can begin; nothing if all nodes are there."""
+        started = self.watch.processes - self.watch.ended
+        if not self.watch.processes:
+            return "no node was started"
+        known = self.watcher.nodes
+        if self.given.barrier and len(known) < len(started):
+            names = ", ".join(known) or "none"
+            return (
+                f"ROS 2 knows {len(known)} of {len(started)} nodes ({names}); for programs that are no nodes: barrier = false"
+            )
+        if time.monotonic() - self.watcher.changed < GRAPH_S:
+            return "nodes or topics were added in the last second"
+        if self.watcher.pending:
+            return f"the recorder does not receive {self.watcher.pending[0]} from all who publish it"
+        return ""
+
+    def passed(self) -> float | None:
+        """Return the seconds since the begin; None if the simulated time has not begun. Raises Failure."""
+        if self.begin is None or not self.given.sim_time:
+            return None if self.begin is None else time.monotonic() - self.begin
+        if self.watcher.clock is None:
+            if time.monotonic() > self.deadline:
+                raise Failure("nothing has published the simulated time (/clock)")
+            return None
+        self.first = self.watcher.clock if self.first is None else self.first
+        return self.watcher.clock - self.first
 
     def is_finished(self, passed: float | None) -> bool:
-        started = [name for name in self.watch.nodes if is_named(name, self.given.awaited)]
-        if started and not self.awaits() and time.monotonic() - self.watch.latest > SETTLED_S:
+        if self.has_all_awaited() and time.monotonic() - self.watch.latest > SETTLED_S:
             return self.mark()
         if passed is not None and passed > self.given.length + self.given.patience:
             late = ", ".join(self.awaits() or self.given.awaited)
             raise Failure(f"awaited nodes have not ended {self.given.patience:g} s after the length of the run: {late}")
         return False
 
+    def has_all_awaited(self) -> bool:
+        """Return whether awaited nodes were started, and all of them have ended."""
+        return not self.awaits() and any(is_named(node, self.given.awaited) for node in self.watch.nodes)
+
+    def is_over(self) -> bool:
+        """Return whether the whole time is over. `ros2 launch` ends by itself when all nodes have ended."""
+        return super().is_over() or (self.begin is not None and self.has_all_awaited())
+
     def close(self) -> None:
-        if self.clock is not None:
-            end(self.clock.process)
+        self.watcher.end()
+        if self.recorder is not None:
+            end(self.recorder)
+
+    def check_bag(self) -> None:
+        if self.recorder is not None:
+            super().check_bag()
+        elif self.given.bag:
+            self.watcher.check(may_lose=self.given.may_lose)
 
     def written_last(self, bag: Path) -> Path:
         return bag / "metadata.yaml"  # the folder and its files are there from the recorder's start
@@ -589,31 +767,94 @@ class Launch2(Launch):
         return True
 
 
-class Clock:
-    """The simulated time of ROS 2, as `ros2 topic echo` prints it."""
+class Watcher:
+    """The program that takes part in a run of ROS 2; see `ros2_watcher.py`."""
 
-    def __init__(self, launcher: str, environment: dict[str, str]) -> None:
-        words = [launcher, "topic", "echo", "/clock", "rosgraph_msgs/msg/Clock"]
-        program = shutil.which(words[0], path=environment.get("PATH")) or words[0]
-        self.process = subprocess.Popen([program, *words[1:]], env=environment, stdout=subprocess.PIPE, start_new_session=True)
-        self._text = ""
-        self._first: float | None = None
-        self._last: float | None = None
+    def __init__(self, words: list[str], environment: dict[str, str]) -> None:
+        piped = subprocess.PIPE
+        self.process = subprocess.Popen(words, env=environment, stdin=piped, stdout=piped, start_new_session=True)
+        self.is_ready = False
+        self.changed = time.monotonic()
+        """When nodes or publishers were added or removed."""
+        self.nodes: list[str] = []
+        self.pending: list[str] = []
+        self.clock: float | None = None
+        self.publishers = 0
+        self.recorded: dict[str, Any] = {}
+        self._text = b""
 
-    def passed(self) -> float | None:
-        """Return the simulated seconds since the first message; None before it."""
+    def look(self) -> None:
+        """Read what it has seen. Raises Failure if it has failed."""
         pipe = self.process.stdout
         while pipe is not None and select.select([pipe], [], [], 0.0)[0]:
             chunk = os.read(pipe.fileno(), CHUNK)
             if not chunk:
-                raise Failure("ros2 topic echo /clock has ended")
-            self._text += chunk.decode("utf-8", "replace")
-        *messages, self._text = self._text.split("---\n")
-        for message in messages:
-            parts = {name: int(value) for name, value in CLOCK.findall(message)}
-            self._last = parts.get("sec", 0) + parts.get("nanosec", 0) / 1e9
-            self._first = self._last if self._first is None else self._first
-        return None if self._first is None or self._last is None else self._last - self._first
+                break
+            self._text += chunk
+        *lines, self._text = self._text.split(b"\n")
+        for line in lines:
+            seen: dict[str, Any] = json.loads(line)
+            if "failure" in seen:
+                raise Failure(seen["failure"])
+            self.is_ready = True
+            if seen.get("publishers", self.publishers) != self.publishers or seen.get("nodes", self.nodes) != self.nodes:
+                self.changed = time.monotonic()
+            self.publishers = seen.get("publishers", self.publishers)
+            self.nodes, self.pending = seen.get("nodes", self.nodes), seen.get("pending", self.pending)
+            self.clock = seen.get("clock", self.clock)
+            self.recorded = seen if "messages" in seen else self.recorded
+        if self.process.poll() is not None and not self.recorded and self.process.returncode:
+            raise Failure(f"the program that watches the run has ended (exit status {self.process.returncode})")
+
+    def start(self) -> None:
+        """Let it tell all nodes that the time has begun."""
+        if self.process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self.process.stdin.write(b"start\n")
+                self.process.stdin.flush()
+
+    def end(self) -> None:
+        """Let it close its bag."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(WATCHED_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def check(self, *, may_lose: bool) -> None:
+        """Check that it has recorded all messages. Raises Failure."""
+        self.look()
+        if not self.recorded:
+            raise Failure(f"the recorder ended without an account of its messages (exit status {self.process.returncode})")
+        lost, late = self.recorded["lost"], self.recorded["late"]
+        print(f"recorded {self.recorded['messages']} messages, lost {sum(lost.values())}", flush=True)
+        for topic, count in late.items():
+            print(f"{topic}: {count} published before they could be recorded; wait for /sierra/started", flush=True)
+        if not lost and self.recorded["dropped"] and not may_lose:
+            raise Failure(
+                f"the last messages may be missing: in the last seconds, {self.recorded['dropped']} packets for the recorder were "
+                "dropped by the kernel; if that is right, set may_lose = true"
+            )
+        if lost and not may_lose:
+            topics = ", ".join(f"{count} of {topic}" for topic, count in lost.items())
+            raise Failure(f"messages were lost while they were recorded: {topics}; if that is right, set may_lose = true")
+
+
+def beside(name: str) -> str:
+    """Return the path of a program that lies beside this one."""
+    return str(Path(__file__).resolve().parent / name)
+
+
+def is_free_domain(number: int) -> bool:
+    """Return whether nobody on this machine discovers others in a domain: https://docs.ros.org, 'The ROS_DOMAIN_ID'."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
+        try:
+            tried.bind(("", 7400 + 250 * number))
+        except OSError:
+            return False
+    return True
 
 
 def is_named(node: str, names: Iterable[str]) -> bool:
@@ -713,6 +954,7 @@ def main() -> None:
     parser.add_argument("--no-barrier", action="store_false", dest="barrier")
     parser.add_argument("--record", action="append", default=[])
     parser.add_argument("--bag")
+    parser.add_argument("--may-lose", action="store_true")
     parser.add_argument("--share-master", action="store_true")
     given = parser.parse_args()
     for number in (signal.SIGTERM, signal.SIGINT):

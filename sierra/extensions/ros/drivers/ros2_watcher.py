@@ -1,0 +1,318 @@
+"""Follow the graph of a run of ROS 2 and record topics: `python3 ros2_watcher.py [--bag FOLDER] [--clock] TOPIC ...`.
+
+Its driver reads what it prints. It needs rclpy, and with `--bag` mcap. `TOPIC` are regular expressions. It prints one JSON object
+in each line:
+
+- `{"ready": true}`: it takes part, and what is published from now on can be recorded;
+- `{"nodes": [...], "publishers": 3, "pending": [...], "clock": 1.5}`: the nodes, the number of publishers, the topics that it
+  does not receive yet from all who publish them, and the last time of `/clock`, whenever one of them has changed;
+- `{"messages": 6000, "lost": {...}, "late": {...}, "dropped": 0}` at the end: the number of messages in the bag, those of each
+  topic that are lost, those that were published before it received the topic, and the packets of the last seconds that the
+  kernel dropped: what was in them may have been the last messages;
+- `{"failure": "..."}` if it cannot go on.
+
+A line on its standard input lets it publish `/sierra/started`, which new subscribers get too. SIGINT, SIGTERM or the end of its
+standard input end it; then it closes the bag.
+
+Publishers number their messages, so a message that is lost leaves a gap. A second subscription to each topic, which never waits
+for what is missing, knows the last number. The middleware counts losses too. The larger number is told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import importlib
+import json
+import os
+import re
+import select
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from ament_index_python import get_package_share_directory
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
+
+NAME = "sierra_watcher"
+STARTED = "/sierra/started"
+HIDDEN = re.compile(rf"/(_|launch_ros_|{NAME}(_witness)?$)")  # no nodes of the launch file
+DEPTH = 5000  # messages of a topic that may wait
+LOOK_S = 0.05
+REPAIRED_S = 5.0  # publishers of Fast DDS tell every 3 s what they have published
+QUIET_S = 0.3  # without a message, until all have come
+LINE = "=" * 80
+PRIMITIVE = {
+    "bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
+    "string", "wstring",
+}  # fmt: skip
+SOURCE = Any
+"""The identity of a publisher, as the middleware gives it."""
+
+
+class Failure(Exception):
+    """The recording has failed; the message is one line."""
+
+
+def definition(kind: str) -> str:
+    """Return the definition of a type with those of its fields, as rosbag2 writes it. Raises Failure if there is none."""
+    texts: dict[str, str] = {}
+    pending = [kind]
+    while pending:
+        name = pending.pop(0)
+        if name in texts:
+            continue
+        package, _, message = name.split("/")
+        try:
+            texts[name] = Path(get_package_share_directory(package), "msg", f"{message}.msg").read_text()
+        except (LookupError, OSError) as error:
+            raise Failure(f"the definition of {name} is not installed ({error})") from error
+        for line in texts[name].splitlines():
+            words = line.partition("#")[0].split()
+            base = words[0].partition("[")[0].partition("<")[0] if len(words) > 1 and "=" not in words[1] else ""
+            if base and base not in PRIMITIVE:
+                parts = base.split("/")
+                pending.append(f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}")
+    first, *others = texts.items()
+    return first[1] + "".join(f"\n{LINE}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others)
+
+
+def dropped() -> int:
+    """Return how many packets for the sockets of this process the kernel has dropped because they were full."""
+    own = set()
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            own.add(os.readlink(descriptor))
+    lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return sum(int(words[-1]) for words in lines if f"socket:[{words[9]}]" in own)
+
+
+def identity(information: Any) -> tuple[SOURCE, int]:
+    """Return the publisher of a message, and its number."""
+    return bytes(information["publisher_gid"]["data"]), information["publication_sequence_number"]
+
+
+class Recorded:
+    """A topic that is recorded."""
+
+    def __init__(self, name: str, channel: int) -> None:
+        self.name, self.channel = name, channel
+        self.messages = 0
+        self.lost_events = 0
+        self.numbers: dict[SOURCE, tuple[int, int, int]] = {}
+        """The first and the last number of each publisher, and how many messages came."""
+
+    def count(self, source: SOURCE, number: int) -> None:
+        first, last, messages = self.numbers.get(source, (number, number, 0))
+        self.numbers[source] = (min(first, number), max(last, number), messages + 1)
+        self.messages += 1
+
+    def see(self, source: SOURCE, number: int) -> None:
+        """Take note of a message that was published, and that may not have come."""
+        first, last, messages = self.numbers.get(source, (number, number, 0))
+        self.numbers[source] = (first, max(last, number), messages)
+
+    def lost(self) -> int:
+        gaps = sum(last - first + 1 - messages for first, last, messages in self.numbers.values())
+        return max(gaps, self.lost_events)
+
+    def late(self) -> int:
+        return sum(first - 1 for first, _, _ in self.numbers.values())
+
+
+class Bag:
+    """A bag in MCAP, in a folder as rosbag2 makes it."""
+
+    def __init__(self, folder: Path) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        folder.mkdir()
+        self._file = (folder / f"{folder.name}_0.mcap").open("xb")
+        self._writer = Writer(self._file, chunk_size=1 << 18, compression=CompressionType.NONE)
+        self._writer.start("ros2", NAME)
+        self._types: dict[str, int] = {}
+
+    def channel(self, topic: str, kind: str) -> int:
+        """Describe a topic; return the number of its channel. Raises Failure."""
+        if kind not in self._types:
+            self._types[kind] = self._writer.register_schema(kind, "ros2msg", definition(kind).encode())
+        return self._writer.register_channel(topic, "cdr", self._types[kind])
+
+    def write(self, channel: int, content: bytes, received: int, sent: int, number: int) -> None:
+        self._writer.add_message(channel, received, content, sent or received, number)
+
+    def close(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+
+class Watcher:
+    """The watcher of one run."""
+
+    def __init__(self, topics: list[str], bag: Bag | None, *, clock: bool) -> None:
+        self.node = Node(NAME, namespace="/sierra", enable_rosout=False, start_parameter_services=False)
+        self.topics, self.bag = [re.compile(topic) for topic in topics], bag
+        self.recorded: dict[str, Recorded] = {}
+        self.subscriptions: dict[str, Any] = {}
+        self.witness = Node(f"{NAME}_witness", namespace="/sierra", enable_rosout=False, start_parameter_services=False)
+        """A node that is never spun. Its subscriptions keep the newest messages, also if some before them are missing."""
+        self.newest: dict[str, Any] = {}
+        self.seen: dict[str, Any] = {}
+        self.latest = 0.0
+        self.drops: collections.deque[tuple[float, int]] = collections.deque()
+        """The number of dropped packets, each second, for so long that what is missing would have been sent again."""
+        self.looked = 0.0
+        self.time: float | None = None
+        self.failure = ""
+        latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.started = self.node.create_publisher(Bool, STARTED, latched)
+        if clock:
+            lossy = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self.node.create_subscription(Clock, "/clock", self._tick, lossy)
+
+    def _tick(self, message: Clock) -> None:
+        self.time = message.clock.sec + message.clock.nanosec / 1e9
+
+    def start(self) -> None:
+        self.started.publish(Bool(data=True))
+
+    def spin(self) -> None:
+        """Take what has come, and look at the graph now and then. Raises Failure."""
+        rclpy.spin_once(self.node, timeout_sec=LOOK_S)
+        if time.monotonic() - self.looked > LOOK_S:
+            self.looked = time.monotonic()
+            publishers, pending = self._look()
+            nodes = sorted({f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()})
+            self._count_drops()
+            own = [name for name in nodes if not HIDDEN.search(name)]
+            self.say(nodes=own, publishers=publishers, pending=pending, clock=self.time)
+        if self.failure:
+            raise Failure(self.failure)
+
+    def _count_drops(self) -> None:
+        now = time.monotonic()
+        if not self.drops or now - self.drops[-1][0] >= 1:
+            self.drops.append((now, dropped()))
+        while now - self.drops[0][0] > REPAIRED_S:
+            self.drops.popleft()
+
+    def say(self, **seen: Any) -> None:
+        if seen != self.seen:
+            self.seen = seen
+            print(json.dumps(seen), flush=True)
+
+    def _look(self) -> tuple[int, list[str]]:
+        """Subscribe to topics that are new; return the number of publishers, and topics that do not come from all of them."""
+        count, pending = 0, []
+        for topic, kinds in self.node.get_topic_names_and_types():
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            count += len(publishers)
+            if self.bag is None or topic == STARTED or not any(wanted.fullmatch(topic) for wanted in self.topics):
+                continue
+            if publishers and topic not in self.recorded:
+                if len(kinds) > 1:
+                    raise Failure(f"{topic} has several types: {', '.join(kinds)}")
+                self._subscribe(topic, kinds[0], publishers)
+            if publishers and self.subscriptions[topic].get_publisher_count() < len(publishers):
+                pending.append(topic)
+        return count, pending
+
+    def _subscribe(self, topic: str, kind: str, publishers: list[Any]) -> None:
+        package, _, name = kind.split("/")
+        try:
+            message = getattr(importlib.import_module(f"{package}.msg"), name)
+        except (ImportError, AttributeError) as error:
+            raise Failure(f"{topic} has the type {kind}, which is not installed ({error})") from error
+        profiles = [publisher.qos_profile for publisher in publishers]
+        reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
+        kept = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+        wanted = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        )
+        assert self.bag is not None  # noqa: S101 - only then topics are looked for
+        topic_ = self.recorded[topic] = Recorded(topic, self.bag.channel(topic, kind))
+
+        def lost(event: Any) -> None:
+            topic_.lost_events = event.total_count
+
+        def incompatible(event: Any) -> None:
+            self.failure = f"{topic} has publishers with another {event.last_policy_kind.name.lower()} than those before"
+
+        events = SubscriptionEventCallbacks(message_lost=lost, incompatible_qos=incompatible)
+
+        def take(content: bytes, information: Any) -> None:
+            self._write(topic_, content, information)
+            while (more := subscription.handle.take_message(message, True)) is not None:
+                self._write(topic_, *more)
+
+        subscription = self.node.create_subscription(message, topic, take, wanted, event_callbacks=events, raw=True)
+        self.subscriptions[topic] = subscription
+        if reliable:
+            newest = QoSProfile(depth=max(10, 2 * len(publishers)), reliability=ReliabilityPolicy.BEST_EFFORT)
+            self.newest[topic] = self.witness.create_subscription(message, topic, take, newest, raw=True)
+
+    def _write(self, topic: Recorded, content: bytes, information: Any) -> None:
+        assert self.bag is not None  # noqa: S101
+        topic.count(*identity(information))
+        received, sent = information["received_timestamp"], information["source_timestamp"]
+        self.bag.write(topic.channel, content, received or time.time_ns(), sent, topic.messages)
+        self.latest = time.monotonic()
+
+    def close(self) -> None:
+        """Wait for messages that are on their way, close the bag, and tell what is in it."""
+        self.latest = time.monotonic()
+        while time.monotonic() - self.latest < QUIET_S:
+            rclpy.spin_once(self.node, timeout_sec=LOOK_S)
+        if self.bag is None:
+            return
+        for topic, subscription in self.newest.items():
+            while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                self.recorded[topic].see(*identity(taken[1]))
+        topics = list(self.recorded.values())
+        self.bag.close()
+        lost = {topic.name: count for topic in topics if (count := topic.lost())}
+        late = {topic.name: count for topic in topics if (count := topic.late())}
+        drops = dropped() - self.drops[0][1] if self.drops else 0
+        account = {"messages": sum(topic.messages for topic in topics), "lost": lost, "late": late, "dropped": drops}
+        print(json.dumps(account), flush=True)
+
+
+def main() -> None:
+    """Watch a run until a signal comes."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("topics", nargs="*")
+    parser.add_argument("--bag", type=Path)
+    parser.add_argument("--clock", action="store_true")
+    given = parser.parse_args()
+    told: list[int] = []
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: told.append(number))
+    try:
+        watcher = Watcher(given.topics, Bag(given.bag) if given.bag else None, clock=given.clock)
+        print(json.dumps({"ready": True}), flush=True)
+        while not told:
+            watcher.spin()
+            if select.select([sys.stdin], [], [], 0.0)[0]:
+                watcher.start() if sys.stdin.readline() else told.append(0)  # its driver has ended
+        watcher.close()
+    except (Failure, OSError) as error:
+        print(json.dumps({"failure": " ".join(str(error).split())}), flush=True)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
