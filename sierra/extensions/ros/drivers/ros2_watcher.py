@@ -37,6 +37,7 @@ from typing import Any
 import rclpy
 from ament_index_python import get_package_share_directory
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -46,7 +47,7 @@ NAME = "sierra_watcher"
 STARTED = "/sierra/started"
 HIDDEN = re.compile(rf"/(_|launch_ros_|{NAME}(_witness)?$)")  # no nodes of the launch file
 DEPTH = 5000  # messages of a topic that may wait
-LOOK_S = 0.05
+LOOK_S, LATER_S = 0.05, 0.3  # between two looks at the graph, before and after the start
 REPAIRED_S = 5.0  # publishers of Fast DDS tell every 3 s what they have published
 QUIET_S = 0.3  # without a message, until all have come
 LINE = "=" * 80
@@ -90,7 +91,7 @@ def dropped() -> int:
     own = set()
     for descriptor in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
-            own.add(os.readlink(descriptor))
+            own.add(str(descriptor.readlink()))
     lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
     return sum(int(words[-1]) for words in lines if f"socket:[{words[9]}]" in own)
 
@@ -161,6 +162,8 @@ class Watcher:
 
     def __init__(self, topics: list[str], bag: Bag | None, *, clock: bool) -> None:
         self.node = Node(NAME, namespace="/sierra", enable_rosout=False, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
         self.topics, self.bag = [re.compile(topic) for topic in topics], bag
         self.recorded: dict[str, Recorded] = {}
         self.subscriptions: dict[str, Any] = {}
@@ -174,6 +177,7 @@ class Watcher:
         self.looked = 0.0
         self.time: float | None = None
         self.failure = ""
+        self.has_started = False
         latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.started = self.node.create_publisher(Bool, STARTED, latched)
         if clock:
@@ -184,12 +188,13 @@ class Watcher:
         self.time = message.clock.sec + message.clock.nanosec / 1e9
 
     def start(self) -> None:
+        self.has_started = True
         self.started.publish(Bool(data=True))
 
     def spin(self) -> None:
         """Take what has come, and look at the graph now and then. Raises Failure."""
-        rclpy.spin_once(self.node, timeout_sec=LOOK_S)
-        if time.monotonic() - self.looked > LOOK_S:
+        self.executor.spin_once(LOOK_S)
+        if time.monotonic() - self.looked > (LATER_S if self.has_started else LOOK_S):
             self.looked = time.monotonic()
             publishers, pending = self._look()
             nodes = sorted({f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()})
@@ -275,7 +280,7 @@ class Watcher:
         """Wait for messages that are on their way, close the bag, and tell what is in it."""
         self.latest = time.monotonic()
         while time.monotonic() - self.latest < QUIET_S:
-            rclpy.spin_once(self.node, timeout_sec=LOOK_S)
+            self.executor.spin_once(LOOK_S)
         if self.bag is None:
             return
         for topic, subscription in self.newest.items():

@@ -834,8 +834,8 @@ class Watcher:
             print(f"{topic}: {count} published before they could be recorded; wait for /sierra/started", flush=True)
         if not lost and self.recorded["dropped"] and not may_lose:
             raise Failure(
-                f"the last messages may be missing: in the last seconds, {self.recorded['dropped']} packets for the recorder were "
-                "dropped by the kernel; if that is right, set may_lose = true"
+                f"the last messages may be missing: in the last seconds, the kernel dropped {self.recorded['dropped']} packets for "
+                "the recorder; if that is right, set may_lose = true"
             )
         if lost and not may_lose:
             topics = ", ".join(f"{count} of {topic}" for topic, count in lost.items())
