@@ -239,6 +239,7 @@ class Gallery:
                     continue
                 notes.append(f"no figure of output {output.name!r}: {error}")
                 continue
+            self._note_rows(output, self._seen[output.name])
             series = output.rows > 1 and not self.takes_mean(output)
             measures = self._measures(output, columns)
             if output.name not in shown and (left := [repr(column) for column in columns if column not in measures]):
@@ -314,8 +315,11 @@ class Gallery:
         """Return the variables, with their labels and units."""
         return self._axes
 
-    def column(self, figure: Figure, offset: int = 0) -> stats.Samples:
-        """Return the samples of the one column that a figure names, in the rows of its `where`, minus a whole number."""
+    def column(self, figure: Figure, offset: int = 0, measure: str = "final") -> stats.Samples:
+        """Return the samples of the one column that a figure names, in the rows of its `where`, minus a whole number.
+
+        `measure` is what runs are reduced to, for notes.
+        """
         output = self.output(figure)
         (column,) = figure.columns
         source = _Output(self.frame, output, self.time(output), figure.where)
@@ -324,6 +328,7 @@ class Gallery:
         if figure.where:
             seen = self._in_order(output, source.coverage(column))
             self.check_times(output, seen)
+        self._note_rows(output, seen, measure)
         return stats.Samples(source.samples(column, offset), seen, column in self.rates(output))
 
     def rates(self, output: OutputTable) -> tuple[str, ...]:
@@ -400,6 +405,7 @@ class Gallery:
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
+        self._note_rows(output, seen, figure.measure)
         rates = self.rates(output)
         made = gather(name, figure, columns, batch, source, seen, rates, self._config.statistics)
         of_values = (*self._rates_in(made, source, seen, rates), *self.about_digits(output.name, made.tables))
@@ -466,17 +472,23 @@ class Gallery:
             return named or first
         found = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
-            if declared is None and output.rows > 1:
-                self.time_notes[output.name] = (
-                    f"output {output.name!r} has no time column: row numbers are used instead, because no column increases"
-                    f' equally in all runs (to name one, set time = "COLUMN" in [outputs.{output.name}])'
-                )
             return ""
         self.time_notes[output.name] = (
             f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
             f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
         )
         return found
+
+    def _note_rows(self, output: OutputTable, seen: stats.Coverage, measure: str = "final") -> None:
+        """Note that row numbers are the time of an output with several rows in a run; the SQL of a derived table orders them."""
+        if seen.most > 1 and measure != "mean" and output.name in self.frame.written and not self.time(output):
+            self.time_notes.setdefault(
+                output.name,
+                f"output {output.name!r} has no time column: row numbers are used instead, because no column increases equally"
+                f" in all runs, and final is the last of a run's {seen.most} rows (if a column is the time, set time ="
+                f' "COLUMN" in [outputs.{output.name}]; if rows do not follow each other in time, choose one by where, or'
+                " use the measure mean)",
+            )
 
     def _time_kind(self, output: OutputTable, column: str) -> TimeKind | None:
         """Return the form of the times in a column, if they are no numbers; None for numbers, and for other values."""

@@ -123,7 +123,7 @@ def statistics(
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,), where=where)
-        samples = gallery.column(figure)
+        samples = gallery.column(figure, measure=measure or "final")
         if measure == AUTO:
             measure = "mean" if gallery.takes_mean(gallery.output(figure)) else "final"
         curves: dict[int, tuple[survival.Step, ...]] = {}
@@ -255,7 +255,7 @@ def values_of_runs(
         chosen = column or gallery.only_column(found)
         measure = measure or ("mean" if gallery.takes_mean(found) else "final")
         offset = 0 if measure == "time_to" else frame.offset(found.name, chosen)
-        samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where), offset)
+        samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where), offset, measure)
         rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
         seeds = frame.seeds()
         values: dict[int, list[RunValue]] = {ordinal: [] for ordinal in gallery.planned}

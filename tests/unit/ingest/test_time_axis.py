@@ -15,6 +15,8 @@ TIMESTEP = projects.SIMULATOR.replace("tick,coverage", "timestep,coverage").repl
 LENGTHS = projects.SIMULATOR.replace("range(5)", "range(20 + seed % 50)").replace("tick,coverage", "timestep,coverage")
 TAKEN = "'timestep' is used as the time of output 'swarm', because it increases equally in all runs"
 
+TIME = 'time = "COLUMN" in [outputs.swarm]'
+
 
 def times(root: Path, *words: str) -> tuple[set[Any], str]:
     """Return the times at which there are statistics of coverage, and the messages."""
@@ -79,9 +81,20 @@ def test_columns_that_do_not_increase_alike_in_all_runs_are_not_the_time(written
         "output 'swarm' has no time column: row numbers are used instead, because no column increases equally in all runs"
         in told
     )
-    config = tmp_path / "sierra.toml"
-    config.write_text(config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\n')
-    assert "are used instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
+
+
+@pytest.mark.integration
+def test_last_row_of_a_declared_table_without_a_time_is_noted_once(tmp_path: Path) -> None:
+    simulator = projects.SIMULATOR.replace("tick,coverage", "robot,coverage,energy").replace(
+        "print(tick, count", 'print(f"r{tick}", seed % 7, count'
+    )
+    root = asked(tmp_path, simulator, '[outputs.swarm]\nfile = "swarm.csv"\n')
+    last = "output 'swarm' has no time column: row numbers are used instead"
+    assert f"and final is the last of a run's 5 rows (if a column is the time, set {TIME}" in quick(root, "figures").stderr
+    assert quick(root, "figures").stderr.count(last) == 1
+    assert quick(root, "stats", "swarm", "energy").stderr.count(last) == 1
+    for words in (("--where", "robot = 'r3'"), ("--measure", "mean")):
+        assert last not in quick(root, "stats", "swarm", "energy", *words).stderr, "one row of a run, or all of them count"
 
 
 @pytest.mark.integration
