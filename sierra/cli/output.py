@@ -142,11 +142,11 @@ def _column(values: Sequence[object]) -> list[str]:
     digits = digits_apart(values)
     moments = {value for value in values if isinstance(value, datetime)}
     exact = len({cell(moment) for moment in moments}) < len(moments)
-    return [str(one.replace(tzinfo=None)) if exact and isinstance(one, datetime) else cell(one, digits) for one in values]
+    return [str(one) if exact and isinstance(one, datetime) else cell(one, digits) for one in values]
 
 
 def cell(value: object, digits: int = DIGITS) -> str:
-    """Return a value as text for a table: short numbers, times to the second, one line."""
+    """Return a value as text for a table: short numbers, times to the second with their zone, one line."""
     match value:
         case None:
             return ""
@@ -155,7 +155,7 @@ def cell(value: object, digits: int = DIGITS) -> str:
         case float():
             return short_number(value, digits)
         case datetime():
-            return value.replace(microsecond=0, tzinfo=None).isoformat(" ")
+            return str(value.replace(microsecond=0))
         case _:
             return safe(" ".join(str(value).split("\n")))
 

@@ -119,6 +119,9 @@ def test_times_are_a_time_axis_and_replays_are_identical(tmp_path: Path) -> None
     done, _ = run(folder, "n=1,2")
     assert type_of(folder) == "TIMESTAMP WITH TIME ZONE"
     assert len(sql(folder, "SELECT * FROM out WHERE stamp > TIMESTAMP '2026-11-30 10:00:01'")) == 8
+    for format in ("table", "markdown", "csv"):
+        printed = quick(folder, "sql", "--format", format, "SELECT min(stamp) AS stamp FROM out").stdout
+        assert "+00:00" in printed.splitlines()[-1], "times with a zone are printed with it"
     stats = quick(folder, "stats", "out", "v", "--times", "own", "--statistic", "mean", "--json")
     rows = json.loads(stats.stdout)
     assert {36_000.5, 36_001.5, 36_002.5} in [{row[name] for row in rows} for name in rows[0]]

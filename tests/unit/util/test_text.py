@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from sierra.cli.output import cells, table
+from sierra.cli.output import cell, cells, table
 from sierra.explain.diff.model import changed
 from sierra.util.html import page
 from sierra.util.text import digits_apart, short_number
@@ -39,8 +39,15 @@ def test_each_column_of_a_table_has_its_own_digits(capsys: pytest.CaptureFixture
 
 def test_different_moments_of_a_column_have_different_texts() -> None:
     first, second = (datetime(2020, 1, 1, 0, 0, 0, micro, tzinfo=UTC) for micro in (1, 2))
-    assert cells([(first,), (first,)]) == [["2020-01-01 00:00:00"]] * 2
-    assert cells([(first,), (second,)]) == [["2020-01-01 00:00:00.000001"], ["2020-01-01 00:00:00.000002"]]
+    assert cells([(first,), (first,)]) == [["2020-01-01 00:00:00+00:00"]] * 2
+    assert cells([(first,), (second,)]) == [["2020-01-01 00:00:00.000001+00:00"], ["2020-01-01 00:00:00.000002+00:00"]]
+
+
+def test_times_of_a_table_have_their_zone_if_they_have_one() -> None:
+    assert [cell(datetime(2020, 1, 1, tzinfo=zone)) for zone in (UTC, None)] == [
+        "2020-01-01 00:00:00+00:00",
+        "2020-01-01 00:00:00",
+    ]
 
 
 def test_pages_and_differences_tell_them_apart_too() -> None:
