@@ -41,8 +41,8 @@ def lines(found: TakenOutputs) -> Iterator[str]:
     """Yield all that is known about the outputs of a batch."""
     tables = counted(len(found.tables), "table")
     target = f" (target {found.target})" if found.target else ""
-    runs = counted(found.runs, "run" if found.all_failed else "successful run")
-    yield f"batch {short(found.batch)}{target}: {tables} from {runs}{', which all failed' if found.all_failed else ''}"
+    runs = f"{counted(found.runs, 'run')}{', which all failed' if found.all_failed else ' with results'}"
+    yield f"batch {short(found.batch)}{target}: {tables} from {runs}"
     for table in found.tables:
         yield from _table(table, found.runs)
     yield from unread_lines(found.runs, found.unread)

@@ -251,8 +251,10 @@ def _of_lines(lines: str, output: Output, content: bytes | None) -> str:
 def _not_automatic(one: Alike, tables: Collection[str]) -> str:
     if "/" in one.path:
         return "in a subfolder"
-    if one.most > AUTOMATIC_AT_MOST or table_name(one.path).lower() not in tables:
+    if one.most > AUTOMATIC_AT_MOST:
         return "too many such files in a run"
+    if table_name(one.path).lower() not in tables:
+        return "it could not be read (see the reason of its run), or a run has too many tables"
     return "another file makes the table of that name"
 
 
