@@ -34,6 +34,7 @@ from sierra.util.text import counted, few, verb
 
 COMMENT = "the first line is a comment; begin with the column names, without {mark!r} ({keys} leaves comments out)"
 UNITS = "units are below its names ({keys} reads it)"
+RULES = "it has lines that are no rows ({keys} leaves them out)"
 HEADER = "its names are not in its first line ({keys} reads it)"
 DECIMAL = "its numbers have a decimal comma ({keys} reads them)"
 TEXTS = 4
@@ -284,6 +285,8 @@ class TableWarnings:
         mark = keys.get("comment")
         if isinstance(mark, str) and self._content(output).lstrip().startswith(mark.encode()):
             return COMMENT.format(mark=mark, keys=named)
+        if keys.keys() <= {"comment", "delimiter"}:
+            return RULES.format(keys=named)
         return (UNITS if keys.get("units_row") else HEADER).format(keys=named)
 
     def _content(self, output: str) -> bytes:
@@ -404,26 +407,28 @@ def _in_form(output: str, look: _Look) -> str:
 
 def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, plain: bool, names: Sequence[str]) -> str:
     """Return what to do with numbers that have units; `plain`: other cells have none."""
-    first, units = looks[0], [_unit(one) for one in looks]
+    first, units, called = looks[0], [_unit(one) for one in looks], _plain(column)
+
+    def converted(number: str) -> str:
+        table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
+        key, sql = re.sub(r"\W", "_", f"{output}_{column}"), f"SELECT run, {at}{number} AS {called} FROM {table}"
+        return f"for example: [tables.{key}] sql = {json.dumps(sql, ensure_ascii=False)}"
+
     if len(units) == 1 and not plain:
         key = json.dumps(name, ensure_ascii=False)
         declared = f"[outputs.{output}] units = {{ {key} = {json.dumps(units[0], ensure_ascii=False)} }}"
-        return f"write {first.example!r} without {units[0]!r} ({declared} declares the unit)"
+        made = converted(f"replace({called}, {quote(units[0])}, '')::DOUBLE")
+        return f"write {first.example!r} without {units[0]!r} ({declared} declares the unit), or convert it, {made}"
     mixed = f"some have the unit {' or '.join(map(repr, units[:TEXTS]))}" + " and some have none" * plain
     known = {FACTORS[unit][0] for unit in units if unit in FACTORS}
     if plain or len(known) != 1 or not all(unit in FACTORS for unit in units):
         return f"{mixed}; write all in the same unit, without its name"
     [base] = known
-    called = _plain(column)
     cell = f"trim({called})"
     number = f"regexp_extract({cell}, '^[-+0-9.eE]+')::DOUBLE"
     cases = " ".join(f"WHEN {quote(unit)} THEN {FACTORS[unit][1]:.15g}" for unit in units)
     factor = f"CASE regexp_extract({cell}, '[^-+0-9.eE ]+$') {cases} END"
-    table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
-    sql = f"SELECT run, {at}{number} * {factor} AS {called} FROM {table}"
-    key = re.sub(r"\W", "_", f"{output}_{column}")
-    shown = f"[tables.{key}] sql = {json.dumps(sql, ensure_ascii=False)}"
-    return f"{mixed}; write all in the same unit, or convert them to {base!r}, for example: {shown}"
+    return f"{mixed}; write all in the same unit, or convert them to {base!r}, {converted(f'{number} * {factor}')}"
 
 
 def _plain(name: str) -> str:

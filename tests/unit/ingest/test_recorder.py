@@ -664,11 +664,13 @@ TEXTS: list[tuple[str, str | None]] = [
     ),
     (
         "t,v\n0,1e5 m\n1,2e5 m\n",
-        LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } declares the unit)""",
+        LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } declares the unit), """
+        "or convert it, for example: [tables.out",
     ),
     (
         "t,v\n0,50%\n1,7.5%\n",
-        LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } declares the unit)""",
+        LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } declares the unit), """
+        "or convert it, for example: [tables.out",
     ),
     ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without separators between digits"""),
     ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without separators between digits"),
@@ -750,10 +752,13 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(tmp_p
         found[place] = [note.replace(*names[0]).replace(*names[1])[: len(said or "")] for note in of_place]
     assert found == {place: [said] * (said is not None) for place, (_, said) in enumerate(TEXTS)}
     proposals = [json.loads(note.partition(" sql = ")[2]) for note in notes if "[tables." in note]
-    assert len(proposals) == 2
-    for sql, cells, values in zip(
-        proposals, (["1.5ms", "+8e2 us"], [" 3B", "2MiB "]), ([0.0015, 0.0008], [3, 2_097_152]), strict=True
-    ):
+    converted: list[tuple[list[str], list[float]]] = [
+        (["1.5ms", "+8e2 us"], [0.0015, 0.0008]),
+        (["1e5 m"], [100_000]),
+        (["50%", " 37.5 % "], [50, 37.5]),
+        ([" 3B", "2MiB "], [3, 2_097_152]),
+    ]
+    for sql, (cells, values) in zip(proposals, converted, strict=True):
         name = sql.rpartition(" ")[2]
         table = f"(SELECT 1 AS run, 0 AS t, unnest({cells}) AS v)"
         assert [row[2] for row in duckdb.sql(sql.replace(f"FROM {name}", f"FROM {table}")).fetchall()] == pytest.approx(values)
