@@ -293,8 +293,8 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
     def names() -> set[str]:
         return {column for layout in recorded() for column in layout.columns}
 
-    def old_texts() -> set[str]:
-        old = (layout for layout in recorded() if not layout.times)
+    def texts_without(mark: str) -> set[str]:
+        old = (layout for layout in recorded() if not getattr(layout, mark))
         return {column for layout in old for column, kind in layout.columns.items() if kind == "text"}
 
     def example() -> tuple[bytes, int] | None:
@@ -303,7 +303,7 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
                 return store.object(row.sha256), row.rows
         return None
 
-    return Siblings(frozenset(mixed), ask, old_texts, names, example)
+    return Siblings(frozenset(mixed), ask, texts_without, names, example)
 
 
 class _Place(NamedTuple):

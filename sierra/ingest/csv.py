@@ -7,9 +7,10 @@ import io
 import tempfile
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from sierra.ingest.delimiters import delimiter_of, reads_as_number, split
+from sierra.ingest.delimiters import PADDED, delimiter_of, reads_as_number, split
 from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, described, lines_of
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
@@ -46,10 +47,15 @@ class Csv(Text):
         super().__init__(connection, shape, target, siblings)
         self._records: dict[str, int | str] = {}
         """The number of records in each file, or an error message, by path."""
+        self._trimmed: set[tuple[str, str]] = set()
+        """The executions and names of files whose cells lose the blanks around them."""
+        self._trims = False
+        """True if those of the part do."""
 
     def read(self, files: Sequence[Written]) -> Reading:
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
-            return super().read(list(self._without_blank_ends(files, Path(folder))))
+            reading = super().read(list(self._without_blank_ends(files, Path(folder))))
+        return replace(reading, trimmed=self._trimmed)
 
     def _without_blank_ends(self, files: Sequence[Written], folder: Path) -> Iterator[Written]:
         """Yield the files; of one with a single column and blank lines at its end, a copy without these lines.
@@ -176,6 +182,9 @@ class Csv(Text):
             return
         large = [file for file in files if file.bytes >= 2_000_000]
         self._longest = max(map(_longest_line, large), default=0)
+        padded = self.part.delimiter == PADDED
+        self._trims = padded and self.siblings.texts_without("trimmed").isdisjoint(self.part.names)
+        self._trimmed |= {(file.execution, file.name) for file in files if self._trims}
         super().one(files)
 
     def count(self, file: Written, read: int) -> int | str:
@@ -249,7 +258,9 @@ class Csv(Text):
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         columns = {f"c{place}": "DOUBLE" if types[name] == "DOUBLE" else "VARCHAR" for place, name in enumerate(names)}
         longest = self._longest + 1 if self._longest >= 2_000_000 else None
-        return csv_given(columns, FILE, delimiter=self.part.delimiter, header=self.shape.header, longest=longest)
+        given = csv_given(columns, FILE, delimiter=self.part.delimiter, header=self.shape.header, longest=longest)
+        bare = ", ".join(f"nullif(trim({name}), '') AS {name}" for name, kind in columns.items() if kind == "VARCHAR")
+        return f"(SELECT * REPLACE ({bare}) FROM {given})" if self._trims and bare else given
 
     def has_underscores(self, file: Written) -> bool:
         if file.bytes < SMALL:  # there may be many thousands of such files

@@ -19,7 +19,7 @@ from typing import BinaryIO
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.csv import Csv
-from sierra.ingest.delimiters import COMMA, POINT, delimiter_of, reads_as_number, split
+from sierra.ingest.delimiters import COMMA, PADDED, POINT, delimiter_of, reads_as_number, split
 from sierra.ingest.independent_row_count import any_size, csv_reader
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
@@ -228,7 +228,8 @@ def _csv_cells(body: Iterable[Line], delimiter: str) -> Iterator[Row]:
     with any_size():
         try:
             for cells in csv_reader(texts(), delimiter):
-                yield taken[0][0], taken[-1][1].endswith(b"\n"), cells
+                bare = [cell.strip(" ") for cell in cells] if delimiter == PADDED else cells
+                yield taken[0][0], taken[-1][1].endswith(b"\n"), bare
                 taken.clear()
         except csv.Error as error:
             raise UnreadableError(f"line {taken[0][0]}: quotes are not closed or not valid in CSV ({error})") from error

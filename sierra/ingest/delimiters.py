@@ -9,7 +9,9 @@ import re
 from sierra.store.type_inference import as_float
 from sierra.util.lazy_definitions import regex
 
-DELIMITERS = (",", "\t", ";", "|")
+PADDED = "|"
+"""The delimiter whose cells lose the blanks around them: programs pad such columns to the same width."""
+DELIMITERS = (",", "\t", ";", PADDED)
 COMMA = regex(r"[-+]?([0-9]+,[0-9]*|,[0-9]+)([eE][-+]?[0-9]+)?")
 POINT = regex(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 """Numbers with a decimal comma, and with a decimal point."""

@@ -124,8 +124,8 @@ class Siblings:
     """The columns in which some of these files have values that are not numbers."""
     ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Votes]] = lambda runs: ({}, {})
     """A function of runs. It returns each run's experiment, and the votes of the files that were read before."""
-    old_texts: Callable[[], AbstractSet[str]] = frozenset
-    """A function that returns the columns that an earlier version recorded as texts, even if they are times."""
+    texts_without: Callable[[str], AbstractSet[str]] = lambda mark: frozenset()
+    """A function that returns the columns of text in layouts without a mark: those that an earlier version recorded."""
     names: Callable[[], AbstractSet[str]] = frozenset
     """A function that returns all names of columns with which the table was ever recorded."""
     example: Callable[[], tuple[bytes, int] | None] = lambda: None
@@ -149,6 +149,8 @@ class Reading:
     shape: Shape
     timed: AbstractSet[tuple[str, str]] = frozenset()
     """The files whose columns of text are no times."""
+    trimmed: AbstractSet[tuple[str, str]] = frozenset()
+    """The files whose texts lost the blanks around them."""
 
 
 class AtFaultError(Exception):

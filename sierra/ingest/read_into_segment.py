@@ -102,6 +102,7 @@ def _layout(reading: Reading, file: Written) -> str:
         file.ended or not csv,
         reading.hints.get(key, {}),
         "text" in columns.values() and key in reading.timed,
+        "text" in columns.values() and key in reading.trimmed,
     ).dump()
 
 

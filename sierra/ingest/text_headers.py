@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 from sierra.config.field_types import NAME
-from sierra.ingest.delimiters import COMMA, DELIMITERS, POINT, delimiter_of, reads_as_number, split
+from sierra.ingest.delimiters import COMMA, DELIMITERS, PADDED, POINT, delimiter_of, reads_as_number, split
 from sierra.store.sql_names import unmarked
 from sierra.store.type_inference import as_float
 from sierra.util.lazy_definitions import regex
@@ -20,8 +20,10 @@ from sierra.util.lazy_definitions import regex
 BLANKS = "blanks"
 READ = 1 << 16
 """The number of bytes at the beginning of a file that are looked at."""
-MARK = regex(r"\s*(#|@|%|//|!)")
-"""The beginnings of comments."""
+RULES = ("---", "===")
+"""The ends of the beginnings of rules."""
+MARK = regex(r"\s*(#|@|%|//|!|[+| :]{0,3}(?:---|===)(?=[-=+|:\s]*$))")
+"""The beginnings of comments, and of rules, such as `----+----`, `|---|` and `+===+`."""
 UNIT = regex(
     r"\[.*\]|\(.*\)|[-%1]|([munpkMGc\u00b5\u03bc]?(s|m|g|W|J|V|A|N|Pa|Hz|B|bps)|min|h|d|K|C|F|deg|degC|\u00b0C|rad|mol)"
     r"([/*^.][-\w/*^.]*)?"
@@ -36,15 +38,18 @@ MOST = 200
 GROUPED = regex(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+")
 """Numbers whose comma may be that of thousands."""
 Key = str | bool | int | list[str] | dict[str, str]
-CHANGING_NO_ROWS = frozenset(["decimal"])
+CHANGING_NO_ROWS = frozenset(["decimal", "comment"])
 Cells = Mapping[int, Sequence[str]]
 """The cells of lines, by the place of the line."""
 
 
 def better_keys_of(content: bytes) -> Mapping[str, Key]:
-    """Return the keys that read a table better that is read without them: only those that change neither rows nor names."""
+    """Return the keys that read a table better that is read without them: only those that change neither rows nor names.
+
+    A rule between rows is no row.
+    """
     keys = keys_of(content) or {}
-    return keys if keys.keys() <= CHANGING_NO_ROWS else {}
+    return keys if keys.keys() <= CHANGING_NO_ROWS and str(keys.get("comment", RULES[0])).endswith(RULES) else {}
 
 
 def keys_of(content: bytes) -> Mapping[str, Key] | None:
@@ -68,6 +73,8 @@ def _lines(content: bytes) -> list[str]:
 
 
 def _cells(line: str, delimiter: str) -> tuple[str, ...]:
+    if delimiter == PADDED and len(line) > 1 and line[0] == PADDED == line.rstrip()[-1]:
+        line = line.rstrip()[1:-1]  # as in Markdown
     try:
         return tuple(line.split()) if delimiter == BLANKS else split(line, delimiter)
     except csv.Error:
@@ -87,6 +94,9 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
     if numbers and not _is_small_table(rows, above, numbers, width):
         return None  # these are rows, too
     marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
+    others = [line.lstrip() for place, line in enumerate(lines) if place not in marks]
+    if any(line.startswith(tuple(marks.values())) for line in others):
+        return None  # these begin like a rule
     within = [lines[place] for place in marks if place > (above[-1] if above else first)]
     if any(_may_be_row(line, _cells(line, delimiter), width) for line in within):
         return None  # these are rows, too

@@ -336,7 +336,7 @@ class Text(TableReader):
         kind = narrowest(bits)
         if bits & NAN and kind is not None and is_whole(kind):
             self._with_nan.add((name, path))
-        if kind in TIME_KINDS and name in self.siblings.old_texts():
+        if kind in TIME_KINDS and name in self.siblings.texts_without("times"):
             self._untimed.add(path)
             return "VARCHAR"
         return kind

@@ -25,6 +25,8 @@ class TableLayout:
     """By column: the place where text begins, in a column in which most siblings have numbers."""
     times: bool = False
     """True for a CSV whose columns of text are no times; earlier versions recorded times as texts."""
+    trimmed: bool = False
+    """True for texts between `|` without the blanks around them; earlier versions recorded these blanks."""
 
     @classmethod
     def load(cls, text: str | None) -> TableLayout:
@@ -35,5 +37,5 @@ class TableLayout:
     def dump(self) -> str:
         """Return the layout as JSON."""
         fields = {"file": self.file, "columns": self.columns, "ended": self.ended}
-        more = {name: value for name in ("hints", "times") if (value := getattr(self, name))}
+        more = {name: value for name in ("hints", "times", "trimmed") if (value := getattr(self, name))}
         return json.dumps(fields | more)

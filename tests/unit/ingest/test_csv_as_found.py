@@ -18,6 +18,7 @@ from tests import projects
 from tests.readings import read_file
 
 TWO = [{"t": 1, "v": 0.5}, {"t": 2, "v": 1.5}]
+PADDED = [{"id": "r0", "v": 1}, {"id": "a b", "v": None}]
 GOOD: list[tuple[str, bytes, dict[str, Any], list[dict[str, Any]]]] = [
     ("comments", b"# made by x\n\nt,v\n1,0.5\n  # between\n2,1.5\n# end", {"comment": "#"}, TWO),
     ("comments in quotes are text", b'# x\nt,v\n1,"a\n# b"\n', {"comment": "#"}, [{"t": 1, "v": "a\n# b"}]),
@@ -32,6 +33,11 @@ GOOD: list[tuple[str, bytes, dict[str, Any], list[dict[str, Any]]]] = [
     ("texts for missing values", b"t,v\n1,NA\n-,1.5\n", {"na": ("NA", "-")}, [{"t": 1, "v": None}, {"t": None, "v": 1.5}]),
     ("semicolons", b"t;v\n1;0.5\n2;1.5\n", {}, TWO),
     ("tabs", b"t\tv\n1\t0.5\n2\t1.5\n", {"comment": "#"}, TWO),
+    ("blanks between bars", b"# c\n id  | v \n r0  | 1 \n a b | \n", {"comment": "#"}, PADDED),
+    ("blanks and other values between bars", b"id|v\n r0 |1\na b | - \n", {"na": ("-",)}, PADDED),
+    ("blanks in quotes between bars", b'id|v\n"r0 " |1\n"a b"|   \n', {}, PADDED),
+    ("blanks between other delimiters", b"id;v\n r0 ;1\n", {}, [{"id": " r0 ", "v": 1}]),
+    ("a rule", b" id  | v\n-----+----\n r0  |  1\n a b |\n", {"comment": "---"}, PADDED),
     ("blanks in names", b"# c\nmy time,v\n1,2\n", {"comment": "#"}, [{"my time": 1, "v": 2}]),
     ("columns of blanks", b"\n   t     v\n   1   0.5\n\n   2   1.5\n", {"delimiter": "blanks"}, TWO),
     ("fixed width", "ŧ  v   \n1  0.5 \n2  1.5\n".encode(), {"widths": (3, 4)}, [{"ŧ": 1, "v": 0.5}, {"ŧ": 2, "v": 1.5}]),
