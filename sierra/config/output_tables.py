@@ -302,7 +302,7 @@ class Output(Table):
     @property
     def shares_file(self) -> bool:
         """Return True if several such outputs may read parts of the same file."""
-        return bool(self.series or self.lines)
+        return bool(self.series or self.lines or self.kind == "xml")
 
     @property
     def is_stdout(self) -> bool:
@@ -439,7 +439,7 @@ def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
         share = outputs[first].kind == output.kind and outputs[first].shares_file and output.shares_file
         if first != name and not share:
             both = f"{first!r} and {name!r} have the same file {file!r}"
-            raise ValueError(f"{both}; a file becomes one table, unless each output has lines of it")
+            raise ValueError(f"{both}; a file becomes one table, unless each output has other lines or rows of it")
     return outputs
 
 

@@ -98,6 +98,8 @@ class Shape:
     """The columns that say where a value was in a file, such as indices, as found in earlier files; `na` is not for these."""
     nans: tuple[str, ...] = ()
     """The columns of whole numbers in which nan is recorded as missing, as found in earlier files."""
+    bare: int = 0
+    """The number of elements around rows, in earlier files, that have no row within."""
     name: str = ""
     """The name of the table."""
     declared: bool = field(default=False, compare=False)

@@ -42,6 +42,8 @@ class Rewriter:
     def __init__(self, shape: Shape, connection: Database) -> None:
         self.shape = shape
         self.sql = connection
+        self.bare = 0
+        """The number of elements around rows that have no row within."""
 
     @classmethod
     def reader(cls) -> type[TableReader]:
@@ -163,6 +165,7 @@ class _Rewriting:
         mine = self._rewriter.shape
         theirs = found.shape
         shape = replace(mine, parts=theirs.parts, files=theirs.files, ended=theirs.ended, nans=theirs.nans)
+        shape = replace(shape, bare=mine.bare + self._rewriter.bare)
         faults = self._faults | {execution: self._placed(fault, execution) for execution, fault in found.faults.items()}
         hints = {key: self._hints(key, texts) for key, texts in found.hints.items()}
         return replace(found, shape=shape, faults=faults, hints=hints)

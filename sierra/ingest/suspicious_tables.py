@@ -122,7 +122,7 @@ class TableWarnings:
         self._paths = {row.output: TableLayout.load(row.table_layout).file or "" for row in rows}
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
         columns = [*self._alone(forms), *self._by_case(forms), *self._renamed(forms), *self._of_kinds(forms)]
-        return [*empty, *self._lengths(), *self._nans(), *columns, *self._events(sizes)]
+        return [*empty, *self._lengths(), *self._nans(), *self._bare(), *columns, *self._events(sizes)]
 
     def _events(self, rows: Sequence[TableSize]) -> Iterator[str]:
         """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
@@ -169,6 +169,14 @@ class TableWarnings:
             if shape.nans:
                 columns = few(list(map(repr, shape.nans)), LENGTHS)
                 yield f"output {name!r} has nan beside very large whole numbers in {columns}; there, nan is NULL"
+
+    def _bare(self) -> Iterator[str]:
+        """Yield a note for each table that has no row for some of the elements around its rows."""
+        for name, shape in self._shapes.items():
+            if shape.bare:
+                rows = json.dumps(shape.form.rows, ensure_ascii=False)
+                message = f"output {name!r} has no row for {counted(shape.bare, 'element')} without {rows} within"
+                yield f"{message}; another output of this file, with the path of these elements as rows, has them"
 
     def _is_strict(self, output: str) -> bool:
         declared = self._context.outputs.get(output)

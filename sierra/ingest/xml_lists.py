@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.xml_rows import parse
@@ -14,7 +14,13 @@ DEEPEST = 64
 
 
 def keys_of(content: bytes) -> Mapping[str, str] | None:
-    """Return `rows` for the elements that are repeated in a document; None if it has no such elements.
+    """Return `rows` for the elements that are repeated in a document; None if it has no such elements, or several lists."""
+    rows = lists_of(content)
+    return {"rows": rows[0]} if len(rows) == 1 else None
+
+
+def lists_of(content: bytes) -> list[str]:
+    """Return the paths of the elements that are repeated in a document, one for each list.
 
     If elements are repeated within repeated elements, the inner ones are the rows. Other inner elements are columns.
     """
@@ -23,19 +29,21 @@ def keys_of(content: bytes) -> Mapping[str, str] | None:
         for _ in parse([content], counted):
             pass
     except UnreadableError:
-        return None
+        return []
     repeated = [path for path, most in counted.most.items() if most > 1]
-    outermost = _outermost(repeated)
-    path = outermost[0] if len(outermost) == 1 else None  # of several lists, somebody has to choose
-    while path is not None and (within := _outermost(other for other in repeated if other.startswith(f"{path}/"))):
+    innermost = [_innermost(path, repeated) for path in _outermost(repeated)]
+    names = Counter(path.rpartition("/")[2] for path in counted.most)
+    rows = [(path, path.rpartition("/")[2]) for path in innermost if path and path in counted.filled]
+    return [f"//{name}" if names[name] == 1 else path for path, name in rows]
+
+
+def _innermost(path: str, repeated: Sequence[str]) -> str:
+    """Return the elements that are repeated within all others; "" if there are several such lists within each other."""
+    while within := _outermost(other for other in repeated if other.startswith(f"{path}/")):
         if len(within) > 1:
-            return None  # the rows of one list would have several values of the other
+            return ""  # the rows of one list would have several values of the other
         [path] = within
-    if path is None or path not in counted.filled:
-        return None
-    name = path.rpartition("/")[2]
-    is_unique = sum(other.rpartition("/")[2] == name for other in counted.most) == 1
-    return {"rows": f"//{name}" if is_unique else path}
+    return path
 
 
 @dataclass(slots=True)
@@ -77,5 +85,5 @@ class _Counted:
 
 def _outermost(paths: Iterable[str]) -> list[str]:
     """Return the paths that are within no other of them."""
-    known = set(paths)
+    known = dict.fromkeys(paths)
     return [path for path in known if not any(path.startswith(f"{other}/") for other in known)]

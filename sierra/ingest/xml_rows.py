@@ -16,6 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import BinaryIO, Protocol
 from xml.parsers import expat
@@ -62,7 +63,9 @@ class XmlRows(Rewriter):
         return sum(target.write(text) > 0 for text in _texts(order, self._rows(source)) if order) - bool(order)
 
     def count(self, source: Source, written: int) -> int:
-        return count_tags(source.content(), self._path)
+        counted, bare = count_tags(source.content(), self._path)
+        self.bare += bare
+        return counted
 
     def place(self, source: Source, line: int) -> str:
         before = 1
@@ -218,20 +221,25 @@ def _texts(names: Sequence[str], rows: Iterator[tuple[int, Row]]) -> Iterator[by
         yield text.getvalue().encode("utf-8", "surrogateescape")
 
 
-def count_tags(content: bytes, path: re.Pattern[str]) -> int:
-    """Return the number of elements at a path, by a search for tags."""
-    found, within = 0, [""]
+def count_tags(content: bytes, path: re.Pattern[str]) -> tuple[int, int]:
+    """Return the number of elements at a path, by a search for tags.
+
+    Also return how many elements have none within, of those at the paths of others that have: their attributes are in no row.
+    """
+    found, within, rows, bare = 0, [""], [0], Counter[str]()
+    around: set[str] = set()
     for tag in TAG.finditer(content):
         if tag["name"] is None:
             continue
-        if tag["end"]:
-            within.pop()
-            continue
-        within.append(f"{within[-1]}/{tag['name'].decode('utf-8', 'replace')}")
-        found += path.fullmatch(within[-1]) is not None
-        if tag["empty"]:
-            within.pop()
-    return found
+        if not tag["end"]:
+            within.append(f"{within[-1]}/{tag['name'].decode('utf-8', 'replace')}")
+            rows.append(found)
+            if path.fullmatch(within[-1]) is not None:
+                found += 1
+                around.update(within[1:-1])
+        if tag["end"] or tag["empty"]:
+            bare[within.pop()] += rows.pop() == found
+    return found, sum(bare[name] for name in around)
 
 
 def _refuse(*_: object) -> None:

@@ -44,7 +44,7 @@ class GraphMl(Columnar):
 
     def count(self, source: Source, written: int) -> int:
         content = source.content()
-        return sum(count_tags(content, pattern(f"//{element}")) for element in ELEMENTS[self.shape.form.rows])
+        return sum(count_tags(content, pattern(f"//{element}"))[0] for element in ELEMENTS[self.shape.form.rows])
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import pytest
 
 from sierra.config import line_patterns
 from sierra.ingest import open_names, printed_lines, xml_lists
-from tests.projects import make, quick
+from tests.projects import make, quick, sql
 from tests.readings import read_file
 
 XML: list[tuple[str, str | None]] = [
@@ -18,7 +18,7 @@ XML: list[tuple[str, str | None]] = [
     ('<f><timestep time="0"><vehicle id="a"/><vehicle id="b"/></timestep><timestep time="1"/></f>', "//vehicle"),
     ("<r><a><x>1</x></a><a><x>2</x></a><b><a/></b></r>", "/r/a"),
     ('<r><i n="1"><p/><p/><q/><q/></i><i n="2"/></r>', None),  # two lists in each row
-    ('<r><s><i n="1"/><i n="2"/></s><u><j n="1"/><j n="2"/></u></r>', None),  # which of the two lists?
+    ('<r><s><i n="1"/><i n="2"/></s><u><j n="1"/><j n="2"/></u></r>', None),  # two lists: see below
     ("<a><b/><b/></a>", None),  # nothing in them
     ('<a><b x="1"/></a>', None),  # nothing is repeated
     ("<a>" * 100_000, None),
@@ -35,6 +35,28 @@ def test_repeated_elements_are_rows(tmp_path: Path, content: str, rows: str | No
         reading, read = read_file(tmp_path, "t.xml", content.encode(), format="xml", rows=rows)
         assert not reading.faults
         assert len(read) == 2
+
+
+LISTS = (
+    '<r><s><i n="1"/><i n="2"/></s><step t="0"><j n="1"/><j n="2"/></step><step t="1"/><step t="2"><k m="1"/></step>'
+    '<u><p/><q n="1"/><q n="2"/></u></r>'
+)
+
+
+@pytest.mark.integration
+def test_each_list_of_a_document_becomes_a_table_and_elements_without_rows_are_noted(tmp_path: Path) -> None:
+    root = make(tmp_path, simulator=f"open('out.xml', 'w').write({LISTS!r})\n")
+    assert quick(root, "run", "noise=1", "--runs", "1").returncode == 0
+    unread = quick(root, "outputs").stdout
+    for rows in ("i", "j", "q"):
+        assert f'//{rows}; declare [outputs.{rows}] file = "out.xml", format = "xml", rows = "//{rows}"' in unread
+    written = quick(root, "outputs", "--write").stdout
+    assert written.startswith(f"{root}/sierra.toml: added [outputs.i], [outputs.j], [outputs.q]\n")
+    noted = quick(root, "run", "noise=1", "--runs", "1").stderr
+    assert "note: output 'j' has no row for 2 elements without \"//j\" within; another output of this file" in noted
+    assert noted.count("has no row for") == 1
+    assert sql(root, 'SELECT n, "step.t" AS t FROM j ORDER BY n') == [{"n": 1, "t": 0}, {"n": 2, "t": 0}]
+    assert sql(root, "SELECT (SELECT count(*) FROM i) AS i, (SELECT count(*) FROM q) AS q") == [{"i": 2, "q": 2}]
 
 
 AT = {"at": 1.5, "at_2": 2, "step": 1, "step_2": 9}
