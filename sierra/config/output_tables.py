@@ -140,7 +140,8 @@ class Output(Table):
     )
     delimiter: Delimiter = Field(
         "",
-        description="separator between the columns of a CSV file; `blanks`: one or more blanks or tabs; default: detected",
+        description="separator between the columns of a CSV file; `blanks`: one or more blanks or tabs; cells between `|` lose "
+        "the blanks around them; default: detected",
     )
     header: bool = Field(True, description="whether the first line of a CSV file contains the column names")
     columns: Annotated[tuple[Name, ...], AfterValidator(_once)] = Field(

@@ -480,7 +480,7 @@ class Gallery:
         return found
 
     def _note_rows(self, output: OutputTable, seen: stats.Coverage, measure: str = "final") -> None:
-        """Note that row numbers are the time of an output with several rows in a run; the SQL of a derived table orders them."""
+        """Note that row numbers are the time of an output with several rows in a run. SQL orders those of derived tables."""
         if seen.most > 1 and measure != "mean" and output.name in self.frame.written and not self.time(output):
             self.time_notes.setdefault(
                 output.name,

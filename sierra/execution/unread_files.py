@@ -205,7 +205,9 @@ def _proposed(one: Alike, outputs: Mapping[str, Output], taken: Collection[str],
         return ()
     made: list[UnreadFiles] = []
     lists = xml_lists.lists_of(content) if _ending(one.path) == "xml" and (content := one.content()) else ()
-    proposals = [Proposal(rows, rows.rpartition("/")[2], {"format": "xml", "rows": rows}, {}) for rows in lists if len(lists) > 1]
+    proposals = [
+        Proposal(rows, rows.rpartition("/")[2], {"format": "xml", "rows": rows}, {}) for rows in lists if len(lists) > 1
+    ]
     for proposal in proposals or _of_ending(_ending(one.path)).proposals(one.content, one.path):
         made.append(_table(one, proposal, {*taken, *(table.name.lower() for table in made)}, runs))
     return made

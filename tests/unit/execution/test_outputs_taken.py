@@ -139,6 +139,16 @@ def test_table_that_only_some_runs_wrote_is_declared_as_not_required(tmp_path: P
     assert (again["executed"], again["failed"]) == (0, 0)
 
 
+@pytest.mark.integration
+@pytest.mark.parametrize(("end", "said"), [("", "2 runs, which all failed"), ("raise SystemExit(3)", "2 runs with results")])
+def test_tables_that_no_run_has_are_not_called_too_many(tmp_path: Path, end: str, said: str) -> None:
+    simulator = f"open('out.csv', 'w').write('a,b\\n1,2\\n1,2,3\\n')\n{end}\n"
+    projects.make(tmp_path, projects.CONFIG + '[success]\naccept = ["exit 3"]\n', simulator=simulator)
+    assert quick(tmp_path, "run", "population_size=1", "--no-figures").returncode == (0 if end else 1)
+    printed = quick(tmp_path, "outputs").stdout
+    assert f": 0 tables from {said}\nnot a table: out.csv: it could not be read (see the reason of its run)" in printed
+
+
 SUBFOLDERS = """
 import os
 for name in ("floor", "end"):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from sierra.config import project_file
 from sierra.errors import ConfigError
+from sierra.ingest import csv
 from tests import projects
 from tests.readings import read_file
 
@@ -60,6 +61,20 @@ def test_file_is_read_as_it_is_declared(tmp_path: Path, content: bytes, keys: di
         assert not reading.faults
         assert found == rows
         assert list(reading.counted.values()) == [len(rows)]
+
+
+@pytest.mark.integration
+def test_texts_between_bars_stay_as_an_earlier_version_recorded_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = {}
+    for begun in ("later", "earlier"):
+        folder = projects.make(tmp_path / begun, simulator="open('t.csv', 'w').write(' id  | v\\n r0  | 1\\n')\n")
+        with monkeypatch.context() as patch:
+            if begun == "earlier":
+                patch.setattr(csv, "PADDED", "")
+            projects.run(folder, "population_size=1")
+        projects.run(folder, "population_size=1,2")
+        texts[begun] = projects.values(folder, "SELECT id FROM t")
+    assert texts == {"later": {"r0"}, "earlier": {" r0  "}}
 
 
 BAD: list[tuple[str, bytes, dict[str, Any], str]] = [
