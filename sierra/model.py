@@ -16,6 +16,7 @@ from fractions import Fraction
 from typing import Any, Literal, NamedTuple
 
 from sierra.util.lazy_definitions import dataclass, field, replace
+from sierra.util.random_poses import PlanePose, RandomPoses
 
 Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""
@@ -190,16 +191,25 @@ class Rename:
     why: str = ""
 
 
+INDEX = "{index}"
+"""The text that stands for the number of a copy."""
+POSE = ("{x}", "{y}", "{yaw}")
+"""The texts that stand for the pose of a copy."""
+
+
 @dataclass(frozen=True, slots=True)
 class Repeat:
     """A change that puts `count` copies of the one element that `path` selects in its place, with the numbers from 0.
 
     `count` may contain `{expressions}`; 0 removes the element. The following elements of its name go, or in a list of a tree,
-    all other items. In attributes and texts of the copies, `{index}` is the number of the copy.
+    all other items. In the attributes and texts of a copy, `{index}` is its number, and `{x}`, `{y}` and `{yaw}` are its pose.
+    Random poses are drawn from `seed`, which may contain `{expressions}`.
     """
 
     path: str
     count: str
+    poses: tuple[PlanePose, ...] | RandomPoses = ()
+    seed: str = "{seed}"
     expect: int | None = 1
     why: str = ""
 

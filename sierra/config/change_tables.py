@@ -8,7 +8,9 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, StringConstraints, model_validator
 
-from sierra.config.field_types import NAME, Argv, Label, Labels, Name, RawTable, Table, Text
+from sierra.config.field_types import NAME, Argv, Label, Labels, Name, NotNegative, RawTable, Table, Text
+from sierra.config.trial_tables import ListedPose, Span
+from sierra.util.random_poses import PlanePose, RandomPoses
 
 VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
@@ -99,13 +101,59 @@ class PlaceOfSeed(Table):
     )
 
 
-class ValueOfVariable(PlaceOfSeed):
+class RandomPosesTable(Table):
+    """Poses that are drawn from the seed of each run, uniformly in a rectangle."""
+
+    x: Span = Field((-1.0, 1.0), description="smallest and largest x, in m")
+    y: Span = Field((-1.0, 1.0), description="smallest and largest y, in m")
+    yaw: Span = Field((-3.1416, 3.1416), description="smallest and largest angle in radians")
+    distance: NotNegative = Field(0.0, description="smallest distance between the centres of two robots, in m")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in ("x", "y", "yaw"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"the limits of {name} are in the wrong order; use [{high:g}, {low:g}]")
+        return self
+
+
+class StartPoses(Table):
+    """The poses of robots that are copies of one part of the template."""
+
+    poses: tuple[ListedPose, ...] = Field(
+        (),
+        description="poses [x, y] or [x, y, yaw] of the copies: `{x}`, `{y}` and `{yaw}` in texts that are repeated; in ROS, "
+        "$(arg x), $(arg y) and $(arg yaw)",
+    )
+    random_poses: RandomPosesTable | None = Field(
+        None,
+        description="poses that are drawn from the seed of each run",
+        examples=[{"x": [-2, 2], "y": [-2, 2], "distance": 0.3}],
+    )
+
+    @property
+    def start(self) -> tuple[PlanePose, ...] | RandomPoses:
+        """The poses of copies, in order."""
+        if (drawn := self.random_poses) is not None:
+            return RandomPoses(drawn.x, drawn.y, drawn.yaw, drawn.distance)
+        return tuple((pose[0], pose[1], pose[2] if len(pose) == 3 else 0.0) for pose in self.poses)
+
+    @model_validator(mode="after")
+    def _declared_once(self) -> Self:
+        if self.poses and self.random_poses:
+            raise ValueError("poses and random_poses exclude each other")
+        return self
+
+
+class ValueOfVariable(PlaceOfSeed, StartPoses):
     """The changes that a value of a variable makes for one target. The short form is the XPath alone."""
 
     repeat: str | None = Field(
         None,
         description="XPath of the element or item that is repeated as often as the value says, in the place of those after it "
-        "with its name, or of all items of its list; `{index}` in its texts is the number of the copy, from 0",
+        "with its name, or of all items of its list; `{index}` in its texts is the number of the copy, from 0, and "
+        "`{x}`, `{y}`, `{yaw}` are its pose",
     )
     changes: Changes = ()
 

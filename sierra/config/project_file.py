@@ -343,6 +343,8 @@ class Project(Table):
                 raise ValueError(f"variables.{name}: in a command, {{{name}}} has another meaning; use another name")
             if not (self.targets or self.target) and not self.changes_with(name):
                 raise ValueError(f"variables.{name}: {NO_CHANGE}, or write {{{name}}} in the command")
+            if variable.start and not (variable.repeat or self.targets or self.target):
+                raise ValueError(f'variables.{name}: poses are those of the copies that "repeat" makes; give it "repeat"')
         return self
 
     @model_validator(mode="after")

@@ -142,6 +142,8 @@ def _explain(complaint: ErrorDetails, model: type[BaseModel], within: tuple[str,
     if complaint.get("ctx", {}).get("pattern") == NAME:
         return f"{where}: {_no_name(complaint['input'])}"
     message = KINDS.get(complaint["type"]) or complaint["msg"].replace("Input", "it").replace("it should", "should", 1)
+    if complaint["type"] == "too_short" and (least := complaint["ctx"]["min_length"]) > 1:
+        message = f"should have at least {least} items"
     return f"{where or 'table'} {message}, not {_written(complaint['input'])}"
 
 

@@ -7,15 +7,16 @@ files are generated again later, lazily, and only for the runs that execute.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.design import robots, run_values, seeds
 from sierra.design.factorial_design import PlanningProgress, changes, ignore_progress, mentions
+from sierra.design.overwritten import draws_poses
 from sierra.design.platforms.base import Platform
 from sierra.errors import ConfigError, QueryError
-from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
+from sierra.model import Batch, Cell, Change, Design, Experiment, Run, RunSpec, Value
 from sierra.store.layout import RUN_NAMES
 from sierra.templates.base import Files, Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
@@ -120,15 +121,21 @@ class Expansion:
 
     def _renderers(self, cell: Cell) -> Renderers:
         """Return the functions that make the inputs of an experiment's runs, by the group of the robot's place."""
-        document = self._template.changed(cell.changes, cell.values)
+        render = (
+            self._with_poses(cell) if draws_poses(cell.changes) else self._template.changed(cell.changes, cell.values).per_run
+        )
         groups = self._robots.groups if self._robots else {}
         own = {
             name: changes(group.changes, f"[robots.groups.{name}] changes") for name, group in groups.items() if group.changes
         }
         return {
-            ROBOT: document.per_run(self._design.per_run),
-            **{name: document.per_run((*self._design.per_run, *theirs)) for name, theirs in own.items()},
+            ROBOT: render(self._design.per_run),
+            **{name: render((*self._design.per_run, *theirs)) for name, theirs in own.items()},
         }
+
+    def _with_poses(self, cell: Cell) -> Callable[[Sequence[Change]], Renderer]:
+        """Return a function like `Document.per_run`, for copies whose poses differ between runs."""
+        return lambda per_run: lambda values: self._template.changed((*cell.changes, *per_run), values).render()
 
     def _files(self, cell: Cell, render: Renderers, number: int, seed: int) -> Files:
         lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}

@@ -72,7 +72,7 @@ class Changed:
 
     @cached_property
     def _read(self) -> Template:
-        rendered = self.template.changed(self.changes, self.values).render()
+        rendered = self.template.changed(self.changes, overwritten.with_seed(self.changes, self.values)).render()
         return self.template.reread(rendered, "the changed template")
 
 
@@ -281,7 +281,7 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
 def _of_variable(name: str, variable: Variable) -> tuple[Change, ...]:
     """Return the changes that each value of a variable makes."""
     why, own = f"variable {name!r}", f"{{{name}}}"
-    copies = (Repeat(variable.repeat, own, why=why),) if variable.repeat else ()
+    copies = (Repeat(variable.repeat, own, variable.start, f"{{seed}}/{name}", why=why),) if variable.repeat else ()
     first = (Set(variable.set, own, why=why),) if variable.set else ()
     return (*copies, *first, *changes(variable.changes, why, own))
 

@@ -14,9 +14,10 @@ from collections.abc import Mapping, Sequence
 
 from sierra.design import seeds
 from sierra.errors import QueryError, TemplateError
-from sierra.model import Cell, Change, Design, Set, Value
+from sierra.model import Cell, Change, Design, Repeat, Set, Value
 from sierra.templates.base import Rendered, Template
 from sierra.util.lazy_definitions import dataclass, regex, replace
+from sierra.util.random_poses import RandomPoses
 
 MARKS = ("sierraMarkInPlaceOfAValue", "8150376429918273641")
 """A text, and a number for places in templates that accept only numbers."""
@@ -64,7 +65,8 @@ class Input:
     of_run: Mapping[str, Value]
 
     def render(self) -> Rendered:
-        document = self.template.changed(self._changes(each_run=False), self.values)
+        common = self._changes(each_run=False)
+        document = self.template.changed(common, with_seed(common, self.values))
         per_run = self._changes(each_run=True)
         return document.per_run(per_run)({**self.values, **self.of_run}) if per_run else document.render()
 
@@ -108,6 +110,16 @@ def check(template: Template, designed: Design, cell: Cell, layers: Layers) -> b
         if lost and len(lost) == len(layers[number].changes):
             raise QueryError(_without_effect(run_input, number, lost[0]))
     return bool(doubtful)
+
+
+def draws_poses(changes: Sequence[Change]) -> bool:
+    """Return True if changes draw poses from the seed of a run, so that each run needs its own copies."""
+    return any(isinstance(change, Repeat) and isinstance(change.poses, RandomPoses) for change in changes)
+
+
+def with_seed(changes: Sequence[Change], values: Mapping[str, Value]) -> Mapping[str, Value]:
+    """Return the values for the changes of an experiment, with some seed if they draw poses."""
+    return {"seed": SOME_SEED, **values} if draws_poses(changes) else values
 
 
 def different_runs(designed: Design) -> list[Mapping[str, Value]]:

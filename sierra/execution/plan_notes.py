@@ -17,7 +17,7 @@ from sierra.design.factorial_design import mentions
 from sierra.execution import commands, input_texts
 from sierra.execution.build.state import BuildState
 from sierra.execution.plan import Plan
-from sierra.model import IN_PROJECT, Batch, Design, Experiment
+from sierra.model import IN_PROJECT, INDEX, POSE, Batch, Design, Experiment
 from sierra.provenance import referenced_files
 from sierra.provenance.compiled_languages import is_compiled
 from sierra.provenance.dependency_model import Programs
@@ -79,8 +79,10 @@ def _twice(designed: Design, config: Project) -> Iterator[str]:
 def not_repeated(designed: Design, config: Project, templates: Iterable[Path]) -> Iterator[str]:
     """Yield a note for each variable that repeats an element, but has no value in this query."""
     others = [name for name, table in config.variables.items() if table.repeat and name not in {a.name for a in designed.axes}]
-    if others and any(b"{index}" in path.read_bytes() for path in templates):
-        yield f"the query does not vary {', '.join(others)}: {{index}} stays as it is in the input"
+    marks = (INDEX, *(POSE if any(config.variables[name].start for name in others) else ()))
+    contents = [path.read_bytes() for path in templates] if others else []
+    if left := next((mark for mark in marks if any(mark.encode() in content for content in contents)), ""):
+        yield f"the query does not vary {', '.join(others)}: {left} stays as it is in the input"
 
 
 def unreadable_outputs(config: Project) -> Iterator[str]:

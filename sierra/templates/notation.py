@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from decimal import Decimal
 from enum import StrEnum
 from typing import Protocol
 
 from sierra.errors import TemplateError
+from sierra.model import INDEX, POSE, Repeat
 from sierra.util.float_range import TOO_LARGE, out_of_range
 from sierra.util.lazy_definitions import dataclass, field, regex
-from sierra.util.text import one_line
+from sierra.util.random_poses import RandomPoses
+from sierra.util.text import counted, one_line
 
 Span = tuple[int, int]
 Address = tuple[int, ...]
@@ -25,18 +27,39 @@ LONGEST = 400
 NUMBER = regex(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 """A number as all formats write it."""
 
-
-INDEX = "{index}"
-"""The text that stands for the number of a copy."""
+_POSE = regex(r"(?<![${])\{(?:x|y|yaw)\}(?!\})")
 MOST_COPIES = 10_000
 
 
-def repetitions(count: str) -> int:
-    """Return a number of copies. Raises Unfit for a text that is none."""
+def copies(change: Repeat, texts: Iterable[str], filled: Callable[[str], str]) -> Iterator[Mapping[str, str]]:
+    """Yield, for each copy, the values of `{index}`, `{x}`, `{y}` and `{yaw}` in the texts of its original. Raises Unfit."""
+    count = filled(change.count)
     number = int(count) if re.fullmatch(r"[0-9]{1,9}", count) else -1
     if not 0 <= number <= MOST_COPIES:
         raise Unfit(f"cannot be repeated {count[:40]!r} times; use a whole number from 0 to {MOST_COPIES}")
-    return number
+    poses = change.poses
+    if poses and not any(map(_POSE.search, texts)):
+        raise Unfit(f"has poses, but no text in it contains {', '.join(POSE[:-1])} or {POSE[-1]}")
+    if isinstance(poses, RandomPoses):
+        try:
+            poses = tuple(poses.drawn(filled(change.seed), number))
+        except TemplateError as error:
+            raise Unfit(f"cannot be repeated {number} times; {error}") from error
+    if poses and len(poses) < number:
+        raise Unfit(f"cannot be repeated {number} times with {counted(len(poses), 'pose')}; add poses, or use random_poses")
+    for index in range(number):
+        yield {INDEX: str(index), **(dict(zip(POSE, map(repr, poses[index]), strict=True)) if poses else {})}
+
+
+def placed(text: str, values: Mapping[str, str]) -> str:
+    """Return a text of a copy, with its number and its pose; `${x}` and `{{x}}` stay. Raises Unfit without poses."""
+
+    def value(match: re.Match[str]) -> str:
+        if match[0] not in values:
+            raise Unfit(f"contains {match[0]}, but there are no poses; give the variable poses or random_poses")
+        return values[match[0]]
+
+    return _POSE.sub(value, text.replace(INDEX, values[INDEX]))
 
 
 class Kind(StrEnum):

@@ -28,7 +28,6 @@ from sierra.templates.data_view import Scan
 from sierra.templates.json_notation import JsonNotation
 from sierra.templates.nearest_path import nearest
 from sierra.templates.notation import (
-    INDEX,
     NUMBER,
     Address,
     Edit,
@@ -37,8 +36,9 @@ from sierra.templates.notation import (
     Notation,
     Plain,
     Unfit,
+    copies,
     is_float,
-    repetitions,
+    placed,
     unfit_number,
 )
 from sierra.templates.same_number import is_lost, same
@@ -242,7 +242,7 @@ class TreeDocument:
                 case Rename():
                     return self._renamed(scan, address, filled(change.to) if _ONE_NAME.fullmatch(change.to) else change.to)
                 case Repeat():
-                    return self._repeated(scan, address, filled(change.count))
+                    return self._repeated(scan, address, change, filled)
         except Unfit as error:
             raise self._error(change, str(error)) from error
         except ConfigError as error:
@@ -296,25 +296,25 @@ class TreeDocument:
         renamed = {to if child is node else child.key: child.plain() for child in parent.children}
         return self._read(scan, text, address[:-1], lambda _: (Kind.MAPPING, renamed))
 
-    def _repeated(self, scan: Scan, address: Address, count: str) -> Scan:
+    def _repeated(self, scan: Scan, address: Address, change: Repeat, filled: Callable[[str], str]) -> Scan:
         """Put copies of an item into the place of all items of its list."""
         *above, index = address or (0,)
         parent = scan.at(tuple(above))
         if not address or parent.kind is not Kind.LIST:
             raise Unfit("is no item of a list; repeat works on these")
-        if count.startswith("{"):
+        if filled(change.count).startswith("{"):
             return scan
         item = scan.at(address)
-        copies = [_copy(item, number) for number in range(repetitions(count))]
+        new_items = [_copy(item, values, scan.text) for values in copies(change, _texts(item), filled)]
         for other in reversed(range(len(parent.children))):
             scan = scan if other == index else self._removed(scan, (*above, other))
         text, parent = scan.text, scan.at(tuple(above))
         # Each is put after the item, at the same place of the text, which need not be read again for the next one.
-        each = [self.scan.notation.added(text, parent, None, new, None) for new in copies]
+        each = [self.scan.notation.added(text, parent, None, new, None) for new in new_items]
         place = min((_common(text, longer) for longer in each), default=0)
         pieces = (longer[place : place + len(longer) - len(text)] for longer in each)
         text = text[:place] + "".join(pieces) + text[place:]
-        items = (item.plain(), *(copy.plain() for copy in copies))
+        items = (item.plain(), *(new.plain() for new in new_items))
         scan = self._read(scan, text, tuple(above), lambda _: (Kind.LIST, items))
         return self._removed(scan, (*above, 0))
 
@@ -368,15 +368,25 @@ def _common(text: str, longer: str) -> int:
     return next((place for place, (a, b) in enumerate(zip(text, longer, strict=False)) if a != b), len(text))
 
 
-def _copy(node: Node, number: int) -> Node:
-    """Return a copy of a part of a document, with its number for `{index}`. Raises Unfit."""
+def _texts(node: Node) -> Iterator[str]:
+    """Yield all texts of a part of a document."""
+    if node.kind is Kind.TEXT:
+        yield node.value
+    for child in node.children:
+        yield from _texts(child)
+
+
+def _copy(node: Node, values: Mapping[str, str], text: str) -> Node:
+    """Return a copy of a part of a document, with its number for `{index}`, and its pose. Raises Unfit."""
     if node.why:
         raise Unfit(f"cannot be repeated: a part of it {node.why}")
-    children = [_copy(child, number) for child in node.children]
+    if node.kind is Kind.MAPPING and (raw := text[node.start : node.end]) in values:
+        raise Unfit(f"cannot be repeated: {raw} without quotes is a mapping; write '{raw}'")
+    children = [_copy(child, values, text) for child in node.children]
     new = Node(node.kind, 0, 0, node.value, node.key, children=children)
     if node.kind is Kind.TEXT:
-        new.value = node.value.replace(INDEX, str(number))
-        new.kind = Kind.NUMBER if node.value == INDEX else Kind.TEXT
+        new.value = placed(node.value, values)
+        new.kind = Kind.NUMBER if node.value in values else Kind.TEXT
     return new
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Iterator
-from operator import methodcaller
+from functools import partial
 
 from lxml import etree
 
@@ -95,7 +95,7 @@ class XmlCopy:
                 elements = view.elements(change)
                 self._check_read(other for element in elements for other in (element, *element.itersiblings(element.tag)))
                 for element in elements:
-                    self._repeat(element, change, filled(change.count))
+                    self._repeat(element, change, filled)
         if not isinstance(change, Set) or change.attribute:
             self._declares = declarations(view.root) != view.namespaces
 
@@ -150,25 +150,28 @@ class XmlCopy:
         if raw_kept != raw:
             self._put(place, kept, raw_kept)
 
-    def _repeat(self, element: Element, change: Repeat, count: str) -> None:
+    def _repeat(self, element: Element, change: Repeat, filled: Callable[[str], str]) -> None:
         """Put copies of an element into its place, and remove the following ones of its name."""
-        from sierra.templates.notation import INDEX, Unfit, repetitions
+        from sierra.templates.notation import Unfit, copies, placed
 
         parent = element.getparent()
         if parent is None:
             raise self.view.error(change, "selects the root element", ", of which there is one")
-        if count.startswith("{"):
+        if filled(change.count).startswith("{"):
             return
+        new_elements = []
         try:
-            copies = repetitions(count)
+            for values in copies(change, element.xpath(".//text() | descendant-or-self::*/@*"), filled):
+                new = copy.deepcopy(element)
+                new.tail = None
+                _fill_all(new, partial(placed, values=values))
+                new_elements.append(new)
         except Unfit as error:
-            raise self.view.error(change, str(error), "") from error
+            fault, semicolon, advice = str(error).partition(";")
+            raise self.view.error(change, fault, semicolon + advice) from error
         for other in list(element.itersiblings(element.tag)):
             self._take_out(other)
-        for number in range(copies):
-            new = copy.deepcopy(element)
-            new.tail = None
-            _fill_all(new, methodcaller("replace", INDEX, str(number)))
+        for new in new_elements:
             self._insert(parent, new, parent.index(element))
         self._take_out(element)
 

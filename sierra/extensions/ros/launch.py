@@ -11,7 +11,6 @@ namespace of its own, and values for the arguments that it may use (`$(arg robot
 from __future__ import annotations
 
 import copy
-import random
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Protocol
@@ -19,6 +18,7 @@ from xml.etree import ElementTree
 
 from sierra.plugin import Add, Change, Set, TemplateError, TemplateView
 from sierra.util.lazy_definitions import dataclass
+from sierra.util.random_poses import PlanePose, RandomPoses
 
 ROOT = "/launch"
 SETTINGS = "sierra"
@@ -26,14 +26,10 @@ PLACE = "place"
 """The setting with the place of a robot."""
 OF_ALL = ("arg", "env", "remap", "param", "rosparam")
 """Elements of a launch file that start nothing. All robots keep them, since each sets parameters before its nodes start."""
-TRIES = 1000
-"""Draws of a pose that keeps its distance, until an arena counts as full."""
 KEEPER = '<node pkg="sierra_ros" type="timekeeper" name="sierra_timekeeper" required="true" output="screen"/>'
 
 POSE = ("x", "y", "yaw")
 """The arguments of a group with the pose of its robot."""
-Pose = tuple[float, float, float]
-"""x and y in metres, and yaw in radians."""
 
 
 class Dialect(Protocol):
@@ -116,38 +112,6 @@ class Launch2:
 
 
 @dataclass(frozen=True, slots=True)
-class RandomPoses:
-    """A rectangle in which poses are drawn from the seed of the run, at a distance from each other."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    yaw: tuple[float, float]
-    distance: float
-
-    def drawn(self, seed: str, count: int) -> Iterator[Pose]:
-        """Yield a pose for each robot; more robots do not change those before. Raises TemplateError if there is no space."""
-        stream = random.Random(f"{seed}/poses")
-        taken: list[Pose] = []
-        for number in range(count):
-            tries = (self._draw(stream) for _ in range(TRIES))
-            pose = next((one for one in tries if all(self._is_apart(one, other) for other in taken)), None)
-            if pose is None:
-                raise TemplateError(
-                    f"random_poses: robot {number} found no place at a distance of {self.distance:g} m from {number} others; "
-                    "use a larger rectangle, or a smaller distance"
-                )
-            taken.append(pose)
-            yield pose
-
-    def _draw(self, stream: random.Random) -> Pose:
-        x, y, yaw = (round(stream.uniform(*limits), 4) for limits in (self.x, self.y, self.yaw))
-        return x, y, yaw
-
-    def _is_apart(self, one: Pose, other: Pose) -> bool:
-        return (one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2 >= self.distance**2
-
-
-@dataclass(frozen=True, slots=True)
 class Robots:
     """The robots of a launch file: copies of one group."""
 
@@ -158,7 +122,7 @@ class Robots:
     """The beginning of the names of robots; None: the namespace without digits at its end."""
     arguments: tuple[tuple[str, str], ...] = ()
     """Arguments that all copies get."""
-    poses: tuple[Pose, ...] | RandomPoses = ()
+    poses: tuple[PlanePose, ...] | RandomPoses = ()
     share_master: bool = False
     """True if all robots of a run use the master of the base station."""
 
@@ -199,7 +163,7 @@ class Robots:
         made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
         return made + b"\n"
 
-    def read_poses(self, document: bytes) -> Iterator[Pose]:
+    def read_poses(self, document: bytes) -> Iterator[PlanePose]:
         """Yield the poses that the copies in a launch file have."""
         for group in _parsed(document).findall("group"):
             given = {one.get("name"): one.get("value", "") for one in group if one.tag == self.dialect.argument}
@@ -237,7 +201,7 @@ class Robots:
         found = root.find(path)
         return None if found is None else found.get("value")
 
-    def _poses(self, count: int, seed: str) -> Iterator[Pose | None]:
+    def _poses(self, count: int, seed: str) -> Iterator[PlanePose | None]:
         if isinstance(self.poses, RandomPoses):
             yield from self.poses.drawn(seed, count)
         elif self.poses and len(self.poses) < count:
@@ -245,7 +209,7 @@ class Robots:
         else:
             yield from self.poses[:count] or (None,) * count
 
-    def _copy(self, group: ElementTree.Element, number: int, pose: Pose | None) -> ElementTree.Element:
+    def _copy(self, group: ElementTree.Element, number: int, pose: PlanePose | None) -> ElementTree.Element:
         made = copy.deepcopy(group)
         place = self.dialect.namespace(made)
         assert place is not None  # noqa: S101 - the group was found by its namespace

@@ -16,8 +16,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints
 
+from sierra.config.change_tables import StartPoses
 from sierra.design.platforms.base import driver_path
-from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, SETTINGS, Launch1, Launch2, Pose, RandomPoses, Robots
+from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, SETTINGS, Launch1, Launch2, Robots
 from sierra.plugin import (
     Add,
     Axis,
@@ -43,11 +44,9 @@ PYTHON = "/usr/bin/python3"
 CRITERIA: Mapping[str, str] = {"population_size": "number of robots: copies of the group that is one robot"}
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Inside = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 RosName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 NodeName = Annotated[str, StringConstraints(pattern=r"^/?[A-Za-z][A-Za-z0-9_/]*$")]
-Limits = tuple[Finite, Finite]
 
 
 def _with_slashes(topics: str) -> str:
@@ -63,17 +62,6 @@ def _with_slashes(topics: str) -> str:
 Topic = Annotated[str, StringConstraints(pattern=r"^/[A-Za-z0-9_/.*+?|\[\]()-]*$"), AfterValidator(_with_slashes)]
 
 
-class RandomPosesTable(Table):
-    """Start poses that are drawn from the seed of each run, uniformly in a rectangle."""
-
-    x: Limits = Field((-1.0, 1.0), description="smallest and largest x, in m")
-    y: Limits = Field((-1.0, 1.0), description="smallest and largest y, in m")
-    yaw: Limits = Field((-3.1416, 3.1416), description="smallest and largest angle in radians")
-    distance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
-        0.0, description="smallest distance between the centres of two robots, in m"
-    )
-
-
 class RobotKind(Table):
     """A kind of robot: how its copies are called, and what they need."""
 
@@ -87,7 +75,7 @@ class RobotKind(Table):
     )
 
 
-class RosOptions(Table):
+class RosOptions(StartPoses):
     """The options of ROS."""
 
     ros: Literal[1, 2] = Field(1, description="generation of ROS: 1 (roslaunch) or 2 (ros2 launch)")
@@ -104,14 +92,6 @@ class RosOptions(Table):
     )
     robots: Mapping[str, RobotKind] = Field(default_factory=dict, description="kinds of robots, by name")
     robot: str | None = Field(None, description="kind of the robots; default: the only one of `robots`", examples=["burger"])
-    poses: tuple[tuple[Finite, Finite] | tuple[Finite, Finite, Finite], ...] = Field(
-        (), description="start poses [x, y] or [x, y, yaw] of the robots, as $(arg x), $(arg y) and $(arg yaw)"
-    )
-    random_poses: RandomPosesTable | None = Field(
-        None,
-        description="start poses that are drawn from the seed of each run",
-        examples=[{"x": [-2, 2], "y": [-2, 2], "distance": 0.3}],
-    )
     wait_for: tuple[NodeName, ...] = Field(
         (),
         description="nodes that end by themselves, such as `walker` or `/robot0/walker`: a run ends when all of them have "
@@ -154,8 +134,6 @@ class Ros:
             raise ConfigError('platform "ros": launch files of ROS 1 are XML; a launch file in YAML needs ros = 2')
         if not self._is_xml and options.length is None:
             raise ConfigError(f"{TABLE}: a launch file in YAML needs length")
-        if options.poses and options.random_poses:
-            raise ConfigError(f"{TABLE}: poses and random_poses exclude each other")
         if (options.poses or options.random_poses) and not self._is_xml:
             raise ConfigError(f"{TABLE}: poses and random_poses need a launch file in XML; write the poses into that in YAML")
         if (options.poses or options.random_poses) and self._placed_by_hand:
@@ -170,8 +148,7 @@ class Ros:
         self._python = project.command or ((PYTHON,) if options.ros == 1 else ("{python}",))
         self._dialect = Launch1() if options.ros == 1 else Launch2()
         arguments = (("model", self._kind.model),) if self._kind.model else ()
-        poses = _poses(options)
-        self._robots = Robots(self._dialect, options.group, self._kind.prefix, arguments, poses, self._shares_master)
+        self._robots = Robots(self._dialect, options.group, self._kind.prefix, arguments, options.start, self._shares_master)
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
         if not self._is_xml:
@@ -327,12 +304,3 @@ def _kind(options: RosOptions) -> RobotKind:
     if options.robot not in options.robots:
         raise ConfigError(f"{TABLE}: unknown robot {options.robot!r}; known are {known}")
     return options.robots[options.robot]
-
-
-def _poses(options: RosOptions) -> tuple[Pose, ...] | RandomPoses:
-    if (table := options.random_poses) is not None:
-        for name, (low, high) in (("x", table.x), ("y", table.y), ("yaw", table.yaw)):
-            if low > high:
-                raise ConfigError(f"{TABLE}: random_poses: the limits of {name} are in the wrong order")
-        return RandomPoses(table.x, table.y, table.yaw, table.distance)
-    return tuple((pose[0], pose[1], pose[2] if len(pose) == 3 else 0.0) for pose in options.poses)

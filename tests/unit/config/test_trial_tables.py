@@ -16,7 +16,7 @@ from sierra.errors import ConfigError
         ({"block": 0}, "trials.block"),
         ({"reasons": []}, "trials.reasons should not be empty"),
         ({"pause": -1.0}, "trials.pause"),
-        ({"poses": [[0.0]]}, "trials.poses.0 should not be empty"),
+        ({"poses": [[0.0]]}, "trials.poses.0 should have at least 2 items"),
         ({"poses": [[0.0, 1.0]], "draw_poses": {"count": 1, "x": [0, 1], "y": [0, 1]}}, '"poses" and "draw_poses" exclude'),
         ({"draw_poses": {"count": 1, "x": [2, 1], "y": [0, 1]}}, "x: the smallest value comes first: [1, 2]"),
         ({"draw_poses": {"count": 1, "x": [0, 1]}}, "'trials.draw_poses.y' is missing"),

@@ -212,7 +212,7 @@ def test_the_batches_of_claims_and_their_ground_are_known_to_callers(recorded: P
         ('query = "noise=1"\nvalue = { expected = 1, margin = "five" }', "or a percentage such as 5 %"),
         ('query = "noise=1"\nsql = "SELECT true"\nlost = -1', "should be a number of runs"),
         ('query = "noise=1"\norder = { groups = ["1", "2"] }', '"by" is missing'),
-        ('query = "noise=1"\norder = { by = "noise", groups = ["1"] }', "groups should not be empty"),
+        ('query = "noise=1"\norder = { by = "noise", groups = ["1"] }', "groups should have at least 2 items"),
         ('query = "noise=1"\nequivalence = { by = "noise", groups = ["1", "1"], margin = 1 }', "named twice"),
     ],
 )
