@@ -65,8 +65,10 @@ def choose(root: Path, template: str | None, given: str | None, ask: Ask | None)
     """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
     if template and template.endswith(tuple(extensions.starts())) and given is None:
         return None
-    found = folder.simulators(root)
-    lines = {name: joined([*words, "{input}"] if template else words) for name, words in found.items()}
+    found = (given is None and folder.of_netlogo(root, template)) or folder.simulators(root)
+    lines = {
+        name: joined([*words, "{input}"] if template and "{input}" not in words else words) for name, words in found.items()
+    }
     likely = [line for name, line in lines.items() if folder.is_started(root / name)] or list(lines.values())
     unbuilt = "; build it first, or" if any((root / name).exists() for name in TO_BUILD) else ";"
     what = f"several files could be the simulator: {', '.join(found)};" if found else f"no program found{unbuilt}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,9 @@ DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
 """The endings of data files, which are templates only if there is none of the others."""
 TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")
 """The endings of texts, which are templates if they have placeholders."""
+NETLOGO = (".nlogo", ".nlogox")
+"""The endings of models of NetLogo. The template is a setup file of BehaviorSpace, which has the experiment of a model."""
+EXPERIMENT = regex(rb"<experiment\b[^>]*?\bname=[\"']([\w .-]+)[\"']")
 PLACEHOLDER = regex(rb"\{\{[A-Za-z_]\w*\}\}")
 OF_TOOLS = regex(
     r"(package|package-lock|composer|tsconfig|compile_commands|CMakePresets|CMakeUserPresets|vcpkg|launch|settings)\.json"
@@ -77,6 +81,8 @@ def template(
     default = _default_template(root, found, main)
     endings = ", ".join((*TEMPLATES, *DATA))
     what = f"several files could be the template ({', '.join(found)})" if found else f"no {endings} file found"
+    if not found and (models := _files(root, [""], NETLOGO)):
+        what += f"; for the NetLogo model {models[0]}, export a BehaviorSpace experiment as XML (sierra init --example netlogo)"
     without = "" if found else ", or the arguments of a program that reads none, as in --command './sim --robots 4 --seed 1'"
     missing = f"{root}: {what}; give the template with --template FILE{without}"
     text = f"template: the file from which the inputs of all runs are generated ({NONE} if the program reads only arguments)"
@@ -113,6 +119,34 @@ def simulators(root: Path) -> dict[str, list[str]]:
     """Return possible simulators, each with the words that start it: in the folder, or else in folders with usual names."""
     here, below = ([(name, _words(root / name, name)) for name in _files(root, places)] for places in ([""], PLACES))
     return {name: words for name, words in here if words} or {name: words for name, words in below if words}
+
+
+def of_netlogo(root: Path, template: str | None) -> dict[str, list[str]]:
+    """Return the program that executes the only model of NetLogo, if the template is a setup file with one experiment.
+
+    Raises Missing if there is no such program.
+    """
+    models, program = _files(root, [""], NETLOGO), "netlogo-headless.sh"
+    names = EXPERIMENT.findall(_beginning(root / template, 1 << 20)) if template and len(models) == 1 else []
+    if len(names) != 1:
+        return {}
+    started = f"./{program}" if (root / program).is_file() else program
+    if started == program and shutil.which(program) is None:
+        raise Missing(f"{program} of NetLogo is not in the PATH; add its folder to PATH, or give the command with --command")
+    table = f"{{output}}/{Path(models[0]).stem}.csv"
+    words = (
+        "--model",
+        models[0],
+        "--setup-file",
+        "{input}",
+        "--experiment",
+        names[0].decode(),
+        "--table",
+        table,
+        "--threads",
+        "1",
+    )
+    return {program: [started, *words]}
 
 
 def is_started(file: Path) -> bool:

@@ -73,3 +73,20 @@ def test_a_missing_seed_is_explained_for_the_inputs_that_there_are(tmp_path: Pat
     said = quick(folder, "run", "n=1", "-n").stderr
     assert 'set seed = { argument = "--seed {value}" } or seed = { environment = "SEED" }, or use {seed}' in said
     assert "XPATH" not in said
+
+
+def test_a_model_of_netlogo_needs_its_experiment_and_its_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    (tmp_path / "wolf.nlogo").write_text("to go\nend\n")
+    done = quick(tmp_path, "init", "-y")
+    assert done.returncode == 3
+    assert "for the NetLogo model wolf.nlogo, export a BehaviorSpace experiment as XML" in done.stderr
+    (tmp_path / "grow.xml").write_text('<experiments><experiment repetitions="1" name="grow all"/></experiments>')
+    done = quick(tmp_path, "init", "-y")
+    assert done.returncode == 3
+    assert "netlogo-headless.sh of NetLogo is not in the PATH; add its folder to PATH, or give the command" in done.stderr
+    (tmp_path / "netlogo-headless.sh").write_text("#!/bin/sh\n")
+    assert quick(tmp_path, "init", "-y", "--no-try").returncode == 0
+    command = tomllib.loads((tmp_path / "sierra.toml").read_text())["command"]
+    expected = "--model wolf.nlogo --setup-file {input} --experiment 'grow all' --table {output}/wolf.csv --threads 1"
+    assert command == f"./netlogo-headless.sh {expected}"

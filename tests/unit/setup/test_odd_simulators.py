@@ -14,7 +14,6 @@ from tests.projects import quick
 
 ODD = Path(__file__).parents[2] / "data" / "odd"
 USUAL = ("--command", "python3 sim.py --robots 4 --seed 1")
-NETLOGO = "./netlogo-headless.sh --model wolf.nlogo --setup-file wolf.xml --experiment grow --table t.csv --threads 1"
 SHEEP = "sheep=//enumeratedValueSet[@variable='initial-sheep']/value/@value"
 UNITY = "python3 unity_sim.py -batchmode -nographics -config scenario.json"
 pytestmark = pytest.mark.integration
@@ -51,9 +50,9 @@ SIMULATORS = (
     Simulator("k_success", USUAL, "population_size=2,4", {"result": (1, ["success", "steps"], "")}),
     Simulator(
         "netlogo",
-        ("--command", NETLOGO, "--variable", SHEEP),
+        ("--variable", SHEEP),
         "sheep=50,100",
-        {"t": (31, ["[run number]", "initial-sheep", "[step]", "count sheep"], "[step]")},
+        {"wolf": (31, ["[run number]", "initial-sheep", "[step]", "count sheep"], "[step]")},
     ),
     Simulator(
         "px4",
