@@ -132,7 +132,9 @@ def _plan(
     named = {text.replace(IN_PROJECT, "") for text in input_texts.set_by(designed)} | input_texts.given_by(
         designed, (*command, *filled)
     )
-    uncounted = referenced_files.named_by_values(named, texts, root, held, used)
+    shared = {str(root / row.name) for row in beside}
+    by_values = referenced_files.named_by_values(named, texts, root, held, used)
+    uncounted = [file for file in by_values if os.path.normpath(file) not in shared]
     return Plan(
         project=project,
         request=request,

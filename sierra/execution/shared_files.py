@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -42,7 +43,9 @@ def find(project: Project, root: Path) -> tuple[SharedFileRow, ...]:
         names = [name for path in _below(root, pattern) if (name := str(path.relative_to(root))) not in templates]
         found.update((name, _row(root, name, digests)) for name in names if name not in found)
         if not names and len(found) == before:
-            raise ConfigError(f"files: {pattern!r} matches no file of the project")
+            folder = re.sub(r"/?[^/]*\{.*", "", pattern) or "."
+            filled = f"; all runs get the same files: name the folder {folder!r} here, and {{run}}/{pattern} in the command"
+            raise ConfigError(f"files: {pattern!r} matches no file of the project{filled if '{' in pattern else ''}")
     digests.save()
     rows = [found[name] for name in sorted(found)]
     identity = shared_id(rows)

@@ -133,11 +133,31 @@ def test_removed_batches_leave_the_files_of_others(tmp_path: Path) -> None:
     assert "2 identical" in quick(root, "replay", second["batch"]).stdout
 
 
+@pytest.mark.integration
+def test_a_variable_chooses_one_of_the_files(tmp_path: Path) -> None:
+    words = 'command = "python3 sim.py {input} {run}/maps/{arena}.txt"\nfiles = ["conf", "sim/meshes/*.stl", "maps"]'
+    config = CONFIG.replace('command = "python3 sim.py {input}"\nfiles = ["conf", "sim/meshes/*.stl"]', words)
+    root = make(tmp_path / "p", config + "arena = {}\n")
+    (root / "sim.py").write_text('import sys\nprint("wall", open(sys.argv[2]).read(), sep="\\n", file=open("out.csv", "w"))\n')
+    (root / "maps").mkdir()
+    for name, wall in (("lab", "3"), ("hall", "7")):
+        (root / "maps" / f"{name}.txt").write_text(wall)
+    _, notes = run(root, "arena=lab,hall")
+    assert "are not detected" not in notes
+    assert quick(root, "run", "arena=hall", "-n").stdout.count("0 of 2") == 1
+    rows = sql(root, "SELECT DISTINCT r.arena, wall FROM out JOIN runs r USING (run) ORDER BY wall")
+    assert rows == [{"arena": "lab", "wall": 3}, {"arena": "hall", "wall": 7}]
+
+
 @pytest.mark.parametrize(
     ("files", "told"),
     [
         ('["none"]', "files: 'none' matches no file of the project"),
         ('["*.none"]', "files: '*.none' matches no file of the project"),
+        (
+            '["sim/{arena}/a.stl"]',
+            "name the folder 'sim' here, and {run}/sim/{arena}/a.stl in the command",
+        ),
         ('["../x"]', "should be a path within the project"),
         ('["/etc"]', "should be a path within the project"),
         ('["link"]', "files: link is a link, or in one; name the files themselves"),
