@@ -13,10 +13,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 from fractions import Fraction
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from sierra.util.lazy_definitions import dataclass, field, replace
-from sierra.util.random_poses import PlanePose, RandomPoses
+
+if TYPE_CHECKING:
+    from sierra.util.random_poses import PlanePose, RandomPoses
 
 Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""
@@ -208,10 +210,10 @@ class Repeat:
 
     path: str
     count: str
-    poses: tuple[PlanePose, ...] | RandomPoses = ()
-    seed: str = "{seed}"
     expect: int | None = 1
     why: str = ""
+    poses: tuple[PlanePose, ...] | RandomPoses = ()
+    seed: str = "{seed}"
 
 
 Change = Set | Add | Remove | Rename | Repeat

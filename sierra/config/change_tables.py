@@ -21,6 +21,8 @@ PORT_NAMES = ("port", *(f"port{number}" for number in range(2, 17)))
 NO_CHANGE = 'it changes nothing; give it "set", "repeat", "changes", "argument" or "environment"'
 NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
 """Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""
+FARTHEST = 1e100
+"""The largest number for random poses; the square of a larger one may be no number."""
 OF_TARGETS = "for single targets, by name: other changes than the ones here"
 
 
@@ -115,6 +117,8 @@ class RandomPosesTable(Table):
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"the limits of {name} are in the wrong order; use [{high:g}, {low:g}]")
+            if max(-low, high, self.distance) > FARTHEST:
+                raise ValueError(f"numbers for {name} and distance must be at most {FARTHEST:g}")
         return self
 
 

@@ -281,7 +281,8 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
 def _of_variable(name: str, variable: Variable) -> tuple[Change, ...]:
     """Return the changes that each value of a variable makes."""
     why, own = f"variable {name!r}", f"{{{name}}}"
-    copies = (Repeat(variable.repeat, own, variable.start, f"{{seed}}/{name}", why=why),) if variable.repeat else ()
+    poses, seed = variable.start, f"{{seed}}/{name}"
+    copies = (Repeat(variable.repeat, own, why=why, poses=poses, seed=seed),) if variable.repeat else ()
     first = (Set(variable.set, own, why=why),) if variable.set else ()
     return (*copies, *first, *changes(variable.changes, why, own))
 

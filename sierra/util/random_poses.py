@@ -29,8 +29,8 @@ class RandomPoses:
         stream = random.Random(f"{seed}/poses")
         taken: list[PlanePose] = []
         for number in range(count):
-            tries = (self._draw(stream) for _ in range(TRIES))
-            pose = next((pose for pose in tries if all(self._is_apart(pose, other) for other in taken)), None)
+            tries, others = (self._draw(stream) for _ in range(TRIES)), taken if self.distance else []
+            pose = next((pose for pose in tries if all(self._is_apart(pose, other) for other in others)), None)
             if pose is None:
                 raise TemplateError(
                     f"random_poses: number {number} found no place at a distance of {self.distance:g} m from {number} others; "

@@ -134,19 +134,8 @@ def of_netlogo(root: Path, template: str | None) -> dict[str, list[str]]:
     if started == program and shutil.which(program) is None:
         raise Missing(f"{program} of NetLogo is not in the PATH; add its folder to PATH, or give the command with --command")
     table = f"{{output}}/{Path(models[0]).stem}.csv"
-    words = (
-        "--model",
-        models[0],
-        "--setup-file",
-        "{input}",
-        "--experiment",
-        names[0].decode(),
-        "--table",
-        table,
-        "--threads",
-        "1",
-    )
-    return {program: [started, *words]}
+    reads = ("--model", models[0], "--setup-file", "{input}", "--experiment", names[0].decode())
+    return {program: [started, *reads, "--table", table, "--threads", "1"]}
 
 
 def is_started(file: Path) -> bool:

@@ -54,7 +54,7 @@ XML = """\
 
 def repeated(name: str, text: str, path: str, count: object, poses: tuple[PlanePose, ...] = ()) -> str:
     template = base.of_bytes(Path(name), text.encode())
-    rendered = template.changed([Repeat(path, "{n}", poses)], {"n": count}).render()  # type: ignore[dict-item]
+    rendered = template.changed([Repeat(path, "{n}", poses=poses)], {"n": count}).render()  # type: ignore[dict-item]
     assert isinstance(rendered, bytes)
     return rendered.decode()
 
@@ -302,6 +302,11 @@ def test_two_variables_draw_different_poses(tmp_path: Path) -> None:
         ("poses = [[1]]", "agents=1", "variables.agents.poses.0 should have at least 2 items"),
         (f"poses = [[1, 2]], {RANDOM}", "agents=1", "poses and random_poses exclude each other"),
         ("random_poses = { x = [1, 0] }", "agents=1", "the limits of x are in the wrong order"),
+        (
+            "random_poses = { x = [-1e308, 1e308], distance = 1 }",
+            "agents=2",
+            "numbers for x and distance must be at most 1e+100",
+        ),
         ('poses = [[1, 2]] }\nmore = { set = "/seed", poses = [[1, 2]]', "agents=1", 'give it "repeat"'),
     ],
 )
