@@ -206,7 +206,7 @@ CREATE TABLE findings (
     "lamport" BIGINT  -- its position in the logical order, as in sessions
 );
 
--- Files that executions left, and their logs, as they were last evaluated. A bag has a row for each of its tables.
+-- Files that executions left, and their logs, as they were last evaluated. A bag has a row for each of its tables, and an archive one for each file in it that became a table.
 CREATE TABLE artifacts (
     "execution" VARCHAR,  -- the execution
     "run" VARCHAR,  -- the run
@@ -217,7 +217,8 @@ CREATE TABLE artifacts (
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end
     "rows" BIGINT,  -- rows that it added to its table [1]
     "table_layout" VARCHAR,  -- layout of its table, as JSON: its file, the type of each column, whether its last line is complete
-    "counted_rows" BIGINT  -- rows in the file itself, counted independently of the reader [1]
+    "counted_rows" BIGINT,  -- rows in the file itself, counted independently of the reader [1]
+    "member" VARCHAR  -- the file in an archive that became the table; NULL: the file itself
 );
 
 -- Sessions: submissions of a query by one process, recorded when they end.
@@ -797,7 +798,8 @@ CREATE TABLE all_artifacts (
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end
     "rows" BIGINT,  -- rows that it added to its table [1]
     "table_layout" VARCHAR,  -- layout of its table, as JSON: its file, the type of each column, whether its last line is complete
-    "counted_rows" BIGINT  -- rows in the file itself, counted independently of the reader [1]
+    "counted_rows" BIGINT,  -- rows in the file itself, counted independently of the reader [1]
+    "member" VARCHAR  -- the file in an archive that became the table; NULL: the file itself
 );
 
 -- Runs whose output changed between successful executions with the same programs, replays included and imported executions not.

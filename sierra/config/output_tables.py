@@ -43,6 +43,8 @@ from sierra.util.lazy_definitions import dataclass, regex
 
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
+AUTOMATIC = ("csv", "parquet", "jsonl")
+"""The formats that need not be named."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
 NAMED_FORMATS = ("json", "xml", *extensions.every("outputs"))
@@ -54,6 +56,7 @@ ROTATION = "{rotation}"
 PART = regex(r"(?:[.]([0-9]{1,6})|[-._]([0-9]{4}-?[0-9]{2}-?[0-9]{2}(?:[-_T]?[0-9]{2}){0,3}))?(?:[.](?:gz|zst))?")
 """The ends of the names of the older parts of a file: `.1`, `.2.gz`, `-20240501.gz`, `.2024-05-01_13`."""
 _OLDER = regex(f"(.+?){PART.pattern}")
+_IN_ARCHIVE = regex(r"(?:\./)?(.*?\.(?:tar(?:\.(?:gz|xz|bz2|zst))?|tgz|txz|zip))/.+", re.IGNORECASE)
 ELEMENTS = regex(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "widths")
@@ -98,6 +101,13 @@ Keys = Mapping[str, Key]
 """Keys of `[outputs.NAME]`."""
 
 
+@cache
+def archive_of(file: str) -> str:
+    """Return the part of a path that names an archive, such as `out.zip` of `out.zip/data.csv`; "" if there is none."""
+    found = _IN_ARCHIVE.fullmatch(file)
+    return found[1] if found else ""
+
+
 @dataclass(frozen=True, slots=True)
 class Proposal:
     """A table that a file can make, or the reason why it makes none."""
@@ -119,8 +129,9 @@ class Output(Table):
     file: Inside = Field(
         min_length=1,
         description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column; "
-        "`data.csv{rotation}` is a file with its older parts, such as `data.csv.1` and `data.csv.2.gz`, as one table; `stdout` "
-        "is the standard output of the run",
+        "`data.csv{rotation}` is a file with its older parts, such as `data.csv.1` and `data.csv.2.gz`, as one table; "
+        "`out.zip/data.csv` is a file in an archive (`.zip`, `.tar`, `.tar.gz`, `.tgz`, `.tar.xz`, `.txz`, `.tar.bz2`, "
+        "`.tar.zst`); `stdout` is the standard output of the run",
     )
     format: (
         Annotated[
@@ -253,6 +264,14 @@ class Output(Table):
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
             raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
         self.check_own_keys()
+        if self.archive:
+            if self.rotated:
+                raise ValueError(f"file: {ROTATION} is not supported in an archive: {self.file!r}")
+            if self.kind == FILE_FORMAT or (self.format is None and not self.lines and self.kind not in AUTOMATIC):
+                raise ValueError(
+                    f'file: {self.file!r} in an archive needs the format of a table, such as format = "csv"; '
+                    f'to keep a file as it is, declare its archive: file = "{self.archive}"'
+                )
         if self.rotated:
             if self.kind not in ROTATED_FORMATS:
                 raise ValueError(f"file: {ROTATION} needs one of the formats {', '.join(ROTATED_FORMATS)}, not {self.kind!r}")
@@ -349,15 +368,30 @@ class Output(Table):
 
     def ticks_of(self, path: str) -> tuple[int, ...] | None:
         """Return the numbers in the name of a file; None if the file does not belong to this output."""
-        found = self.numbered.fullmatch(path)
+        found = self.numbered.fullmatch(path) or (_numbered(self.archive).fullmatch(path) if self.archive else None)
         return None if found is None else () if self.rotated else tuple(map(int, found.groups()))
 
     def matches(self, path: str) -> bool:
-        """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes."""
+        """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes.
+
+        An archive belongs to the outputs of the files in it.
+        """
+        if self.opens(path):
+            return True
         if self.ticks or self.rotated:
             return self.ticks_of(path) is not None
         file = self.file.removeprefix("./")
         return path == file or fnmatch.fnmatchcase(path, file)
+
+    @property
+    def archive(self) -> str:
+        """Return the part of `file` that names an archive, such as `out.zip` of `out.zip/data.csv`; "" if there is none."""
+        return archive_of(self.file)
+
+    def opens(self, path: str) -> bool:
+        """Return True if a file is an archive in which files of this output may be."""
+        archive = self.archive
+        return bool(archive) and bool(fnmatch.fnmatchcase(path, archive) or _numbered(archive).fullmatch(path))
 
     @property
     def kind(self) -> str:

@@ -350,13 +350,13 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
 
 def _file(store: Store, one: ArtifactRow, folder: Path | None) -> TriedFile:
     if one.kind != "table":
-        return TriedFile(one.path, one.size, None, None, {}, one.sha256)
+        return TriedFile(one.name, one.size, None, None, {}, one.sha256)
     columns = TableLayout.load(one.table_layout).columns
     flags = _flags(store, one, columns) if one.rows == 1 and one.output else {}
     time = _time(store, one, columns) if (one.rows or 0) > 1 and one.output else ""
     content = read_small(folder and folder / RUN_OUTPUT / one.path) if automatic_format(one.path) == "csv" else None
     keys = text_headers.better_keys_of(content) if content else {}
-    return TriedFile(one.path, one.size, one.output, one.rows, columns, one.sha256, flags, time, keys)
+    return TriedFile(one.name, one.size, one.output, one.rows, columns, one.sha256, flags, time, keys)
 
 
 def _time(store: Store, one: ArtifactRow, columns: Columns) -> str:

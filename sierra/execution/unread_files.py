@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -16,11 +18,13 @@ from sierra.config.output_tables import (
     Keys,
     Output,
     Proposal,
+    archive_of,
     newest_of,
     of_extensions,
 )
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import json_lists, printed_lines, text_headers, xml_lists
+from sierra.ingest.base import UnreadableError
 from sierra.ingest.json_lists import in_words
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
 from sierra.ingest.open_names import OF_ROBOT
@@ -40,6 +44,8 @@ TEXTS = ("dat", "txt", "out", "xvg", "log", "thermo", "prn")
 SEARCHED: Mapping[str, Callable[[bytes], Keys | None]] = {"json": json_lists.keys_of, "xml": xml_lists.keys_of}
 """The endings of documents that are searched for lists of rows."""
 COMPRESSED = ("gz", "zst")
+MOST_EXPANDED = 1 << 28
+"""The largest number of bytes to which an archive may expand that is searched for tables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +83,48 @@ def unread_files(
     """Return why files became no table; `outputs` are declared, `tables` exist, and there are so many `runs`."""
     known = {name.lower() for name in tables}
     taken = {*known, *(name.lower() for name in outputs)}
-    found = []
+    found: list[UnreadFiles] = []
     for one in kinds:
         if any(output.rotated and output.matches(one.path) for output in outputs.values()):
             continue  # an older part of a table
-        for made in _proposed(one, outputs, taken, runs) or [_unread(one, outputs, known, _free(one.path, taken), runs)]:
-            taken |= {made.name.lower()} if made.keys else set()
-            found.append(made)
+        in_archive = [
+            made for member in _members(one, outputs) for made in _all(member, outputs, known, taken, runs) if made.keys
+        ]
+        found += in_archive or _all(one, outputs, known, taken, runs)
     return tuple(found)
+
+
+def _all(
+    one: Alike, outputs: Mapping[str, Output], tables: Collection[str], taken: set[str], runs: int
+) -> Sequence[UnreadFiles]:
+    """Return the tables that files make, or why they make none; add the names of the tables to `taken`."""
+    found = _proposed(one, outputs, taken, runs) or [_unread(one, outputs, tables, _free(one.path, taken), runs)]
+    taken |= {made.name.lower() for made in found if made.keys}
+    return found
+
+
+def _members(one: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
+    """Yield the files in an undeclared archive, those whose names differ only in numbers together; none if it is damaged."""
+    declared = any(output.matches(one.path) for output in outputs.values())
+    content = None if declared or not archive_of(f"{one.path}/*") else one.content()
+    if content is None:
+        return
+    from sierra.ingest.archives import members
+
+    alike: dict[str, dict[str, bytes | None]] = {}
+    with contextlib.suppress(UnreadableError):
+        for member in members(io.BytesIO(content), one.path, MOST_EXPANDED):
+            some = alike.setdefault(NUMBER.sub("0", member.name), {})
+            some[member.name] = None
+            if len(some) == 1 and member.size <= most_searched(member.name):
+                with contextlib.suppress(UnreadableError):  # a link
+                    some[member.name] = b"".join(member.content)
+        before = len(NUMBER.findall(one.path))
+        for some in alike.values():
+            first, varying = next(iter(some)), {*one.varying, *(before + place for place in _varying(some))}
+            yield Alike(
+                f"{one.path}/{first}", one.files * len(some), one.most * len(some), one.runs, varying, partial(some.get, first)
+            )
 
 
 def of_run(
@@ -154,7 +194,8 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         why = f"{what}; declare {place}, {in_words(read)}"
         return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
     if automatic_format(one.path):
-        return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", True, name, keys)
+        noted = not archive_of(one.path)
+        return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", noted, name, keys)
     ending = _ending(one.path)
     if ending in COMPRESSED:
         inner = PurePosixPath(one.path).stem
@@ -253,6 +294,8 @@ def _of_lines(lines: str, output: Output, content: bytes | None) -> str:
 
 
 def _not_automatic(one: Alike, tables: Collection[str]) -> str:
+    if archive_of(one.path):
+        return "in an archive"
     if "/" in one.path:
         return "in a subfolder"
     if one.most > AUTOMATIC_AT_MOST:
@@ -277,7 +320,8 @@ def pattern(one: Alike) -> str:
     stars = [f"{{tick{number}}}" for number in range(1, len(one.varying) + 1)]
     if len(one.varying) == 1:
         before = "".join(parts[: 2 * min(one.varying) - 1])
-        stars = ["{robot}" if OF_ROBOT.search(before) else "{tick}"]
+        head = (one.content() or b"").partition(b"\n")[0].lower()
+        stars = ["{robot}" if OF_ROBOT.search(before) else "{number}" if b"tick" in head else "{tick}"]
     if one.most < 2:  # each run has one such file, with another number in its name
         stars = ["*"] * len(one.varying)
     for place, star in zip(sorted(one.varying), stars, strict=True):

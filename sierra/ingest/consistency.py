@@ -343,7 +343,8 @@ WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT executi
 """
 SIBLINGS_EXAMPLE = """
 SELECT a.sha256, a.rows FROM all_artifacts a
-WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good) ORDER BY ALL LIMIT 1
+WHERE a.kind = 'table' AND a.member IS NULL AND a.output = $output AND a.execution IN (SELECT execution FROM good)
+ORDER BY ALL LIMIT 1
 """
 RECORDED_FORMS = "SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND output = $output"
 SIBLINGS_VOTES = """

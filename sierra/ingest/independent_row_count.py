@@ -30,7 +30,7 @@ def described(file: Written, path: Path) -> Written:
     """Return the file that a file became, at `path`, with the counts of its lines and quotes."""
     seen = OutputFile(**worker.describe(str(path), file.name))
     counts = (seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
-    return Written(str(path), file.run, file.execution, file.name, *counts, file.ticks)
+    return Written(str(path), file.run, file.execution, file.name, *counts, file.ticks, file.archive)
 
 
 def lines_of(file: Written, *, empty: bool = False) -> int | None:

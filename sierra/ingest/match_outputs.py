@@ -103,7 +103,8 @@ class OutputMatcher:
             if shown(file.path) != file.path:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
-                for name in owners if self._outputs[declared].shares_file else owners[:1]:
+                several = self._outputs[declared].shares_file or self._outputs[declared].opens(file.path)
+                for name in owners if several else owners[:1]:
                     yield name, self._shape(name, self._outputs[name]), file
             elif result.robots and robot_files.place_of(file.path) is not None:
                 of_robots.setdefault(file.path.partition("/")[2], []).append(file)
@@ -186,6 +187,7 @@ class OutputMatcher:
             time=output.time,
             any_order=output.time_order == "any",
             rotated=output.base if output.rotated else "",
+            packed=output.base if output.archive else "",
         )
 
     def _keep(self, why: str, file: OutputFile) -> None:
@@ -216,9 +218,9 @@ def _stem(path: str) -> str:
 
 
 def claims(outputs: Mapping[str, Output], path: str) -> list[str]:
-    """Return the outputs that a file belongs to: those that name it, or else those whose pattern it matches."""
+    """Return the outputs that a file belongs to: those that name it or have files in it, or else those whose pattern fits."""
     found = [name for name, output in outputs.items() if output.matches(path)]
-    return [name for name in found if outputs[name].base == path] or found
+    return [name for name in found if outputs[name].base == path or outputs[name].opens(path)] or found
 
 
 def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:
@@ -226,7 +228,8 @@ def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:
     for file in result.outputs if len(outputs) > 1 else ():
         by_pattern = {outputs[name].file.removeprefix("./"): name for name in reversed(claims(outputs, file.path))}
         names = list(reversed(by_pattern.values()))
-        if len(names) > 1 and any(outputs[name].kind != FILE_FORMAT for name in names):
+        in_archive = all(outputs[name].opens(file.path) for name in names)
+        if len(names) > 1 and not in_archive and any(outputs[name].kind != FILE_FORMAT for name in names):
             both = " and ".join(f"{name!r} ({outputs[name].file})" for name in names[:2])
             return f"{shown(file.path)}: belongs to the outputs {both}; a file becomes one table: change file in one of them"
     return None

@@ -28,6 +28,8 @@ class Written:
     alike: bool | None = None
     ticks: tuple[int, ...] = ()
     """The numbers in its name that become columns."""
+    archive: str = ""
+    """The path of the archive that it was in; its name begins with it."""
 
 
 Found = Mapping[str, Mapping[str, str | None]]
@@ -110,6 +112,8 @@ class Shape:
     """True if the time may go back within a file."""
     rotated: str = ""
     """The name of the newest part of a rotated file; "" if the files are not rotated."""
+    packed: str = ""
+    """The pattern of the files if they are in archives; else ""."""
 
 
 Group = Hashable

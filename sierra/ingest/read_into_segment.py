@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.ingest import robot_files
@@ -26,6 +26,9 @@ from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
 from sierra.util.lazy_definitions import dataclass, field, replace
 
+if TYPE_CHECKING:
+    from sierra.ingest.archives import Unpacking
+
 
 class TableFile(NamedTuple):
     """A file that belongs to a table, as it is recorded in its artifact."""
@@ -36,6 +39,8 @@ class TableFile(NamedTuple):
     counted: int | None
     """The number of rows by a count of the file itself."""
     layout: str | None
+    member: str | None = None
+    """The file in an archive that was read; None if it was the file itself."""
 
 
 class _Named(NamedTuple):
@@ -86,7 +91,8 @@ class TableIngest:
         files = one.result.outputs if one.status is Status.OK else ()
         for path, found in ((file.path, found) for file in files for found in self.of(execution, file)):
             output = self.outputs.get(found.output or "")
-            if output and found.rows is not None and (few := too_few(path, found.rows, str(found.output), output)):
+            name = f"{path}/{found.member}" if found.member else path
+            if output and found.rows is not None and (few := too_few(name, found.rows, str(found.output), output)):
                 return Judgement(one.result, Status.FAILED, few)
         return one
 
@@ -135,6 +141,7 @@ def file_rows(result: Result, file: OutputFile, tables: TableIngest) -> Iterator
             rows=found.rows,
             table_layout=found.layout,
             counted_rows=found.counted,
+            member=found.member,
         )
 
 
@@ -150,6 +157,24 @@ def tabled(
 
     The rows of accepted ends are in tables of their own: the programs may not have come to the end of their files.
     """
+    with contextlib.ExitStack() as stack:
+        unpacking = None
+        if any(output.archive for output in context.outputs.values()):
+            from sierra.ingest.archives import Unpacking
+
+            unpacking = stack.enter_context(Unpacking(context.outputs))
+        return _tabled(executions, writer, store, context, assigning, shapes, unpacking)
+
+
+def _tabled(
+    executions: Iterable[Judgement],
+    writer: Writer,
+    store: Store,
+    context: Context,
+    assigning: OutputMatcher,
+    shapes: dict[str, Shape],
+    unpacking: Unpacking | None,
+) -> TableIngest:
     from sierra.store.connections import connect
 
     made = TableIngest(context.outputs)
@@ -157,14 +182,14 @@ def tabled(
     optional = set[str]()
     patterns: dict[Written, list[str]] = {}
     for judged in executions:
-        for output, shape, file in assigning.of(judged.result) if judged.status.is_result else ():
+        for output, shape, written in _files(judged, context, assigning, unpacking, made.faults):
             name = output if judged.status is Status.OK else output + ACCEPTED
-            if judged.status is Status.ACCEPTED and not file.ended and shape.format in TEXTS:
+            if judged.status is Status.ACCEPTED and not written.ended and shape.format in TEXTS:
                 continue  # it was cut off in its last line, which may look whole
             if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
-                made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(file.path), name=name))
+                made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(written.name), name=name))
             shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
-            files.setdefault(name, []).append(written := _written(judged.result, file, context.outputs.get(output)))
+            files.setdefault(name, []).append(written)
             if shape.form.lines:
                 patterns.setdefault(written, []).append(shape.form.lines)
                 optional |= set() if context.outputs[output].required else {name}
@@ -186,13 +211,41 @@ def tabled(
                 rows = reading.rows.get(key := (one.execution, one.name))
                 if name in optional and rows == 0:
                     continue
-                read_in = (rows, reading.counted.get(key), _layout(reading, one)) if rows is not None else (None, None, None)
-                made.files.setdefault(key, []).append(TableFile(name, *read_in))
+                made_of = TableFile(name, None, None, None)
+                if rows is not None:
+                    member = one.name.removeprefix(f"{one.archive}/") if one.archive else None
+                    made_of = TableFile(name, rows, reading.counted.get(key), _layout(reading, one), member)
+                of_file = made.files.setdefault((one.execution, one.archive or one.name), [])
+                of_file += [] if made_of in of_file else [made_of]
             for execution, fault in reading.faults.items():
                 made.faults.setdefault(execution, fault)
     finally:
         connection.close()
     return made
+
+
+def _files(
+    judged: Judgement, context: Context, assigning: OutputMatcher, unpacking: Unpacking | None, faults: dict[str, str]
+) -> Iterator[tuple[str, Shape, Written]]:
+    """Yield the files of an execution that become tables, also those in archives; add the fault of an archive to `faults`."""
+    result = judged.result
+    written: dict[str, list[str]] = {}
+    for name, shape, file in assigning.of(result) if judged.status.is_result else ():
+        output = context.outputs.get(name)
+        several: Sequence[Written] = ()
+        if unpacking is None or output is None or not output.opens(file.path):
+            several = (_written(result, file, output),)
+        else:
+            try:
+                several = unpacking.files(result, file, name)
+            except UnreadableError as error:
+                faults.setdefault(result.execution, f"{shown(file.path)}: {error}")
+        for one in several:
+            written.setdefault(name, []).append(one.name)
+            yield name, shape, one
+    whole = judged.status is Status.OK and result.execution not in faults
+    if whole and unpacking is not None and (lack := unpacking.lacking(result, written)) is not None:
+        faults[result.execution] = lack
 
 
 def _twice(files: Iterable[Written], shape: Shape) -> Iterator[tuple[str, str]]:

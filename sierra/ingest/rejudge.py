@@ -147,7 +147,7 @@ class Past:
         for row in (*self.artifacts, *self.printed):
             output = self.outputs.get(row.output or "")
             if output and row.rows is not None:
-                reasons.add(too_few(row.path, row.rows, str(row.output), output))
+                reasons.add(too_few(row.name, row.rows, str(row.output), output))
         return self.last.reason in reasons
 
 
@@ -416,7 +416,7 @@ class _Group:
                 raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
         known: dict[tuple[str, str], list[TableFile]] = {}
         for execution, row in recorded:
-            found = TableFile(row.output, row.rows, row.counted_rows, row.table_layout)
+            found = TableFile(row.output, row.rows, row.counted_rows, row.table_layout, row.member)
             known.setdefault((execution, row.path), []).append(found)
         return TableIngest(self.context.outputs, known)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from sierra.config.output_tables import Output
-from sierra.model import BASE, OutputFile, Result
+from sierra.model import BASE, Result
 from sierra.util.lazy_definitions import regex
 
 OF_ROBOT = "{robot}"
@@ -39,14 +39,14 @@ def of_name(column: str, file: str) -> str:
     return f'that is the place of the robot that wrote it; declare it with file = "{{place}}/{own}"'
 
 
-def lacking(output: Output, files: Iterable[OutputFile], robots: Mapping[int, str]) -> int | None:
+def lacking(output: Output, paths: Iterable[str], robots: Mapping[int, str]) -> int | None:
     """Return the place of the first robot that did not write an output that all robots write; None if all did.
 
     The base station need not write it.
     """
     if not output.file.removeprefix("./").startswith(FOLDERS):
         return None
-    wrote = {numbers[0] for file in files if (numbers := output.ticks_of(file.path)) is not None}
+    wrote = {numbers[0] for path in paths if (numbers := output.ticks_of(path)) is not None}
     return next((place for place in sorted(robots) if place != BASE and place not in wrote), None)
 
 

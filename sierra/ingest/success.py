@@ -46,11 +46,12 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
         return (Status.FAILED, wrong) if wrong else (Status.ACCEPTED, end)
     if result.after_marker is None and (reason := _bad_end(result, success)) is not None:
         return Status.FAILED, reason
+    paths = [file.path for file in result.outputs]
     for name, output in outputs.items():
-        if output.required and (place := robot_files.lacking(output, result.outputs, result.robots)) is not None:
+        if output.required and (place := robot_files.lacking(output, paths, result.robots)) is not None:
             return Status.FAILED, f"{robot_files.named(place, result.robots)} did not write {robot_files.own(output)!r}"
-        if output.required and not any(output.matches(file.path) for file in result.outputs):
-            return Status.FAILED, astray.lacking(name, output, result.elsewhere, [file.path for file in result.outputs])
+        if output.required and not any(map(output.matches, paths)):
+            return Status.FAILED, astray.lacking(name, output, result.elsewhere, paths)
     if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:
         return Status.FAILED, reason
     status, reason = _marked(result, success)

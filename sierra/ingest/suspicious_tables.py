@@ -464,7 +464,8 @@ def _examples(looks: Sequence[_Look]) -> str:
 EXAMPLE = (
     GOOD
     + """
-SELECT a.sha256 FROM all_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
+SELECT a.sha256 FROM all_artifacts a JOIN good g USING (execution)
+WHERE a.kind = 'table' AND a.output = $output AND a.member IS NULL
 ORDER BY a.path, a.sha256 LIMIT 1
 """
 )

@@ -565,9 +565,9 @@ def _inputs(records: Records) -> Iterator[Finding]:
 
 
 EXPECTED = """
-SELECT execution, lower(output) AS output, CASE WHEN table_layout->>'$.file' IS NULL THEN path ELSE '' END AS file,
-    any_value(path) AS path, sum(rows)::BIGINT AS rows, sum(counted_rows)::BIGINT AS counted
-FROM all_artifacts WHERE kind = 'table' GROUP BY ALL
+SELECT execution, lower(output) AS output, CASE WHEN table_layout->>'$.file' IS NULL THEN name ELSE '' END AS file,
+    any_value(name) AS path, sum(rows)::BIGINT AS rows, sum(counted_rows)::BIGINT AS counted
+FROM (SELECT *, concat_ws('/', path, member) AS name FROM all_artifacts WHERE kind = 'table') GROUP BY ALL
 """
 TABLES = f"""
 SELECT execution, output, coalesce(e.path, file), coalesce(e.counted, e.rows, 0), coalesce(w.rows, 0)

@@ -19,13 +19,14 @@ from types import TracebackType
 from typing import IO, Protocol
 
 from sierra.errors import Damaged, Missing, UsageError
-from sierra.packages import members, reproduce
+from sierra.packages import members
 from sierra.packages.layout import SIERRA
 from sierra.packages.members import MANIFEST
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside, unfinished_beside
 from sierra.util.hashing import CHUNK
 from sierra.util.regular_files import open_regular
+from sierra.worker import reproduce
 
 MADE = (1980, 1, 1, 0, 0, 0)
 """The time of all members: the earliest that zip can express."""

@@ -7,7 +7,7 @@ identity of a package is the hash of this list, and not that of the file, whose 
 
 A package may come from anybody. A name is accepted only if it means the same place on all systems: a relative path with `/`,
 without `.`, `..`, `.git`, backslashes, colons, control characters and surrogates. No two names may be equal if case and Unicode
-normalization are ignored, and no name may lead through another one. `sierra.packages.reproduce`, which also checks packages
+normalization are ignored, and no name may lead through another one. `sierra.worker.reproduce`, which also checks packages
 where SIERRA is not installed, has these checks.
 """
 
@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sierra.packages import reproduce
 from sierra.util.hashing import digest
+from sierra.worker import reproduce
 
 MANIFEST = reproduce.MANIFEST
 unsafe = reproduce.name_problem

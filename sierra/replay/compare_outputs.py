@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 BYTES = 64 << 20
 """Maximum total size, in bytes, of the recorded files that are compared at a time."""
 PAIRS = 1000
+OTHERS = "; files of the archive that are no tables are not compared"
 
 _Pair = tuple[tuple[Artifacts, Pairs], list[tuple[ArtifactRow, ArtifactRow]]]
 """The artifacts of a pair of executions, and the files of both whose bytes differ."""
@@ -64,10 +65,10 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
     snapshot.add_table("compared", execution=left)
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
     rows = snapshot.select(ArtifactRow, statement)
-    tables = Counter((row.execution, row.path) for row in rows)
+    tables = Counter((row.execution, row.name) for row in rows)
     for row in rows:
-        several = tables[row.execution, row.path] > 1
-        left[row.execution][f"{row.path} ({row.output})" if several else row.path] = row
+        several = tables[row.execution, row.name] > 1
+        left[row.execution][f"{row.name} ({row.output})" if several else row.name] = row
     return dict(left)
 
 
@@ -166,7 +167,7 @@ def _of_artifacts(
 
 def _renamed(agreement: Agreement, was: ArtifactRow, now: ArtifactRow) -> Agreement:
     """Return the agreement with the name that a file has now, if it is another one."""
-    return agreement if was.path == now.path else replace(agreement, reason=f"{agreement.reason}; now named {now.path!r}")
+    return agreement if was.name == now.name else replace(agreement, reason=f"{agreement.reason}; now named {now.name!r}")
 
 
 def _identical(contents: _Contents, was: ArtifactRow, now: ArtifactRow) -> Agreement:
@@ -174,15 +175,15 @@ def _identical(contents: _Contents, was: ArtifactRow, now: ArtifactRow) -> Agree
     tables = was.kind == now.kind == "table"
     if lost := contents.lost(was, now) if tables else None:
         return Agreement(Verdict.DIFFERENT, lost, form=True)
-    if was.path == now.path:
+    if was.name == now.name:
         return Agreement(Verdict.IDENTICAL)
-    return Agreement(Verdict.EQUAL, f"the same bytes, now named {now.path!r}")
+    return Agreement(Verdict.EQUAL, f"the same bytes, now named {now.name!r}")
 
 
 def _key(artifact: ArtifactRow) -> tuple[str, str, str | None]:
     """Return the key of a table in the store: the execution, the output and, if it has several files, the file's path."""
     several = TableLayout.load(artifact.table_layout).file is None
-    return artifact.execution, str(artifact.output), artifact.path if several else None
+    return artifact.execution, str(artifact.output), artifact.name if several else None
 
 
 def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: Mapping[str, Output]) -> Agreement:
@@ -200,7 +201,8 @@ def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: M
     if old is None or new is None:
         return _without_rows(was, now)
     found = of_tables(old, new, _rules(rules, old.column_names) if rules else Rules())
-    return replace(found, output=was.output)
+    others = OTHERS if was.member and found.verdict is not Verdict.DIFFERENT else ""
+    return replace(found, output=was.output, reason=found.reason + others)
 
 
 def _without_matches(texts: Iterable[bytes], patterns: Sequence[str], path: str) -> bool:

@@ -56,9 +56,9 @@ def _grouped(files: Artifacts, declared: Mapping[str, Output]) -> dict[Key, list
     """Return the keys of the files whose names a pattern leaves open, by what the names say."""
     groups: dict[Key, list[str]] = {}
     for key, row in files.items():
-        name = row.output if row.output in declared else next(iter(claims(declared, row.path)), None)
+        name = row.output if row.output in declared else next(iter(claims(declared, row.name)), None)
         if name is not None and has_open_names(declared[name]):
-            numbers = declared[name].ticks_of(row.path) if declared[name].ticks else None
+            numbers = declared[name].ticks_of(row.name) if declared[name].ticks else None
             groups.setdefault((name, numbers), []).append(key)
     return groups
 

@@ -370,7 +370,9 @@ class FindingRow(NamedTuple):
 
 
 class ArtifactRow(NamedTuple):
-    """Files that executions left, and their logs, as they were last evaluated. A bag has a row for each of its tables."""
+    """Files that executions left, and their logs, as they were last evaluated. A bag has a row for each of its tables, and an
+    archive one for each file in it that became a table.
+    """
 
     execution: Annotated[Kept, "the execution", Of.JUDGEMENT]
     run: Annotated[Kept, "the run"]
@@ -389,6 +391,12 @@ class ArtifactRow(NamedTuple):
         Kept | None, "layout of its table, as JSON: its file, the type of each column, whether its last line is complete"
     ]
     counted_rows: Annotated[int | None, "rows in the file itself, counted independently of the reader", "1"]
+    member: Annotated[Kept | None, "the file in an archive that became the table; NULL: the file itself", LATER] = None
+
+    @property
+    def name(self) -> str:
+        """Return the path of the file that was read, such as `out.zip/data.csv`."""
+        return f"{self.path}/{self.member}" if self.member else self.path
 
 
 class SessionRow(NamedTuple):

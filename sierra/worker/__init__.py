@@ -1,1 +1,1 @@
-"""The programs that execute runs on a node. They import nothing else of SIERRA, and need only Python 3.8."""
+"""The programs that run where SIERRA is not installed. They import nothing else of SIERRA, and need only Python 3.8."""

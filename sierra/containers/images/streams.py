@@ -65,7 +65,7 @@ class ForwardStream:
         data = b"".join(parts)
         self._place += len(data)
         if self._place > self._most:
-            raise Damaged(f"{self._what} expands to more than {self._most} bytes, far more than the files of an image")
+            raise Damaged(f"{self._what} expands to more than {self._most} bytes, which is more than there may be")
         self._hash.update(data)
         self.last = data if size == BLOCK else b""
         return data

@@ -45,6 +45,7 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
     """
     source = Source(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
     declared = {output: found for output in claims(outputs, name) if isinstance(found := outputs[output], BagOutput)}
+    declared = {output: found for output, found in declared.items() if not found.archive}
     if not declared or _is_whole(source):
         return
     for output, keys in declared.items():

@@ -16,6 +16,7 @@ from sierra.containers.images.image import Image
 from sierra.execution import commands, plan_from_record
 from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan_from_record import Recalled
+from sierra.ingest.rewriting import is_compressed
 from sierra.model import Run
 from sierra.packages import execute_runs
 from sierra.replay.pair_files import has_open_names
@@ -112,7 +113,7 @@ class Jobs:
     @property
     def patterns(self) -> dict[str, list[str]]:
         """Return the patterns of outputs whose names may differ, and the names that other outputs have."""
-        declared = self._declared.values()
+        declared = [one.model_copy(update={"file": one.archive}) if one.archive else one for one in self._declared.values()]
         unnumbered = [one for one in declared if has_open_names(one) and not one.ticks]
         patterns = [f"{escape(one.base)}{OLDER_PART}" if one.rotated else one.base for one in unnumbered]
         named = [one.base for one in declared if one.rotated or not has_open_names(one)]
@@ -176,6 +177,8 @@ def _declared(rules: Output) -> str:
         return f"volatile: {', '.join(rules.volatile)}"
     if rules.tolerance:
         return f"tolerance: {', '.join(rules.tolerance)}"
+    if rules.archive or is_compressed(rules.base):
+        return "compressed: the file may have the time when it was written"
     return "" if rules.ordered else "ordered = false"
 
 

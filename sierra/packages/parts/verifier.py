@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from sierra.packages import reproduce
 from sierra.packages.layout import PROGRAM
 from sierra.packages.subject import Made, Member, Subject
 from sierra.util.hashing import sha256_file
+from sierra.worker import reproduce
 
 
 def is_ours(digest: str | None) -> bool:

@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.packages import archive, reproduce
+from sierra.packages import archive
 from sierra.packages.layout import PROGRAM, PROJECT, STORED
 from sierra.packages.members import MANIFEST
 from sierra.packages.subject import Member
+from sierra.worker import reproduce
 from tests import projects
 from tests.support.irregular_files import irregular
 

@@ -20,9 +20,10 @@ import pytest
 from hypothesis import strategies as st
 
 from sierra.errors import SierraError
-from sierra.packages import members, reproduce
+from sierra.packages import members
 from sierra.packages.archive import Archive
 from sierra.packages.members import MANIFEST
+from sierra.worker import reproduce
 from tests.properties import given_in_tiers
 from tests.pythons import python_of
 from tests.unit.packages.test_archive import MEMBERS, forged, package

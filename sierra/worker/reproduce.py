@@ -81,6 +81,7 @@ CHUNK = 1 << 20
 SHOWN = 200  # characters of a text, and faults, that are printed
 NAMED = 10  # batches that are printed
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+LOCAL_HEADER = 30  # bytes before each member of a zip, without its name
 EXECUTABLE = 0o100755
 LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
@@ -133,38 +134,51 @@ def clean(text: object) -> str:
 # Names and the manifest
 
 
-def check_names(names: Iterable[str]) -> None:
-    """Raise Stop unless all names are safe and different."""
+def check_names(names: Iterable[str], what: str = "the package", *, portable: bool = True) -> None:
+    """Raise Stop unless all names are safe and different. `portable`: they can be unpacked on any system."""
     seen: dict[str, str] = {}
     folders: dict[str, str] = {}
     for count, name in enumerate(names, 1):
-        problem = name_problem(name) if count <= MOST else f"packages have at most {MOST:,} members"
+        problem = (name_problem if portable else place_problem)(name) if count <= MOST else f"at most {MOST:,} are accepted"
         if problem:
-            raise damaged(f"the package has a member {name[:100]!r}, but {problem}")
+            raise damaged(f"{what} has a member {name[:100]!r}, but {problem}")
         same = folded(name)
         if same in seen:
-            raise damaged(f"the package has two members with one name on some systems: {seen[same]!r} and {name!r}")
+            raise damaged(f"{what} has two members with one name on some systems: {seen[same]!r} and {name!r}")
         seen[same] = name
         for place in (at for at, character in enumerate(same) if character == "/"):
             folders.setdefault(same[:place], name)
     for same in sorted(seen.keys() & folders.keys()):
-        raise damaged(f"the package has the member {seen[same]!r}, which is a folder of {folders[same]!r}")
+        raise damaged(f"{what} has the member {seen[same]!r}, which is a folder of {folders[same]!r}")
+
+
+def place_problem(name: str) -> str:
+    """Return the reason why a name may mean a place elsewhere, or none; "" if it does not."""
+    parts = name.split("/")
+    if not name.isprintable() or "\\" in name:
+        return "names have only printable characters, without \\"
+    if name.startswith("/") or ".." in parts:
+        return "names must stay inside it"
+    if "" in parts or "." in parts:
+        return "a part of the name is empty or a dot"
+    return f"names have at most {LONGEST} bytes" if len(name.encode()) > LONGEST else ""
 
 
 def name_problem(name: str) -> str:
-    """Return the reason why a name is not safe; "" if it is."""
+    """Return the reason why a name is not safe on all systems; "" if it is."""
     parts = name.split("/")
-    if not name.isprintable() or FORBIDDEN.intersection(name):
+    problem = place_problem(name)
+    if problem:
+        return problem
+    if FORBIDDEN.intersection(name):
         return 'names have only printable characters, without \\ : * ? " < > |'
-    if name.startswith("/") or ".." in parts:
-        return "names must stay inside the package"
-    if any(part in ("", ".") or part[-1] in ". " or part[0] == " " for part in parts):
-        return "a part of the name is empty, or begins or ends with a blank or a dot"
+    if any(part[-1] in ". " or part[0] == " " for part in parts):
+        return "a part of the name begins or ends with a blank or a dot"
     if any(map(DEVICE.fullmatch, parts)):
         return "that is a device on Windows"
     if any(part.casefold() == ".git" for part in parts):
         return "git would execute what such a folder says"
-    return f"names have at most {LONGEST} bytes" if len(name.encode()) > LONGEST else ""
+    return ""
 
 
 def folded(name: str) -> str:
@@ -215,10 +229,9 @@ class Zip:
             raise damaged(f"{path} is no package, or not all of it: {error}") from None
         infos = self.file.infolist()
         check_names(info.orig_filename for info in infos)
+        check_apart(self.file)
         for info in infos:
-            problem = member_problem(info)
-            if problem:
-                raise damaged(f"member {info.orig_filename!r} {problem}")
+            check_member(info)
         self.infos = {info.orig_filename: info for info in infos}
         if MANIFEST not in self.infos:
             raise damaged(f"{path} is no package of SIERRA: it has no {MANIFEST}")
@@ -232,20 +245,10 @@ class Zip:
 
     def blocks(self, name: str) -> Iterator[bytes]:
         """Yield the content of a member, not more than its stated size. Raises Stop if it is damaged."""
-        left = self.size(name)
         try:
-            with self.file.open(self.infos[name]) as member:
-                for block in pieces(member):
-                    left -= len(block)
-                    if left < 0:
-                        raise damaged(f"member {name!r} is longer than it says")
-                    yield block
+            yield from member_blocks(self.file, self.infos[name])
         except OSError as error:
             raise missing(self.path, error) from None
-        except NOT_A_ZIP as error:
-            raise damaged(f"member {name!r} is damaged: {str(error) or type(error).__name__}") from None
-        if left:
-            raise damaged(f"member {name!r} is shorter than it says")
 
     def is_program(self, name: str) -> bool:
         return self.infos[name].external_attr >> 16 == EXECUTABLE
@@ -302,15 +305,44 @@ def pieces(file: IO[bytes]) -> Iterator[bytes]:
     return iter(lambda: file.read(CHUNK), b"")
 
 
-def member_problem(info: zipfile.ZipInfo) -> str:
-    """Return the reason why a member of a zip is not accepted; "" if it is."""
+def check_member(info: zipfile.ZipInfo) -> None:
+    """Raise Stop for a member of a zip that is not accepted."""
+    problem = ""
     if info.is_dir() or stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
-        return "is no regular file: links, folders and devices are refused"
-    if info.flag_bits & 0x1:
-        return "needs a password"
-    if info.compress_type not in METHODS:
-        return "is compressed by a method that SIERRA does not write"
-    return "" if info.filename == info.orig_filename else "has a name with a character that systems treat differently"
+        problem = "is no regular file: links, folders and devices are refused"
+    elif info.flag_bits & 0x1:
+        problem = "needs a password"
+    elif info.compress_type not in METHODS:
+        problem = "is compressed by a method other than deflate"
+    elif info.filename != info.orig_filename:
+        problem = "has a name with a character that systems treat differently"
+    if problem:
+        raise damaged(f"member {info.orig_filename!r} {problem}")
+
+
+def check_apart(file: zipfile.ZipFile) -> None:
+    """Raise Stop if members of a zip overlap, which makes a small file unpack to a huge one."""
+    end = 0
+    for info in sorted(file.infolist(), key=lambda info: info.header_offset):
+        if info.header_offset < end:
+            raise damaged(f"member {info.orig_filename!r} overlaps another one")
+        end = info.header_offset + LOCAL_HEADER + info.compress_size
+
+
+def member_blocks(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[bytes]:
+    """Yield the content of a member, not more than its stated size. Raises Stop if it is damaged, and OSError."""
+    name, left = info.orig_filename, info.file_size
+    try:
+        with file.open(info) as member:
+            for block in pieces(member):
+                left -= len(block)
+                if left < 0:
+                    raise damaged(f"member {name!r} is longer than it says")
+                yield block
+    except NOT_A_ZIP as error:
+        raise damaged(f"member {name!r} is damaged: {str(error) or type(error).__name__}") from None
+    if left:
+        raise damaged(f"member {name!r} is shorter than it says")
 
 
 # Level 1
