@@ -83,6 +83,7 @@ PROFILE = """\
     <transport_descriptor>
       <transport_id>here</transport_id>
       <type>UDPv4</type>
+      <receiveBufferSize>4194304</receiveBufferSize>
       <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
       <maxInitialPeersRange>100</maxInitialPeersRange>
     </transport_descriptor>
