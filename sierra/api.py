@@ -10,12 +10,14 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property, partial, wraps
+from inspect import isfunction
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from sierra.config import find_project
+from sierra.config import current_project, find_project
 from sierra.errors import ConfigError, Damaged, Missing, NotFound, UsageError
 from sierra.model import Measure
 from sierra.store.layout import ProjectPaths, StorePaths
@@ -83,6 +85,27 @@ IN_PACKAGE = regex(r"(?:([^=/]+)=)?(.+\.zip)(?::(\w+))?")
 """A batch in a package: an optional label, the path, and an optional prefix of the batch's id."""
 
 
+T = TypeVar("T")
+
+
+def _within_project(project: type[T]) -> type[T]:
+    """Let the plug-ins of a project count in all of its methods: see `sierra.config.current_project`."""
+    for name, method in vars(project).items():
+        if isfunction(method) and not name.startswith("_"):
+            setattr(project, name, _within(method))
+    return project
+
+
+def _within(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def call(project: Project, *arguments: Any, **named: Any) -> Any:
+        with project._plugins():
+            return method(project, *arguments, **named)
+
+    return call
+
+
+@_within_project
 class Project:
     """A project: its `sierra.toml` and its store. `sierra.open` returns one.
 
@@ -118,6 +141,10 @@ class Project:
 
         outputs = plan_from_record.last_outputs(self.store)
         return replace(loaded, config=loaded.config.model_copy(update={"outputs": outputs}))
+
+    def _plugins(self) -> AbstractContextManager[None]:
+        """Return a context in which the names of plug-ins in files of the project count. Nothing is read for it."""
+        return current_project.within((self.root, ""), lambda: self._loaded.declared_plugins())
 
     def _repr_html_(self) -> str:
         from sierra.util import html

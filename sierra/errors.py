@@ -31,6 +31,10 @@ class PluginError(ConfigError):
     """A plug-in of another package that cannot be used."""
 
 
+class PluginRefused(PluginError):
+    """A plug-in that may not be imported here: it is code of a package."""
+
+
 class TemplateError(UsageError):
     """A template that cannot be read, or a change that does not fit it."""
 

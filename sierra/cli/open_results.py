@@ -100,7 +100,9 @@ def claims(
 
     package: received.Received = context.obj
     among = received.batches(package.store)
-    print_verdicts(evaluate.evaluate(package.project, package.store, names or (), among=among), junit, as_json=as_json)
+    with package.project.plugins():
+        verdicts = evaluate.evaluate(package.project, package.store, names or (), among=among)
+    print_verdicts(verdicts, junit, as_json=as_json)
 
 
 def import_(context: typer.Context, as_json: AsJson = False) -> None:

@@ -142,10 +142,6 @@ class Source(Table):
     )
 
 
-REFUSED_PLUGINS = ("readers", "statistics", "comparisons", "figures", "runners", "schedulers", "links", "engines")
-"""Kinds of plug-ins that only installed packages have: commands that execute nothing use them too, or other processes do."""
-
-
 def _plugin_class(text: str) -> str:
     """Check the place of a class in a file of the project."""
     path, _, name = text.partition(":")
@@ -178,13 +174,14 @@ class PluginsTable(Table):
     templates: PluginClasses = Field((), description="template formats, for `template_format`")
     criteria: PluginClasses = Field((), description="ranges of criteria, for queries")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _refused(cls, table: object) -> object:
-        if isinstance(table, Mapping) and (key := next((key for key in REFUSED_PLUGINS if key in table), None)):
-            known = ", ".join(cls.model_fields)
-            raise ValueError(f"{key} cannot be in files of the project, only {known}; install a package that offers them")
-        return table
+    readers: PluginClasses = Field((), description="readers of outputs, for `format` in `[outputs.…]`, or for an ending")
+    figures: PluginClasses = Field((), description="kinds of figures, for `kind` in `[figures.…]`")
+    statistics: PluginClasses = Field((), description="statistics, for figures, tables and `sierra stats`")
+    comparisons: PluginClasses = Field((), description="methods of comparisons, for `method` in `[comparisons.…]`")
+    runners: PluginClasses = Field((), description="runners, for `runner`")
+    schedulers: PluginClasses = Field((), description="schedulers of clusters, for `scheduler` in `[runners.…]`")
+    links: PluginClasses = Field((), description="links to hosts of robots, for `link`")
+    engines: PluginClasses = Field((), description="engines of containers, for `engine` in `[container]`")
 
     @property
     def declared(self) -> dict[str, tuple[str, ...]]:

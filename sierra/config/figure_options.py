@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from sierra.config import extensions
 from sierra.config.validate import options
-from sierra.errors import ConfigError
+from sierra.errors import ConfigError, PluginRefused
 
 if TYPE_CHECKING:
     from sierra.config.deliverable_tables import Figure
@@ -23,10 +24,14 @@ FOLLOWS = {"palette": "legend", "facet": "panel_titles"}
 
 
 def check(figures: Mapping[str, Figure]) -> None:
-    """Check the keys of all figures. Raises ConfigError, and PluginError if a kind of another package cannot be used."""
+    """Check the keys of all figures. Raises ConfigError, and PluginError if a kind of another package cannot be used.
+
+    A kind in a file of a received package is not checked: only drawing it is an error, so that other figures can be drawn.
+    """
     for name, figure in figures.items():
-        if wrong := complaint(figure):
-            raise ConfigError(f"[figures.{name}]: {wrong}")
+        with suppress(PluginRefused):
+            if wrong := complaint(figure):
+                raise ConfigError(f"[figures.{name}]: {wrong}")
 
 
 def complaint(figure: Figure) -> str:

@@ -9,25 +9,24 @@ A class of another package has `contract = 1`, the version of the contracts that
 its table in `sierra.toml`. Tables stay as they are until their plug-in is used. Then `options` validates them.
 
 Files of the project have plug-ins too, if `[plugins]` names them: see `sierra.config.project_plugins`. Their names count only
-within `adding`.
+within `sierra.config.current_project`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache, cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-from sierra.config import extensions
+from sierra.config import current_project, extensions
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
 from sierra.config.validate import gathered, options
 from sierra.errors import ConfigError, PluginError, SierraError
+from sierra.util.hashing import digest, sha256
 from sierra.util.lazy_definitions import dataclass
 
 if TYPE_CHECKING:
@@ -67,20 +66,25 @@ class Offer:
     point: Point
     package: str
     """Name and version of the package, as in `sonar 1.2`; or a file of the project."""
-    beside: bool = False
-    """True for a file of the project."""
+    files: Callable[[], Mapping[str, bytes]] | None = None
+    """Returns the file of the project and those that it imports, by path; None for an installed package."""
+
+    @property
+    def recorded(self) -> str:
+        """Return the package as it is recorded: with its version, or the file of the project with a hash of its code."""
+        if self.files is None:
+            return self.package
+        return f"{self.package} {digest('plug-in', {path: sha256(data) for path, data in self.files().items()})[:32]}"
 
     @property
     def remedy(self) -> str:
-        if self.beside:
+        if self.files:
             return f"correct {self.package}"
         return f"install a version of {self.package.partition(' ')[0]} that works, or uninstall it"
 
 
 Offers = Mapping[str, Mapping[str, tuple[Offer, ...]]]
 """Offers by group of entry points and name."""
-_beside: ContextVar[Offers | None] = ContextVar("_beside", default=None)
-"""The plug-ins in files of the project whose runs are planned."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +138,15 @@ class Kind:
         """Return the other packages that offer a name."""
         return tuple(offer.package for offer in self._others().get(name, ()))
 
+    def recorded(self, name: str) -> tuple[str, ...]:
+        """Return the other packages that offer a name, as they are recorded."""
+        return tuple(offer.recorded for offer in self._others().get(name, ()))
+
+    def offer(self, name: str) -> Offer:
+        """Return the offer of a name that another package has. Raises ConfigError, and PluginError if it cannot be used."""
+        self.load(name)
+        return self._others()[name][0]
+
     def load(self, name: str) -> Any:
         """Return the class of that name. Raises ConfigError if there is none, and PluginError if the class cannot be used."""
         others = self._others().get(name, ())
@@ -186,7 +199,7 @@ class Kind:
         """Return the class of another package. Raises PluginError if it cannot be loaded or breaks the contract."""
         try:
             found: Any = offer.point.load()
-        except PluginError:
+        except SierraError:
             raise
         except (Exception, SystemExit) as error:
             raise _broken(self, offer, "loaded", error) from error
@@ -202,13 +215,16 @@ class Kind:
         model = found.Options  # type: ignore[attr-defined]
         if not (isinstance(model, type) and issubclass(model, self.options_base)):
             raise PluginError(f"{plugin}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
+        called = getattr(found, "name", offer.name)
+        if offer.files and isinstance(called, str) and called != offer.name:
+            raise PluginError(f"{plugin} calls itself {called!r}; set name = {offer.name!r}, because its class has that name")
         if (module := found.__module__.partition(".")[0]) != SIERRA:
-            _loaded[module] = plugin
+            _loaded.update({module: plugin, found.__module__: plugin})
         return found
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:
-        installed, beside = _offers(tuple(sys.path))[self.group], _beside.get()
-        return {**installed, **beside[self.group]} if beside else installed
+        installed, plugins = _offers(tuple(sys.path))[self.group], current_project.plugins()
+        return {**installed, **plugins.offers.get(self.group, {})} if plugins else installed
 
 
 PLATFORMS = Kind(
@@ -326,24 +342,15 @@ LINKS = Kind(
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 
 
-@contextmanager
-def adding(offers: Offers) -> Iterator[None]:
-    """Add these plug-ins, whose names no other ones have, until the end of the context."""
-    before = _beside.set(offers)
-    try:
-        yield
-    finally:
-        _beside.reset(before)
-
-
 def culprit(error: BaseException) -> str | None:
     """Return the plug-in, in words, in whose code an error arose; None if it arose in SIERRA."""
     found: str | None = None
     at: TracebackType | None = error.__traceback__
     while at is not None:
-        module = str(at.tb_frame.f_globals.get("__name__", "")).partition(".")[0]
-        if module == __name__.partition(".")[0] or module in _loaded:
-            found = _loaded.get(module)
+        name = str(at.tb_frame.f_globals.get("__name__", ""))
+        module = name.partition(".")[0]
+        if module == SIERRA or module in _loaded:
+            found = _loaded.get(name, _loaded.get(module))
         at = at.tb_next
     return found
 

@@ -9,18 +9,19 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, create_model, model_validator
 
-from sierra.config import extensions, group_names, targets
+from sierra.config import current_project, extensions, group_names, targets
 from sierra.config import forbidden_directives as directives
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.claim_table import Claim
 from sierra.config.cluster_table import ClusterTable, check_directives
+from sierra.config.current_project import Plugins
 from sierra.config.deliverable_tables import (
     DEFAULT_FORMATS,
     Comparison,
@@ -415,8 +416,7 @@ class Project(Table):
         """Return the project with one target merged over its other keys, and without targets. Raises UsageError."""
         if name not in self.targets:
             raise UsageError(self._unknown(name))
-        table = targets.merged(self._written(), name)
-        return options(model_of(table), table, f"target {name!r}")
+        return _validated(targets.merged(self._written(), name), f"target {name!r}")
 
     def changes_with(self, name: str) -> bool:
         """Return True if the values of a variable change something in runs."""
@@ -562,26 +562,31 @@ class LoadedProject:
             why = (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
             return Definition(name, "", origin, f"cannot read {table.file}: {why}")
 
-    def plugins(self, refused: str = "") -> AbstractContextManager[Mapping[str, bytes]]:
-        """Return a context in which the names of plug-ins in files of the project count, and which yields these files.
+    def plugins(self, refused: str = "") -> AbstractContextManager[None]:
+        """Return a context in which the names of plug-ins in files of the project count.
 
         They are imported when they are used, but never from a package, and not with `refused`, which is a reason.
         """
-        if not (declared := self.config.plugins.declared):
-            return nullcontext({})
-        from sierra.config import project_plugins
+        return current_project.within((self.root, refused), lambda: self.declared_plugins(refused))
 
+    def declared_plugins(self, refused: str = "") -> Plugins:
+        """Return the plug-ins in files of the project. Nothing is read or imported yet."""
         if self.received or ProjectFolder(self.root, self.file).is_package:
             refused = "it is Python code of a package, and nothing of a package is imported"
-        return project_plugins.using(self.root, declared, refused)
-
-    def plugin_files(self) -> Mapping[str, bytes]:
-        """Return the files of plug-ins of the project, and those that they import, by path. Raises ConfigError."""
         if not (declared := self.config.plugins.declared):
-            return {}
+            return Plugins(self.root, refused)
         from sierra.config import project_plugins
 
-        return project_plugins.files(self.root, declared)
+        return project_plugins.Declared(self.root, declared, refused)
+
+    def plugin_files(self, kinds: Iterable[str] = ()) -> Mapping[str, bytes]:
+        """Return the files of plug-ins of these kinds, by default of all, and those that they import, by path.
+
+        Raises ConfigError, PluginError.
+        """
+        with self.plugins():
+            plugins = current_project.plugins()
+            return plugins.files(kinds) if plugins else {}
 
     def check_written(self) -> None:
         """Raise Missing if there is no `sierra.toml`, so that nothing can be executed."""
@@ -617,11 +622,26 @@ def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject
 
 
 def check_plugins(project: Project) -> None:
-    """Check the tables of all plug-ins in `sierra.toml` that could change results. Raises ConfigError."""
-    from sierra.config import figure_options
-    from sierra.config.plugin_registry import COMPARISONS, CRITERIA, ENGINES, LINKS, PLATFORMS, READERS, STATISTICS, TEMPLATES
+    """Check the tables of plug-ins in `sierra.toml` that could change results, and all classes of `[plugins]`.
 
-    checks: tuple[Callable[[], None], ...] = (
+    Raises ConfigError, PluginError.
+    """
+    from sierra.config import figure_options
+    from sierra.config.plugin_registry import (
+        COMPARISONS,
+        CRITERIA,
+        ENGINES,
+        KINDS,
+        LINKS,
+        PLATFORMS,
+        READERS,
+        STATISTICS,
+        TEMPLATES,
+    )
+
+    kinds = {kind.key: kind for kind in KINDS}
+    checks: tuple[Callable[[], object], ...] = (
+        *(partial(kinds[key].load, name) for key, name in project.plugins.names),
         partial(PLATFORMS.check, project.platforms),
         partial(TEMPLATES.check, project.template_formats),
         partial(ENGINES.check, project.engines),
@@ -641,7 +661,7 @@ def parse(table: object, origin: str) -> Project:
     The tables of plug-ins are validated when they are used (see `sierra.config.plugin_registry`),
     those of shipped schedulers here too.
     """
-    project = options(model_of(table), table, origin)
+    project = _validated(table, origin)
     gathered(partial(check, project, origin) for check in (_check_clusters, _check_names_of_targets))
     resolved = gathered(partial(_resolved, project, name, origin) for name in project.targets)
     each = dict(zip(project.targets, resolved, strict=True))
@@ -649,6 +669,11 @@ def parse(table: object, origin: str) -> Project:
         if not any(one.changes_with(name) for one in (project, *each.values())):
             raise ConfigError(f"{origin}: variables.{name}: {NO_CHANGE}, here or in [variables.{name}.targets.{min(each)}]")
     return project
+
+
+def _validated(table: object, origin: str, within: tuple[str, ...] = ()) -> Project:
+    with current_project.declaring(table):
+        return options(model_of(table), table, origin, within)
 
 
 def _check_names_of_targets(project: Project, origin: str) -> None:
@@ -662,8 +687,7 @@ def _check_names_of_targets(project: Project, origin: str) -> None:
 def _resolved(project: Project, name: str, origin: str) -> Project:
     """Return a target of a project after checking its keys. Raises ConfigError."""
     within = ("targets", name)
-    table = targets.merged(project._written(), name)
-    found = options(model_of(table), table, origin, within)
+    found = _validated(targets.merged(project._written(), name), origin, within)
     _check_clusters(found, origin, within)
     return found
 

@@ -9,7 +9,11 @@ They are code of the project. What is imported is exactly what the source of run
 - Modules have names that begin with the hash of the project's folder and of all these files. So two projects, and two states
   of one project, never share a module.
 
-Names count within `using` only. Whoever plans runs of a project of one's own enters it. Packages are never imported from.
+Names count within `sierra.config.current_project` only, as in all methods of a project of the Python interface. Files of a
+package are never imported.
+
+A reader is recorded with its files, in the rules by which executions are evaluated: these are imported wherever executions of
+the project's own are read by these rules, as in a replay.
 """
 
 from __future__ import annotations
@@ -18,8 +22,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from functools import cached_property
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, spec_from_loader
 from pathlib import Path, PurePosixPath
@@ -27,8 +30,9 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from sierra.config import extensions, plugin_registry
-from sierra.config.plugin_registry import KINDS, Kind, Offer
-from sierra.errors import ConfigError, PluginError
+from sierra.config.current_project import Plugins
+from sierra.config.plugin_registry import KINDS, Kind, Offer, Offers
+from sierra.errors import ConfigError, PluginError, PluginRefused
 from sierra.util.hashing import digest, sha256
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import read_regular
@@ -38,8 +42,6 @@ PREFIX = "sierra_plugins_"
 PACKAGE = "__init__.py"
 INSTALLED = ("site-packages", "dist-packages")
 """Folders of installed packages, which may be in a virtual environment in the project."""
-_active: ContextVar[tuple[Path, str, Mapping[str, bytes]] | None] = ContextVar("_active", default=None)
-"""The project whose names count now: its folder, the reason to refuse them, and the files as they were read."""
 _modules: dict[str, _Module] = {}
 """All modules that may be imported, by their names."""
 
@@ -53,60 +55,75 @@ class _Module:
     is_package: bool
 
 
+class Declared(Plugins):
+    """The plug-ins that `[plugins]` of a project declares. The files are read when they are needed, and once."""
+
+    def __init__(self, root: Path, declared: Mapping[str, Iterable[str]], refused: str = "") -> None:
+        """`declared`: the classes by kind."""
+        super().__init__(root, refused)
+        self._declared = declared
+
+    @cached_property
+    def offers(self) -> Offers:
+        offers: dict[str, dict[str, tuple[Offer, ...]]] = {}
+        for kind in KINDS:
+            places = self._declared.get(kind.key, ())
+            _check_names(kind, places)
+            offers[kind.group] = {place.partition(":")[2]: (self._offer(place),) for place in places}
+        return offers
+
+    def files(self, kinds: Iterable[str] = ()) -> dict[str, bytes]:
+        wanted = [place for key, places in self._declared.items() if not kinds or key in kinds for place in places]
+        return dict(sorted((path, data) for place in wanted for path, data in self.files_of[place].items()))
+
+    @cached_property
+    def files_of(self) -> dict[str, dict[str, bytes]]:
+        """The file of each class and those that it imports, by path."""
+        known: dict[str, bytes] = {}
+        places = [(f"[plugins] {key}: {place}", place) for key, places in self._declared.items() for place in places]
+        return {place: _closure(self.root, place.partition(":")[0], origin, known) for origin, place in places}
+
+    def _offer(self, place: str) -> Offer:
+        path, _, name = place.partition(":")
+        return Offer(name, _Point(place, self), path, lambda: self.files_of[place])
+
+
+class Recorded(Plugins):
+    """A plug-in as it was recorded, with its files."""
+
+    def __init__(self, project: Plugins, kind: Kind, name: str, path: str, files: Mapping[str, bytes]) -> None:
+        """`project` is the one that recorded it; `path` is the file of the class."""
+        super().__init__(project.root, project.refused)
+        self._offer = Offer(name, _Point(f"{path}:{name}", self), path, lambda: files)
+        self._kind, self._files = kind, files
+
+    @property
+    def offers(self) -> Offers:
+        return {self._kind.group: {self._offer.name: (self._offer,)}}
+
+    def files(self, kinds: Iterable[str] = ()) -> Mapping[str, bytes]:
+        return self._files
+
+
 @dataclass(frozen=True, slots=True)
 class _Point:
     """The place of a class, with the methods that the registry uses of an entry point."""
 
     value: str
     """The class as `[plugins]` names it: `robosim.py:RoboSim`."""
-    root: Path
-    module: str
-    refused: str
+    plugins: Plugins
 
     def load(self) -> Any:
         """Import the class. Raises PluginError if there is none, or if it may not be imported here."""
         path, _, name = self.value.partition(":")
-        if self.refused:
-            raise PluginError(f"[plugins]: {self.value} is not imported: {self.refused}")
-        module = _imported(self.module, self.root, path)
+        root, refused = self.plugins.root, self.plugins.refused
+        if refused:
+            raise PluginRefused(f"[plugins]: {self.value} is not imported: {refused}")
+        module = _imported(f"{_register(root, self.plugins.files())}.{_dotted(path)}", root, path)
         try:
             return getattr(module, name)
         except AttributeError:
             raise PluginError(f"[plugins]: {path} has no class {name}; correct {path} or sierra.toml") from None
-
-
-@contextmanager
-def using(root: Path, declared: Mapping[str, Iterable[str]], refused: str = "") -> Iterator[Mapping[str, bytes]]:
-    """Let the names of these classes count, by kind, until the end of the context; yield their files, with the content.
-
-    With `refused`, which is a reason, they may not be imported: whoever uses one gets that reason as an error, and no file is
-    read.
-
-    Within a context of the same project, that one goes on: its files are not read again.
-
-    Raises ConfigError for a file that cannot be used, or a name that is shipped or installed.
-    """
-    if (active := _active.get()) is not None and active[:2] == (root, refused):
-        yield active[2]
-        return
-    content = {} if refused else files(root, declared)
-    package = _register(root, content)
-    offers: dict[str, dict[str, tuple[Offer, ...]]] = {}
-    for kind in KINDS:
-        places = declared.get(kind.key, ())
-        _check_names(kind, places)
-        offers[kind.group] = {place.partition(":")[2]: (_offer(place, root, package, refused),) for place in places}
-    with plugin_registry.adding(offers):
-        before = _active.set((root, refused, content))
-        try:
-            yield content
-        finally:
-            _active.reset(before)
-
-
-def _offer(place: str, root: Path, package: str, refused: str) -> Offer:
-    path, _, name = place.partition(":")
-    return Offer(name, _Point(place, root, f"{package}.{_dotted(path)}", refused), path, beside=True)
 
 
 def _check_names(kind: Kind, places: Iterable[str]) -> None:
@@ -122,18 +139,18 @@ def _check_names(kind: Kind, places: Iterable[str]) -> None:
 # The files
 
 
-def files(root: Path, declared: Mapping[str, Iterable[str]]) -> dict[str, bytes]:
-    """Return the files of these plug-ins, and those that they import, by path. Nothing is imported. Raises ConfigError."""
-    found: dict[str, bytes] = {}
-    pending = [(f"[plugins] {key}: {place}", place.partition(":")[0]) for key, places in declared.items() for place in places]
+def _closure(root: Path, path: str, origin: str, known: dict[str, bytes]) -> dict[str, bytes]:
+    """Return a file and those that it imports, by path; `known` are files that were read already. Nothing is imported."""
+    files: dict[str, bytes] = {}
+    pending = [(origin, path)]
     while pending:
         origin, path = pending.pop()
-        if path in found:
+        if path in files:
             continue
-        found[path] = _read(root, path, origin)
+        files[path] = known[path] = known[path] if path in known else _read(root, path, origin)
         pending += ((path, package) for package in _packages_above(root, path))
-        pending += ((path, other) for other in _imports(root, path, found[path], origin))
-    return dict(sorted(found.items()))
+        pending += ((path, other) for other in _imports(root, path, files[path], origin))
+    return dict(sorted(files.items()))
 
 
 def _read(root: Path, path: str, origin: str) -> bytes:

@@ -30,7 +30,7 @@ from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_definitions import dataclass
+from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.regular_files import read_regular
 
 Between = Callable[[str], Compared]
@@ -42,6 +42,8 @@ LABELS = ("targets", "batches", "labels")
 NOT_SHOWN = ("formats", "query")
 """The keys of definitions and declarations that say which files are made, and of which batch; not what they show."""
 FIND = "SELECT * FROM deliverables WHERE list_contains(sha256s, $sha256) ORDER BY lamport DESC, made DESC LIMIT 1"
+CODE = regex(r"\S+\.py [0-9a-f]{32}")
+"""A plug-in in a file of the project, with the hash of its code, as `made_by` has it."""
 DRAW_AGAIN = "draw it again with: sierra figures"
 
 
@@ -187,6 +189,8 @@ def _changed(row: DeliverableRow, now: Content, kind: DeliverableKind) -> str:
     if now.data != row.data:
         others = "the store or sierra.toml has changed since" if kind.declaration is None else "the store has other data now"
         return _changed_model(before, now.definition) or others
+    if changed_code := [text.partition(" ")[0] for text in now.made_by if CODE.fullmatch(text) and text not in row.made_by]:
+        return f"{changed_code[0]} has changed since"
     definitions = before, json.loads(json.dumps(now.definition))
     parts = zip(*(_parts(row.kind, kind.declaration, one) for one in definitions), strict=True)
     changed = (name for old, new in parts for name in {**old, **new} if old.get(name) != new.get(name))

@@ -91,7 +91,7 @@ def _content(compared: Compared, drawn: Drawing) -> Content:
         "formats": drawn.formats,
     }
     content = drawn.content()
-    made_by = (*content.made_by, *plugin_registry.COMPARISONS.packages(compared.analysis.method))
+    made_by = (*content.made_by, *plugin_registry.COMPARISONS.recorded(compared.analysis.method))
     return replace(content, kind=KIND, batches=tuple(compared.batches.values()), definition=definition, made_by=made_by)
 
 

@@ -29,7 +29,7 @@ from sierra.execution.checkout import Checkout
 from sierra.execution.plan import Plan
 from sierra.execution.resolve_plan import found_or, this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
-from sierra.ingest.base import Used, check_formats, described
+from sierra.ingest.base import Used, check_formats, restored
 from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Criterion, Experiment, Listed, Query, Run, RunSpec
 from sierra.provenance.change_guard import guard
@@ -97,7 +97,7 @@ class Recalled:
     outputs: Mapping[str, Output]
     success: Success
     readers: Used
-    """Readers of other packages with the recorded options."""
+    """Readers of other packages and of files of the project, with the recorded options."""
     build: RecordedBuild | None = None
     """The build that made the products from the source."""
     observed: Mapping[str, str] = field(default_factory=dict)
@@ -150,10 +150,18 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
-    check_formats(outputs)
-    return Recalled(
-        batch, run_spec(row), manifest, commit, used, programs, outputs, success, installed(readers), build, observed
-    )
+    check_formats(outputs, readers)
+    own = readers and store.values(int, OWN_RULES, r=ingest_rules)
+    readers = restored(readers, refused="" if own else "its code came in a package, and nothing of a package is imported")
+    return Recalled(batch, run_spec(row), manifest, commit, used, programs, outputs, success, readers, build, observed)
+
+
+OWN_RULES = """
+SELECT 1 FROM all_sessions ANTI JOIN imported_sessions USING (session) WHERE ingest_rules = $r
+UNION ALL SELECT 1 FROM all_judgements WHERE packages IS NULL AND ingest_rules = $r
+LIMIT 1
+"""
+"""SQL that finds a row if executions of this store's own were evaluated by these rules, which have the code of readers."""
 
 
 def spec(store: Store, batch: str) -> RunSpec:
@@ -163,11 +171,6 @@ def spec(store: Store, batch: str) -> RunSpec:
 
 
 SPEC = "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b"
-
-
-def installed(readers: Used) -> Used:
-    """Return recorded readers with their recorded options, and with the packages that are installed now."""
-    return described(readers, {name: reader["options"] for name, reader in readers.items()})
 
 
 def engine(store: Store, batch: str, spec: RunSpec, name: str | None, tables: Tables, *, hosted: bool) -> Engine:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
@@ -15,13 +15,12 @@ from sierra.util.hashing import sha256
 from sierra.util.processors import ARCH, NAMES
 
 
-def code(project: LoadedProject, *, dirty: str | None = None, plugins: Mapping[str, bytes] | None = None) -> source.Source:
+def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
     """Return the source of a project as it is now; `dirty` replaces the project's setting.
 
-    `plugins` are the files of plug-ins of the project as they were read: the source always has them, with this content. Raises
-    ConfigError if it has not.
+    The source always has the files of plug-ins of the project, as they were read. Raises ConfigError if it has not.
     """
-    plugins = project.plugin_files() if plugins is None else plugins
+    plugins = project.plugin_files()
     wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
     captured = source.capture(
         project.root,

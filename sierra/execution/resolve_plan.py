@@ -48,6 +48,9 @@ from sierra.util.fs import unescaped
 from sierra.util.hashing import sha256
 from sierra.util.version import __version__
 
+OF_INPUTS = ("platforms", "templates", "criteria")
+"""The kinds of plug-ins that make the inputs of runs."""
+
 
 def plan(
     project: LoadedProject, request: QueryRequest, *, engine: str | None = None, report: PlanningProgress = ignore_progress
@@ -60,13 +63,11 @@ def plan(
     Raises an error for a mistake in project, query, template or source. The plan tells if this machine lacks a program; no id
     depends on that.
     """
-    with project.plugins() as plugins:
-        return _plan(project, request, engine, report, plugins)
+    with project.plugins():
+        return _plan(project, request, engine, report)
 
 
-def _plan(
-    project: LoadedProject, request: QueryRequest, engine: str | None, report: PlanningProgress, plugins: Mapping[str, bytes]
-) -> Plan:
+def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, report: PlanningProgress) -> Plan:
     project = project.for_target(resolve_query.target(project, request))
     query = resolve_query.resolve(project, request)
     project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
@@ -89,13 +90,13 @@ def _plan(
     filled = commands.as_written(variables)
     values = commands.used_values((*command, *of_groups, *surroundings.words, *filled), declared, config)
     own = project_source.own_paths(project)
-    code = project_source.code(project, plugins=plugins)
+    code = project_source.code(project)
     held = source.paths(code.manifest)
     texts = [root / path for path in config.template_paths]
     plan_checks.check_paths(config, query, root)
     written = (text.replace(IN_PROJECT, "") for text in input_texts.written(config))
     data = referenced_files.data(texts, written, root, held, own)
-    of_plugins = tuple(_of_plugins(plugins, root))
+    of_plugins = tuple(_of_plugins(project.plugin_files(OF_INPUTS), root))
     data = replace(data, all=(*data.all, *(one for one in _converted(code, root) if one not in of_plugins), *of_plugins))
     if box:
         data = container_setup.data(data, box, root)
@@ -182,7 +183,7 @@ def _converted(code: source.Source, root: Path) -> Iterator[Program]:
 
 
 def _of_plugins(plugins: Mapping[str, bytes], root: Path) -> Iterator[Program]:
-    """Yield the files of plug-ins of the project: a run that they made is reused only while they stay the same."""
+    """Yield the files of plug-ins that make inputs: a run that they made is reused only while they stay the same."""
     for path, content in plugins.items():
         yield Program(f"{IN_PROJECT}{path}", str(root / path), sha256(content), Kind.FILE)
 

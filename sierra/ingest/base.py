@@ -9,6 +9,7 @@ not depend on what is installed.
 
 The format, the options and the package of a reader decide what is recorded, as the other rules in `[outputs]` do: they are part
 of the hash of these rules (`Context.ingest_rules`). If one changes, executions are evaluated again from their recorded files.
+A reader in a file of the project is recorded with its code, which reads the files of a replay, or of a session that died.
 `sierra.testing.readers` has the conformance suite.
 """
 
@@ -16,14 +17,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypedDict
+from typing import Any, ClassVar, NotRequired, Protocol, TypedDict
 
-from sierra.config import extensions
+from sierra.config import current_project, extensions
+from sierra.config.current_project import Plugins
 from sierra.config.field_types import Table
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.plugin_registry import READERS, Tables
-from sierra.errors import ConfigError, Missing
+from sierra.errors import ConfigError, Missing, PluginError
 from sierra.util.json_types import Json
 
 Columns = Mapping[str, Sequence[object]]
@@ -61,7 +64,10 @@ class UsedReader(TypedDict):
     """A reader of another package, as it is recorded in the rules."""
 
     package: str
+    """The name and the version; or the file of the project that has its class."""
     options: dict[str, Json]
+    files: NotRequired[dict[str, str]]
+    """The text of this file and of those that it imports, by path."""
 
 
 Used = Mapping[str, UsedReader]
@@ -78,9 +84,12 @@ def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
     return described((name for name in kinds if name in READERS.added()), tables)
 
 
-def check_formats(outputs: Mapping[str, Output]) -> None:
-    """Check that all formats can be read that outputs name. Raises ConfigError, and Missing for a package that is needed."""
-    known = (*READERS.names(), FILE_FORMAT)
+def check_formats(outputs: Mapping[str, Output], recorded: Iterable[str] = ()) -> None:
+    """Check that all formats can be read that outputs name; `recorded` are the formats of recorded readers.
+
+    Raises ConfigError, and Missing for a package that is needed.
+    """
+    known = (*READERS.names(), FILE_FORMAT, *recorded)
     for name, output in outputs.items():
         if output.format is not None and output.format not in known:
             raise ConfigError(f"[outputs.{name}] format: {_unknown(output.format, known)}")
@@ -109,16 +118,63 @@ def check_package(output: Output | type[Output]) -> None:
 
 
 def described(formats: Iterable[str], tables: Tables) -> Used:
-    """Return the readers of these formats with their packages and options, as they are installed now."""
+    """Return the readers of these formats with their packages and options, as they are now. Raises ConfigError, PluginError."""
     found: dict[str, UsedReader] = {}
     for name in sorted(set(formats)):
-        READERS.load(name)
-        options = READERS.options(name, tables.get(name, {})).model_dump(mode="json")
-        found[name] = {"package": READERS.packages(name)[0], "options": options}
+        offer = READERS.offer(name)
+        found[name] = {
+            "package": offer.package,
+            "options": READERS.options(name, tables.get(name, {})).model_dump(mode="json"),
+        }
+        if offer.files:
+            found[name]["files"] = {path: _text(path, content) for path, content in offer.files().items()}
     return found
+
+
+def _text(path: str, content: bytes) -> str:
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        raise PluginError(
+            f"[plugins]: {path} cannot be recorded with its reader: it is not UTF-8 text; correct {path}"
+        ) from None
+
+
+def restored(readers: Used, *, refused: str = "") -> Used:
+    """Return recorded readers with their recorded options: those of files of the project as recorded, others as they are now.
+
+    With `refused`, which is a reason, no recorded code is imported. Raises PluginError if a reader cannot be used.
+    """
+    found: dict[str, UsedReader] = {}
+    for name, reader in readers.items():
+        if "files" not in reader:
+            found |= described((name,), {name: reader["options"]})
+            continue
+        if refused:
+            raise PluginError(f"the reader {name!r} of {reader['package']} is not imported: {refused}")
+        with recorded(name, json.dumps(reader)):
+            READERS.load(name)
+        found[name] = reader
+    return found
+
+
+def recorded(name: str, described: str) -> AbstractContextManager[None]:
+    """Return a context in which a reader is the recorded one; `described` is its entry of `Used`, as JSON, or empty.
+
+    Only readers in files of a project are recorded; they are imported only within a context of their project.
+    """
+    reader = json.loads(described or "{}")
+    if "files" not in reader:
+        return nullcontext()
+    from sierra.config.project_plugins import Recorded
+
+    project = current_project.plugins() or Plugins(Path(), "it is recorded code, which only commands in its project import")
+    files = {str(path): str(text).encode() for path, text in reader["files"].items()}
+    return current_project.within(object(), lambda: Recorded(project, READERS, name, str(reader["package"]), files))
 
 
 def make(name: str, described: str) -> OutputReader:
     """Return the reader of a format of another package; `described` is its entry of `Used`, as JSON."""
-    made: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
+    with recorded(name, described):
+        made: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
     return made

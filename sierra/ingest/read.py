@@ -28,7 +28,7 @@ from pathlib import Path
 
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import rotated_files
-from sierra.ingest.base import UnreadableError
+from sierra.ingest.base import UnreadableError, recorded
 from sierra.ingest.csv_as_found import BLANKS, CsvAsFound
 from sierra.ingest.json_rows import JsonLines
 from sierra.ingest.messages import shown
@@ -87,7 +87,8 @@ def _read_rotated(
 
 def _reader(shape: Shape, files: Sequence[Written]) -> type[TableReader] | type[Rewriter]:
     """Return the reader of a format, or the rewriter of files that are not plain."""
-    found: type = READERS.load(shape.format)
+    with recorded(shape.format, shape.reader):
+        found: type = READERS.load(shape.format)
     if not issubclass(found, TableReader | Rewriter):
         from sierra.ingest.parquet import Converted
 

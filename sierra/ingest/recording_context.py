@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from pathlib import Path
-from typing import NotRequired, TypedDict
+from typing import NotRequired, TypedDict, cast
 
 from sierra.config.output_tables import Output, Success
 from sierra.config.plugin_registry import Tables
@@ -113,7 +113,7 @@ class Context:
         success = self.success.model_dump(mode="json", exclude={*self.success.unused_later_keys})
         declared: dict[str, JsonView] = {"outputs": outputs, "success": success}
         if self.readers:
-            declared["readers"] = {n: {"package": one["package"], "options": one["options"]} for n, one in self.readers.items()}
+            declared["readers"] = {name: dict(cast("Mapping[str, JsonView]", reader)) for name, reader in self.readers.items()}
         return declared
 
     def save(self, path: Path) -> None:

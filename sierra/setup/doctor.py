@@ -162,6 +162,7 @@ def _project() -> Iterator[Check]:
     yield Check("project", "ok", str(project.root))
     try:
         with loaded.plugins():
+            loaded.plugin_files()
             yield from _plugins(set(loaded.config.plugins.names))
             yield from _targets(loaded)
     except SierraError as error:

@@ -91,12 +91,19 @@ class Selection:
         return {name: value for one in formulas for name, value in one.parameters(most).items()}
 
     def documented(self) -> str:
-        """Return comments on the statistics that no statement shows, because Python functions compute them: with options."""
+        """Return comments on statistics: the options of those that Python functions compute, and the packages of plug-ins."""
         lines = []
-        for name in self.functions:
-            keys = (f"{key} = {value}" for key, value in STATISTICS.options(name, self.tables.get(name, {})))
-            lines.append(f"-- {name}: {', '.join([self.statistics[name].interval or 'no interval', *keys])}\n")
+        for name in self.statistics:
+            words = [*self._computed(name), *(f"of {package}" for package in STATISTICS.recorded(name))]
+            lines += [f"-- {name}: {', '.join(words)}\n"] if words else []
         return "".join(lines)
+
+    def _computed(self, name: str) -> list[str]:
+        """Return the interval and the options of a statistic that a Python function computes; no statement shows them."""
+        if name not in self.functions:
+            return []
+        keys = (f"{key} = {value}" for key, value in STATISTICS.options(name, self.tables.get(name, {})))
+        return [self.statistics[name].interval or "no interval", *keys]
 
     def complete(self, table: pa.Table) -> pa.Table:
         """Return the table of a statement with the columns of functions, and without the values for them."""

@@ -125,7 +125,7 @@ class DrawnKind(Generic[Own]):
 def made_by(kind: str) -> tuple[str, ...]:
     """Return the libraries that draw a kind of figure, as name==version; those that are not installed are not in it."""
     libraries = ("matplotlib", *getattr(FIGURES.load(kind), "libraries", ()))
-    return (*(f"{name}=={version}" for name in libraries if (version := _version(name))), *FIGURES.packages(kind))
+    return (*(f"{name}=={version}" for name in libraries if (version := _version(name))), *FIGURES.recorded(kind))
 
 
 @cache

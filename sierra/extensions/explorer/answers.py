@@ -10,10 +10,11 @@ import copy
 import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from sierra.config import current_project
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.plugin_registry import FIGURES
 from sierra.config.project_file import LoadedProject
@@ -335,6 +336,10 @@ class Answers:
             self._tables.close()
         finally:
             self._one.release()
+
+    def plugins(self) -> AbstractContextManager[None]:
+        """Return the context in which a question is answered: the names of plug-ins in files of the project count."""
+        return current_project.within(object(), lambda: self._project().declared_plugins())
 
     def _project(self) -> LoadedProject:
         return self._source().project

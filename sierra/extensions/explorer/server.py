@@ -263,7 +263,8 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             method = cast("Callable[..., JsonView]", getattr(self.server.answers, name))
-            found = method(**{field: getattr(asked, field) for field in QUESTIONS[name].model_fields})
+            with self.server.answers.plugins():
+                found = method(**{field: getattr(asked, field) for field in QUESTIONS[name].model_fields})
         except SierraError as error:
             self._say(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         except Exception as error:

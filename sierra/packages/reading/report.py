@@ -22,7 +22,8 @@ def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Wr
     file = package.path.with_name(f"{package.path.stem}-report.html") if to is None else to
     files.check(file)
     about = _about(package)
-    made = make.of_batches(source(package), batches(package.store), tell, about.package.title or package.path.name)
+    with package.project.plugins():
+        made = make.of_batches(source(package), batches(package.store), tell, about.package.title or package.path.name)
     files.write(file, recorded.named(made))
     return Written(file, tuple(made.batches), tuple(made.notes))
 

@@ -17,10 +17,11 @@ from sierra.config.find_project import ProjectFolder, settings
 from sierra.config.project_file import LoadedProject
 from sierra.store.layout import CONFIG, PYPROJECT
 
+PLUGINS = "plugins"
 REMOVED = {
     ("runners",): "clusters are those of your own configuration",
     ("engines",): "engines are used with their own defaults",
-    ("plugins",): "Python code of a package is never imported",
+    (PLUGINS,): "Python code of a package is never imported",
     ("programs",): "programs of this machine are asked for their versions as usual",
     ("store", "work_folder"): "runs execute below the given folder",
     ("environment", "record"): "your variables are not recorded",
@@ -47,7 +48,8 @@ def _confine(table: dict[str, Any], where: str) -> Iterator[str]:
     for (*folders, key), reason in REMOVED.items():
         inner = _table(table, folders)
         if key in inner:
-            del inner[key]
+            if key != PLUGINS:  # their names are valid, but whatever uses one is refused
+                del inner[key]
             yield f"sierra.toml: {where}{'.'.join((*folders, key))} of the package is ignored: {reason}"
     mounts = _table(table, ["container", "mounts"])
     for target, source in list(mounts.items()):

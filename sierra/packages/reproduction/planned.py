@@ -12,7 +12,7 @@ from sierra.containers import engines
 from sierra.containers.container_setup import DEVICE, GPU, MOUNT, NETWORK
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage, Image, ImageVariants, Kind
-from sierra.errors import Missing, NotFound, SierraError
+from sierra.errors import Missing, NotFound, PluginError, SierraError
 from sierra.execution import commands, plan_from_record, row_queries, targets
 from sierra.execution.plan_from_record import Recalled
 from sierra.packages.layout import IMAGE_FILES
@@ -126,7 +126,7 @@ def plan(project: LoadedProject, store: Store, batch: RecordedBatch, engine: str
     try:
         recalled = plan_from_record.recall(store, batch.batch, *used[0])
         return _with_engine(project, store, planned, recalled, engine, local=local)
-    except (Missing, NotFound) as error:
+    except (Missing, NotFound, PluginError) as error:
         return _lacking(planned, str(error))
 
 

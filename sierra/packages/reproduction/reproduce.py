@@ -76,9 +76,10 @@ def reproduce(
             observer.notice(one_line(note))
         store = Store(project.root / STORE, project.rules).confined()
         earlier = workspace.replays_here(found, store, observer)
-        batches, decided, left_out = _Work(project, store, options, observer, earlier).reproduce(agree)
-        done = Reproduction(found.id, described.title, folder, notes, batches, decided, left_out=left_out)
-        done = _drawn(done, project, store, observer)
+        with project.plugins():
+            batches, decided, left_out = _Work(project, store, options, observer, earlier).reproduce(agree)
+            done = Reproduction(found.id, described.title, folder, notes, batches, decided, left_out=left_out)
+            done = _drawn(done, project, store, observer)
         report.write(done)
     return done
 
