@@ -52,7 +52,7 @@ _current: ContextVar[_Context | None] = ContextVar("_current", default=None)
 
 @contextmanager
 def within(key: object, find: Callable[[], Plugins]) -> Iterator[None]:
-    """Let the names of these plug-ins count until the end of the context. Within a context of the same key, that one goes on."""
+    """Let the names of these plug-ins count until the end of the context; one with the same key goes on."""
     current = _current.get()
     if current is not None and current.key == key:
         yield

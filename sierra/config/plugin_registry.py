@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache, cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
@@ -130,9 +130,9 @@ class Kind:
         """Return the names that other packages offer, shipped names included."""
         return tuple(sorted(self._others()))
 
-    def installed(self) -> Collection[str]:
-        """Return the names that installed packages offer, without those of files of a project."""
-        return _offers(tuple(sys.path))[self.group].keys()
+    def installed(self) -> Mapping[str, tuple[Offer, ...]]:
+        """Return the offers of installed packages by name, without those of files of a project."""
+        return _offers(tuple(sys.path))[self.group]
 
     def packages(self, name: str) -> tuple[str, ...]:
         """Return the other packages that offer a name."""
@@ -223,7 +223,7 @@ class Kind:
         return found
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:
-        installed, plugins = _offers(tuple(sys.path))[self.group], current_project.plugins()
+        installed, plugins = self.installed(), current_project.plugins()
         return {**installed, **plugins.offers.get(self.group, {})} if plugins else installed
 
 

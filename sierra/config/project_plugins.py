@@ -131,8 +131,9 @@ def _check_names(kind: Kind, places: Iterable[str]) -> None:
     for place in places:
         name = place.partition(":")[2]
         shipped = name in kind.shipped or extensions.home(kind.key, name) is not None
-        if shipped or name in kind.installed():
-            owner = "SIERRA itself" if shipped else " and ".join(kind.packages(name))
+        installed = [offer.package for offer in kind.installed().get(name, ())]
+        if shipped or installed:
+            owner = "SIERRA itself" if shipped else " and ".join(installed)
             raise ConfigError(f"[plugins] {kind.key}: {owner} has a {kind.word} {name!r} already; give {place} another name")
 
 

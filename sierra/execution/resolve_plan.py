@@ -73,6 +73,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
     config, root = project.config, project.root
     plan_checks.check_names(project)
+    project.plugin_files()
     project_file.check_plugins(config)
     readers = used_readers(config.outputs, config.readers)
     template = templates.of_project(config, root)

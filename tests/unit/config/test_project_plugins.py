@@ -425,7 +425,9 @@ def test_files_that_are_no_regular_files_of_the_project_are_refused(tmp_path: Pa
             ]
         ),
         ('platforms = ["a.py:RoboSim", "b.py:RoboSim"]', "two classes are called RoboSim; rename one"),
-        ('readers = ["a.py:A"]', "readers cannot be in files of the project, only platforms, templates, criteria; install"),
+        ('videos = ["a.py:A"]', "unknown key 'plugins.videos'"),
+        ('readers = ["robosim.py:Track"]', "[plugins]: robosim.py has no class Track; correct robosim.py or sierra.toml"),
+        ('readers = ["robosim.py:csv"]', "SIERRA itself has a reader 'csv' already; give robosim.py:csv another name"),
         ('platform = ["a.py:A"]', "unknown key 'plugins.platform'; did you mean 'platforms'?"),
         (
             'platforms = ["robosim.py:argos"]',
