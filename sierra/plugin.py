@@ -36,8 +36,8 @@ id, so they must not change results. The options of a statistic change the numbe
 figure and a comparison method are part of no id either. The values and changes that a range of a criterion computes are part of
 ids as if they were written in the query; its options are not.
 
-**In the project.** A plug-in can be in a Python file of the project instead. `[plugins]` in `sierra.toml` names the file and the
-class, and the name of the class is that of the plug-in. The file is part of the source.
+**In the project.** A plug-in can be in a Python file of the project instead. `[plugins]` in `sierra.toml` names the file and
+the class, and the name of the class is that of the plug-in. The file is part of the source.
 
 **Errors.** Raise `ConfigError` for invalid settings, `TemplateError` for a template, `Missing` for something that does not
 exist on this machine, `UnreadableError` for an output file, with one line: what is wrong, which one, what would be right. Any
