@@ -13,8 +13,8 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cached_property, partial, wraps
-from inspect import isfunction
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from sierra.config import current_project, find_project
@@ -91,7 +91,7 @@ T = TypeVar("T")
 def _within_project(project: type[T]) -> type[T]:
     """Let the plug-ins of a project count in all of its methods: see `sierra.config.current_project`."""
     for name, method in vars(project).items():
-        if isfunction(method) and not name.startswith("_"):
+        if isinstance(method, FunctionType) and not name.startswith("_"):
             setattr(project, name, _within(method))
     return project
 
