@@ -22,8 +22,10 @@ DESCRIBING = ("duckdb_", "pragma_", "parquet_", "read_parquet", "icu_", "pg_", "
 """The beginnings of the names of table functions that describe the connection, or read the store's files."""
 MISLABELLED = frozenset((("current_localtime", 0), ("current_localtimestamp", 0), ("age", 1)))
 """Functions of the current time that DuckDB's catalogue calls consistent, with their numbers of arguments."""
-HARMLESS = frozenset(("error",))
-"""Functions that DuckDB's catalogue calls volatile, but that have no result."""
+HARMLESS = frozenset(("error", "make_timestamptz", "timezone"))
+"""Functions that DuckDB's catalogue calls volatile, but that have no result, or depend on the time zone only, which is UTC."""
+ZONED = ("TIMESTAMP WITH TIME ZONE", "TIMESTAMPTZ_NS")
+"""Types of arguments with which functions, such as `+`, depend on the time zone, so that the catalogue calls them volatile."""
 
 
 @dataclass(slots=True)
@@ -224,9 +226,10 @@ def _catalogue(connection: DuckDBPyConnection) -> tuple[frozenset[str], Mapping[
     """Return the names of the functions that are volatile by DuckDB's catalogue, and the definitions of macros by name."""
     if not _kept:
         rows = connection.execute(
-            "SELECT function_name, bool_or(stability <> 'CONSISTENT'), "
+            "SELECT function_name, bool_or(stability <> 'CONSISTENT' AND NOT list_has_any(parameter_types, $zoned)), "
             "list(DISTINCT macro_definition) FILTER (function_type = 'macro') FROM duckdb_functions() "
-            "WHERE stability <> 'CONSISTENT' OR function_type = 'macro' GROUP BY function_name"
+            "WHERE stability <> 'CONSISTENT' OR function_type = 'macro' GROUP BY function_name",
+            {"zoned": ZONED},
         ).fetchall()
         volatile = frozenset(name for name, is_volatile, _ in rows if is_volatile) - HARMLESS
         _kept.append((volatile, {name: definitions for name, _, definitions in rows if definitions}))
