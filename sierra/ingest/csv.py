@@ -47,15 +47,15 @@ class Csv(Text):
         super().__init__(connection, shape, target, siblings)
         self._records: dict[str, int | str] = {}
         """The number of records in each file, or an error message, by path."""
-        self._trimmed: set[tuple[str, str]] = set()
-        """The executions and names of files whose cells lose the blanks around them."""
+        self._padded: set[tuple[str, str]] = set()
+        """The executions and names of files whose cells keep the blanks around them, as an earlier version recorded them."""
         self._trims = False
         """True if those of the part do."""
 
     def read(self, files: Sequence[Written]) -> Reading:
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
             reading = super().read(list(self._without_blank_ends(files, Path(folder))))
-        return replace(reading, trimmed=self._trimmed)
+        return replace(reading, padded=self._padded)
 
     def _without_blank_ends(self, files: Sequence[Written], folder: Path) -> Iterator[Written]:
         """Yield the files; of one with a single column and blank lines at its end, a copy without these lines.
@@ -184,7 +184,7 @@ class Csv(Text):
         self._longest = max(map(_longest_line, large), default=0)
         padded = self.part.delimiter == PADDED
         self._trims = padded and self.siblings.texts_without("trimmed").isdisjoint(self.part.names)
-        self._trimmed |= {(file.execution, file.name) for file in files if self._trims}
+        self._padded |= {(file.execution, file.name) for file in files if padded and not self._trims}
         super().one(files)
 
     def count(self, file: Written, read: int) -> int | str:

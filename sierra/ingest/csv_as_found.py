@@ -51,7 +51,12 @@ class CsvAsFound(Rewriter):
         return Csv
 
     def plain(self) -> Shape:
-        return replace(self.shape, form=PLAIN, delimiter="," if self._remade else self.shape.delimiter)
+        return replace(self.shape, form=PLAIN, delimiter=self._written_delimiter if self._remade else self.shape.delimiter)
+
+    @property
+    def _written_delimiter(self) -> str:
+        """The delimiter of lines that are written again. With `|`, the reader of the plain file decides on blanks."""
+        return PADDED if self.shape.delimiter == PADDED else ","
 
     @property
     def _aligned(self) -> bool:
@@ -181,7 +186,7 @@ class CsvAsFound(Rewriter):
         if not self._remade and len(head) == 1:
             return head[0][1]
         ended = head[-1][1].endswith(b"\n")
-        return csv_line(names, "," if self._remade else delimiter, ended=ended, quoting=csv.QUOTE_ALL)
+        return csv_line(names, self._written_delimiter if self._remade else delimiter, ended=ended, quoting=csv.QUOTE_ALL)
 
     def _check_units(self, line: Line | None, columns: int, delimiter: str) -> None:
         """Check that a line has units, and not the numbers of a row."""
@@ -195,8 +200,11 @@ class CsvAsFound(Rewriter):
 
     def _rows(self, body: Iterable[Line], delimiter: str) -> Iterator[Line]:
         """Yield each row, written again."""
+        written = self._written_delimiter
+        trims = delimiter == PADDED != written
         for number, ended, cells in self._aligned_cells(body) if self._aligned else _csv_cells(body, delimiter):
-            yield number, csv_line([self._changed(cell, number) for cell in cells], ",", ended=ended)
+            bare = [cell.strip(" ") for cell in cells] if trims else cells
+            yield number, csv_line([self._changed(cell, number) for cell in bare], written, ended=ended)
 
     def _aligned_cells(self, body: Iterable[Line]) -> Iterator[Row]:
         for line in body:
@@ -228,8 +236,7 @@ def _csv_cells(body: Iterable[Line], delimiter: str) -> Iterator[Row]:
     with any_size():
         try:
             for cells in csv_reader(texts(), delimiter):
-                bare = [cell.strip(" ") for cell in cells] if delimiter == PADDED else cells
-                yield taken[0][0], taken[-1][1].endswith(b"\n"), bare
+                yield taken[0][0], taken[-1][1].endswith(b"\n"), cells
                 taken.clear()
         except csv.Error as error:
             raise UnreadableError(f"line {taken[0][0]}: quotes are not closed or not valid in CSV ({error})") from error

@@ -155,8 +155,8 @@ class Reading:
     shape: Shape
     timed: AbstractSet[tuple[str, str]] = frozenset()
     """The files whose columns of text are no times."""
-    trimmed: AbstractSet[tuple[str, str]] = frozenset()
-    """The files whose texts lost the blanks around them."""
+    padded: AbstractSet[tuple[str, str]] = frozenset()
+    """The files between whose `|` texts kept the blanks around them, as an earlier version recorded them."""
 
 
 class AtFaultError(Exception):

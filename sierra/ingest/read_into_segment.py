@@ -108,7 +108,7 @@ def _layout(reading: Reading, file: Written) -> str:
         file.ended or not csv,
         reading.hints.get(key, {}),
         "text" in columns.values() and key in reading.timed,
-        "text" in columns.values() and key in reading.trimmed,
+        csv and "text" in columns.values() and key not in reading.padded,
     ).dump()
 
 

@@ -42,8 +42,11 @@ class Rewriter:
     def __init__(self, shape: Shape, connection: Database) -> None:
         self.shape = shape
         self.sql = connection
-        self.bare = 0
-        """The number of elements around rows that have no row within."""
+
+    @property
+    def bare(self) -> int:
+        """The number of elements around rows that have no row within, in all files that were counted."""
+        return 0
 
     @classmethod
     def reader(cls) -> type[TableReader]:

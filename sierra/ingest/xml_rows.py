@@ -49,6 +49,14 @@ class XmlRows(Rewriter):
         self._missing = MissingValues(shape.form.na)
         self._orders: dict[frozenset[str], list[str]] = {}
         """The columns in the order of the first file that has these columns, by their set."""
+        self._around: set[str] = set()
+        """The paths of elements around rows."""
+        self._empty = Counter[str]()
+        """The number of elements that have no row within, by path."""
+
+    @property
+    def bare(self) -> int:
+        return sum(self._empty[path] for path in self._around)
 
     @classmethod
     def reader(cls) -> type[TableReader]:
@@ -63,8 +71,9 @@ class XmlRows(Rewriter):
         return sum(target.write(text) > 0 for text in _texts(order, self._rows(source)) if order) - bool(order)
 
     def count(self, source: Source, written: int) -> int:
-        counted, bare = count_tags(source.content(), self._path)
-        self.bare += bare
+        counted, around, empty = count_tags(source.content(), self._path)
+        self._around |= around
+        self._empty += empty
         return counted
 
     def place(self, source: Source, line: int) -> str:
@@ -221,12 +230,13 @@ def _texts(names: Sequence[str], rows: Iterator[tuple[int, Row]]) -> Iterator[by
         yield text.getvalue().encode("utf-8", "surrogateescape")
 
 
-def count_tags(content: bytes, path: re.Pattern[str]) -> tuple[int, int]:
+def count_tags(content: bytes, path: re.Pattern[str]) -> tuple[int, set[str], Counter[str]]:
     """Return the number of elements at a path, by a search for tags.
 
-    Also return how many elements have none within, of those at the paths of others that have: their attributes are in no row.
+    Also return the paths of the elements around them, and by path how many elements have none within: if these are at a path
+    around others, their attributes are in no row.
     """
-    found, within, rows, bare = 0, [""], [0], Counter[str]()
+    found, within, rows, empty = 0, [""], [0], Counter[str]()
     around: set[str] = set()
     for tag in TAG.finditer(content):
         if tag["name"] is None:
@@ -238,8 +248,8 @@ def count_tags(content: bytes, path: re.Pattern[str]) -> tuple[int, int]:
                 found += 1
                 around.update(within[1:-1])
         if tag["end"] or tag["empty"]:
-            bare[within.pop()] += rows.pop() == found
-    return found, sum(bare[name] for name in around)
+            empty[within.pop()] += rows.pop() == found
+    return found, around, empty
 
 
 def _refuse(*_: object) -> None:

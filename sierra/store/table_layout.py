@@ -26,7 +26,7 @@ class TableLayout:
     times: bool = False
     """True for a CSV whose columns of text are no times; earlier versions recorded times as texts."""
     trimmed: bool = False
-    """True for texts between `|` without the blanks around them; earlier versions recorded these blanks."""
+    """True for a CSV whose texts between `|`, if any, have no blanks around them; earlier versions recorded these blanks."""
 
     @classmethod
     def load(cls, text: str | None) -> TableLayout:

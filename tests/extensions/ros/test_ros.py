@@ -186,10 +186,6 @@ def test_topics_are_recorded_by_a_node(tmp_path: Path) -> None:
     node = launch.find("node[@pkg='rosbag']")
     assert node is not None
     assert node.get("args") == "-O $(env SIERRA_OUTPUT)/run.bag -e /tb3_0/odom /.*/scan"
-    options = OPTIONS + 'ros = 2\nrecord = ["/tf", "/a/odom|/b/odom", "/(a|b)/scan"]\n'
-    recorder = launched(make(tmp_path / "two", options, LAUNCH2), "montecarlo.C1").find("executable")
-    assert recorder is not None
-    assert recorder.get("cmd", "").endswith("/run --regex '/tf|(/a/odom|/b/odom)|(/(a|b)/scan)'")
 
 
 def test_no_path_and_no_port_is_in_the_files_of_a_run(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Follow the graph of a run of ROS 2 and record topics: `python3 ros2_watcher.py [--bag FOLDER] [--clock] TOPIC ...`.
 
-Its driver reads what it prints. It needs rclpy, and with `--bag` mcap. `TOPIC` are regular expressions. It prints one JSON object
-in each line:
+It needs rclpy, and with `--bag` mcap. `TOPIC` are regular expressions. Its driver reads what it prints, a JSON object in each
+line:
 
 - `{"ready": true}`: it takes part, and what is published from now on can be recorded;
 - `{"nodes": [...], "publishers": 3, "pending": [...], "clock": 1.5}`: the nodes, the number of publishers, the topics that it

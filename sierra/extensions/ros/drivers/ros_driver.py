@@ -648,7 +648,7 @@ class Launch2(Launch):
             (installed / "share" / name).symlink_to(path.parent)
             programs = installed / "lib" / name
             programs.mkdir(parents=True)
-            for script in sorted(path.parent.glob("scripts/*")):
+            for script in filter(Path.is_file, sorted(path.parent.glob("scripts/*"))):
                 self.add_program(programs / script.name, script, python)
         before = self.environment.get("AMENT_PREFIX_PATH")
         self.environment["AMENT_PREFIX_PATH"] = os.pathsep.join(filter(None, [str(installed), before]))
@@ -833,14 +833,14 @@ class Watcher:
         print(f"recorded {self.recorded['messages']} messages, lost {sum(lost.values())}", flush=True)
         for topic, count in late.items():
             print(f"{topic}: {count} published before they could be recorded; wait for /sierra/started", flush=True)
-        if not lost and self.recorded["dropped"] and not may_lose:
-            raise Failure(
-                f"the last messages may be missing: in the last seconds, the kernel dropped {self.recorded['dropped']} packets for "
-                "the recorder; if that is right, set may_lose = true"
-            )
         if lost and not may_lose:
             topics = ", ".join(f"{count} of {topic}" for topic, count in lost.items())
             raise Failure(f"messages were lost while they were recorded: {topics}; if that is right, set may_lose = true")
+        if (count := self.recorded["dropped"]) and not may_lose:
+            raise Failure(
+                f"the last messages may be missing: in the last seconds, the kernel dropped {count} packets for the recorder; "
+                "if that is right, set may_lose = true"
+            )
 
 
 def beside(name: str) -> str:
