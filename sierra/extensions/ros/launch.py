@@ -105,10 +105,14 @@ class Launch2:
         return None if found is None else (found, "namespace")
 
     def parameters(self, template: TemplateView, values: Mapping[str, str], why: str) -> Iterator[Change]:
-        """Yield the changes that give all nodes parameters, by name."""
+        """Yield the changes that give all nodes parameters, by name. Raises TemplateError if the template gives them others."""
         for name, value in values.items():
-            if not template.find(f"{ROOT}/set_parameter[@name='{name}']/@value"):
-                yield Add(ROOT, f'<set_parameter name="{name}" value="{value}"/>', at=0, expect=1, why=why)
+            if template.find(f"//set_parameter[@name='{name}']/@name"):
+                raise TemplateError(
+                    f"the launch file sets the parameter {name} for all nodes, as SIERRA does; remove it, or choose another "
+                    "name for the seed by seed_parameter"
+                )
+            yield Add(ROOT, f'<set_parameter name="{name}" value="{value}"/>', at=0, expect=1, why=why)
 
 
 @dataclass(frozen=True, slots=True)

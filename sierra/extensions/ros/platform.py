@@ -157,7 +157,6 @@ class Ros:
         changes: list[Change] = []
         if isinstance(self._dialect, Launch2):
             parameters = {f"{SETTINGS}_{name}": f"$(var {SETTINGS}_{name})" for name in settings}
-            parameters[f"{SETTINGS}_output"] = f"'$(var {SETTINGS}_output)'"
             parameters |= {options.seed_parameter: f"$(var {SETTINGS}_random_seed)"} if options.seed_parameter else {}
             parameters |= {"use_sim_time": "true"} if options.use_sim_time else {}
             changes += self._dialect.parameters(template, parameters, why)  # before the variables, so that they come after them

@@ -166,6 +166,76 @@ rclpy.spin(node)
     assert times["seconds"] >= 30
 
 
+@pytest.mark.nightly
+def test_the_time_does_not_begin_without_a_node(tmp_path: Path) -> None:
+    nodes = '<node pkg="nodes" exec="pair.py"/><node pkg="nodes" exec="slow.py" name="slow"/>'
+    pair = 'other = Node("other")\nrclpy.spin(node)'
+    settings = QUIET + "patience = 30.0\n"
+    root = project(tmp_path / "project", nodes, pair=pair, slow="", settings=settings)
+    (root / "packages/nodes/scripts/slow.py").write_text("import time\ntime.sleep(1000)\n")
+    assert re.search(r"ros: after 30 s, 1 of 2 programs are nodes \(/node, /other\); for programs", failed(root))
+
+
+def test_messages_of_a_late_publisher_are_lost(tmp_path: Path) -> None:
+    program = """
+def late(_):
+    chatter = node.create_publisher(Int64, "chatter", 10)
+    for number in range(5):
+        chatter.publish(Int64(data=number))
+    time.sleep(0.6)
+    chatter.publish(Int64(data=5))
+    time.sleep(0.1)
+node.create_subscription(Bool, "/sierra/started", late, latched)
+rclpy.spin(node)
+"""
+    root = project(tmp_path / "project", '<node pkg="nodes" exec="late.py" name="late"/>', late=program)
+    assert re.search(r"messages were lost while they were recorded: [1-5] of /chatter \(nodes that create", failed(root))
+
+
+def test_two_types_of_one_topic_fail_their_run(tmp_path: Path) -> None:
+    other = TALKER.replace('Int64, "chatter"', 'String, "chatter"').replace("Int64(data=seed)", "String(data=str(seed))")
+    nodes = '<node pkg="nodes" exec="talker.py" name="a"/><node pkg="nodes" exec="other.py" name="b"/>'
+    root = project(tmp_path / "project", nodes, talker=TALKER, other=other)
+    assert "ros: /chatter has several types: std_msgs/msg/Int64, std_msgs/msg/String" in failed(root)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "message"),
+    [
+        ("[0.1 * k for k in range(40)] + [0.2]", "ros: the simulated time went back from 3.9 s to 0.2 s"),
+        ("[0.1 * k for k in range(40)] + [1000.0]", "ros: the simulated time went from 3.9 s to 1000 s at once"),
+        pytest.param(
+            "[0.1 * k for k in range(40)]", "ros: the simulated time has been 3.9 s for 30 s", marks=pytest.mark.nightly
+        ),
+    ],
+)
+@pytest.mark.each_case
+def test_a_simulated_time_that_jumps_fails_its_run(tmp_path: Path, sequence: str, message: str) -> None:
+    program = f"""
+from rosgraph_msgs.msg import Clock
+clock = node.create_publisher(Clock, "/clock", 100)
+times = iter({sequence})
+def step():
+    now = next(times, None)
+    if now is not None:
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = int(now), round(now % 1 * 10**9)
+        clock.publish(message)
+node.create_timer(0.1, step)
+rclpy.spin(node)
+"""
+    settings = QUIET.replace("length = 1.0", "length = 30.0\nuse_sim_time = true\npatience = 30.0")
+    simulator = '<node pkg="nodes" exec="simulator.py" name="simulator"><param name="use_sim_time" value="false"/></node>'
+    assert message in failed(project(tmp_path / "project", simulator, simulator=program, settings=settings))
+
+
+def test_a_launch_file_with_its_own_seed_is_refused(tmp_path: Path) -> None:
+    launch = '<set_parameter name="seed" value="1"/><node pkg="nodes" exec="talker.py" name="talker"/>'
+    root = project(tmp_path / "project", launch, talker=TALKER)
+    done = projects.quick(root, "run", "level=1", "--dry-run")
+    assert (done.returncode, "sets the parameter seed for all nodes, as SIERRA does" in done.stderr) == (2, True)
+
+
 @pytest.mark.parametrize("may_lose", [False, True])
 @pytest.mark.each_case
 def test_messages_that_the_recorder_loses_fail_their_run_with_their_number(tmp_path: Path, may_lose: bool) -> None:
@@ -182,26 +252,26 @@ def burst(_):
         if b"ros2_watcher.py" in words and domain in variables.split(b"\\0"):
             watcher = int(os.path.basename(folder))
     os.kill(watcher, signal.SIGSTOP)
-    for number in range(3000):
+    for number in range(20000):
         chatter.publish(Int64(data=number))
     os.kill(watcher, signal.SIGCONT)
     time.sleep(0.5)
-    chatter.publish(Int64(data=3000))
+    chatter.publish(Int64(data=20000))
 node.create_subscription(Bool, "/sierra/started", burst, latched)
 rclpy.spin(node)
 """
-    settings = SETTINGS.replace("length = 1.0", f"length = 1.0\nmay_lose = {str(may_lose).lower()}")
+    settings = SETTINGS.replace("length = 1.0", f"length = 6.0\nmay_lose = {str(may_lose).lower()}")
     root = project(tmp_path / "project", '<node pkg="nodes" exec="fast.py" name="fast"/>', fast=program, settings=settings)
     if may_lose:
         projects.run(root, "level=1", "--runs", "1")
         run = str(projects.sql(root, "SELECT run FROM runs")[0]["run"])
         lines = re.findall(r"recorded (\d+) messages, lost (\d+)", projects.quick(root, "show", run, "stdout").stdout)
-        assert [sum(map(int, line)) for line in lines] == [3001]
+        assert [sum(map(int, line)) for line in lines] == [20001]
         assert projects.sql(root, "SELECT count(*)::VARCHAR AS rows FROM heard") == [{"rows": lines[0][0]}]
     else:
         lost = re.search(r"messages were lost while they were recorded: (\d+) of /chatter", failed(root))
         assert lost is not None
-        assert 0 < int(lost[1]) < 3001
+        assert 0 < int(lost[1]) < 20001
 
 
 @pytest.mark.nightly

@@ -18,10 +18,10 @@ pytestmark = pytest.mark.integration
 
 TELLER = f"""\
 #!{sys.executable}
-import json, os, sys
+import json, os, sys, yaml
 files = [word for before, word in zip(sys.argv, sys.argv[1:]) if before == "--params-file"]
 words = ["FILE" if word in files else word for word in sys.argv[1:]]
-parameters = [json.load(open(file)) if not file.endswith("given.yaml") else file for file in files]
+parameters = [yaml.safe_load(open(file)) if not file.endswith("given.yaml") else file for file in files]
 print(json.dumps([words, parameters, os.environ.get("COLOUR", "")]))
 """
 INCLUDED = """\
@@ -43,6 +43,8 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "lib/p/tell").chmod(0o755)
     (tmp_path / "lib/p/data").write_text("")
     (tmp_path / "other.launch.xml").write_text(INCLUDED)
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "other.launch.xml").write_text(INCLUDED)
     (tmp_path / "given.yaml").write_text("/**: {ros__parameters: {a: 1}}\n")
     return tmp_path
 
@@ -105,17 +107,19 @@ NODE = '<node pkg="p" exec="tell" name="n"{}>{}</node>'
             [
                 "n-1",
                 ["--ros-args", "-r", "__node:=n", "--params-file", "FILE", "--params-file", "FILE"],
-                [{"/n": {"ros__parameters": {"a": 1}}}, {"/n": {"ros__parameters": {"b": "1"}}}],
+                [{"/**": {"ros__parameters": {"a": 1}}}, {"/**": {"ros__parameters": {"b": "1"}}}],
                 "red",
             ],
         ),
         (
             '<set_parameter name="s" value="0.5"/>'
-            + NODE.format("", '<param name="a"><param name="b" value="[1, 2]"/><param name="c" value="true"/></param>'),
+            + NODE.format(
+                ' namespace="q"', '<param name="a"><param name="b" value="[1, 2]"/><param name="c" value="true"/></param>'
+            ),
             [
-                "n-1",
-                ["--ros-args", "-r", "__node:=n", "--params-file", "FILE", "--params-file", "FILE"],
-                [{"/**": {"ros__parameters": {"s": 0.5}}}, {"/n": {"ros__parameters": {"a": {"b": [1, 2], "c": True}}}}],
+                "q/n-1",
+                ["--ros-args", "-r", "__node:=n", "-r", "__ns:=/q", "-p", "s:=0.5", "--params-file", "FILE"],
+                [{"/q/n": {"ros__parameters": {"a": {"b": [1, 2], "c": True}}}}],
                 "red",
             ],
         ),
@@ -139,14 +143,36 @@ def test_nodes_are_started_as_launch_ros_starts_them(folder: Path, elements: str
         (NODE.format(' args="$(var x)"', ""), "line 2: <node> args: $(var x) has no value; declare it by <arg> or <let>"),
         (NODE.format(' if="maybe"', ""), "line 2: <node> if: 'maybe' is neither true nor false"),
         (NODE.format("", "<param/>"), "line 2: <param> lacks the attribute name"),
-        (NODE.format("", '<param from="none.yaml"/>'), "line 2: <param> from: "),
+        (
+            NODE.format("", '<param from="none.yaml"/>'),
+            "line 2: <param> from: none.yaml is relative; write $(dirname)/none.yaml",
+        ),
+        (NODE.format("", '<param from="/none.yaml"/>'), "line 2: <param> from: /none.yaml does not exist"),
+        ('<let name="x" value="5"/>' + NODE.format("", "<param name='a' value=\"'$(var x)'\"/>"), "has quotes beside"),
+        ('<let name="x" value="5"/>' + NODE.format(" args=\"'$(var x) b'\"", ""), "has quotes or several blanks beside"),
+        ('<let name="x" value="5"/>' + NODE.format(' args=" $(var x)"', ""), "has quotes or several blanks beside"),
+        (NODE.format(' args="a\\ b"', ""), "has a backslash, which needs the real ros2 launch"),
+        (NODE.format(' args="$(env  NONE x)"', ""), "has quotes or several blanks beside"),
+        (NODE.format(' args="$(env NONE x&apos;y)"', ""), "has quotes or several blanks beside"),
+        ('<group><set_parameter name="a" value="1"/></group>', "<set_parameter> in a group needs the real ros2 launch"),
+        ('<set_parameter name="a" value="[1, 2]"/>', "<set_parameter> value: '[1, 2]' needs the real ros2 launch"),
+        ('<let name="ros_namespace" value="/z"/>', "<let> sets ros_namespace, which needs the real ros2 launch"),
+        ('<let name="x" value="0"/><group scoped="$(var x)"/>', "<group> has a substitution in scoped"),
+        (
+            '<include file="other.launch.xml"/>',
+            "<include> file: other.launch.xml is relative; write $(dirname)/other.launch.xml",
+        ),
+        (
+            '<include file="$(dirname)/sub/other.launch.xml"/>' + NODE.format(' args="$(dirname)"', ""),
+            "$(dirname) needs the real ros2 launch",
+        ),
         ('<arg name="x"/>', "line 2: <arg> x has no value; give it a default"),
         ('<node pkg="q" exec="tell"/>', "line 2: <node> pkg: the package 'q' is unknown"),
         ('<node pkg="p" exec="data"/>', "line 2: <node> exec: the package p has no executable file data"),
-        ('\n<include file="other.launch.py"/>', "line 3: <include> names other.launch.py, which is not XML"),
+        ('\n<include file="/other.launch.py"/>', "line 3: <include> names other.launch.py, which is not XML"),
         ('<include file="$(dirname)/a.launch.xml"/>', "is the 20th file in another; it seems to include itself"),
         ("<node", "a.launch.xml, line 3: is not XML"),
-        ("text", "a.launch.xml, line 2: <launch> has the text 'text'"),
+        ("text", "<launch> has the text 'text'"),
     ],
 )
 @pytest.mark.each_case

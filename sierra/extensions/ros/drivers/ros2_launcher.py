@@ -12,9 +12,8 @@ Nodes end by SIGINT as soon as it gets SIGINT or SIGTERM; those that do not, by 
 
 from __future__ import annotations
 
-import json
+import ctypes
 import os
-import re
 import selectors
 import shlex
 import signal
@@ -22,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -54,9 +54,10 @@ INSIDE = {
 }
 """The elements in others, with their attributes."""
 TYPES: dict[str, Any] = {"str": str, "int": int, "float": float, "bool": lambda text: truth(text)}
-NAME = re.compile(r"[A-Za-z][\w-]*")
 NEEDED = "needs the real ros2 launch, which is not on PATH"
 DEEPEST = 20
+RESERVED = ("ros_namespace", "ros_remaps", "global_params", "launch-prefix", "launch-prefix-filter")
+LIBC, PR_SET_PDEATHSIG = ctypes.CDLL(None), 1
 
 
 class Refused(Exception):
@@ -86,9 +87,11 @@ class Scope:
 
     variables: dict[str, str]
     environment: dict[str, str]
+    read: list[Path]
+    """The launch files in the order in which they were read: in `launch`, `$(dirname)` stays that of an included file."""
     namespace: str = ""
-    parameters: dict[str, object] = field(default_factory=dict)
-    """The parameters that all nodes get."""
+    parameters: tuple[str, ...] = ()
+    """The words that give parameters to all nodes."""
 
     def copy(self) -> Scope:
         return replace(self, variables=dict(self.variables), environment=dict(self.environment))
@@ -160,57 +163,49 @@ def prefix(package: str, environment: dict[str, str]) -> Path:
 
 
 class Substitutions:
-    """The substitutions in one attribute: `$(var speed)`."""
+    """The substitutions in one attribute: `$(var speed)`. Texts that `launch` would understand otherwise are refused."""
 
     def __init__(self, text: str, scope: Scope, folder: Path) -> None:
+        if "\\" in text:
+            raise ValueError(f"{text!r} has a backslash, which {NEEDED}")
         self.text, self.scope, self.folder = text, scope, folder
         self.at = 0
 
     def whole(self) -> str:
         """Return the text with all values. Raises ValueError."""
-        return self._until("")
+        return "".join(self._parts(""))
 
     def words(self) -> list[str]:
         """Return the words of a command line: a value is never split. Raises ValueError."""
-        return shlex.split(self._until("", shlex.quote))
+        if "$(" not in self.text:
+            return shlex.split(self.text)
+        if any(quote in self.text for quote in "'\"") or self.text != " ".join(self.text.split()):
+            raise ValueError(f"{self.text!r} has quotes or several blanks beside a substitution, which {NEEDED}")
+        return shlex.split("".join(self._parts("", shlex.quote)))
 
-    def _until(self, end: str, quoted: Any = str) -> str:
-        """Return the text up to one of these characters, which is not read."""
-        parts: list[str] = []
+    def _parts(self, end: str, quoted: Callable[[str], str] = str) -> Iterator[str]:
+        """Yield the texts and values up to one of these characters, which is not read."""
         while self.at < len(self.text) and self.text[self.at] not in end:
-            if self.text[self.at] == "\\" and quoted is str:
-                parts.append(self.text[self.at + 1 : self.at + 2])
+            if self.text.startswith("$(", self.at):
                 self.at += 2
-            elif self.text.startswith("$(", self.at):
-                self.at += 2
-                parts.append(quoted(self._value()))
+                yield quoted(self._value())
             else:
-                parts.append(self.text[self.at])
+                yield self.text[self.at]
                 self.at += 1
-        return "".join(parts)
 
     def _value(self) -> str:
-        match = NAME.match(self.text, self.at)
-        if match is None:
-            raise ValueError(f"a substitution has no name in {self.text!r}")
-        self.at = match.end()
-        words: list[str] = []
-        while self.at < len(self.text) and self.text[self.at] != ")":
-            if self.text[self.at].isspace():
-                self.at += 1
-            elif self.text[self.at] in "'\"":
-                quote = self.text[self.at]
-                self.at += 1
-                words.append(self._until(quote))
-                self.at += 1
-            else:
-                words.append(self._until(" \t\n)"))
-        if self.at >= len(self.text):
-            raise ValueError(f"a substitution is not closed in {self.text!r}")
+        begin = self.at
+        words = ["".join(self._parts(" )"))]
+        while self.text.startswith(" ", self.at):
+            self.at += 1
+            words.append("".join(self._parts(" )")))
+        inner = self.text[begin : self.at]
+        if not self.text.startswith(")", self.at) or not all(words) or any(character in inner for character in "'\"\t\n"):
+            raise ValueError(f"the substitution $({inner} {NEEDED}")
         self.at += 1
-        return self._result(match[0], words)
+        return self._result(*words)
 
-    def _result(self, name: str, words: list[str]) -> str:
+    def _result(self, name: str, *words: str) -> str:
         if name == "var" and len(words) == 1:
             if words[0] not in self.scope.variables:
                 raise ValueError(f"$(var {words[0]}) has no value; declare it by <arg> or <let>")
@@ -222,7 +217,7 @@ class Substitutions:
         if name in ("find-pkg-share", "find-pkg-prefix") and len(words) == 1:
             folder = prefix(words[0], self.scope.environment)
             return str(folder / "share" / words[0] if name == "find-pkg-share" else folder)
-        if name == "dirname" and not words:
+        if name == "dirname" and not words and self.folder == self.scope.read[-1].parent:
             return str(self.folder)
         raise ValueError(f"$({' '.join([name, *words])}) {NEEDED}")
 
@@ -271,7 +266,9 @@ class Use:
 
     def typed(self) -> object:
         """Return the value of a parameter, of its type, or as YAML reads it."""
-        text, kind = self.text("value"), self.element.attributes.get("type")
+        raw, text, kind = self.element.attributes.get("value", ""), self.text("value"), self.element.attributes.get("type")
+        if "$(" in raw and any(quote in raw for quote in "'\""):
+            raise self.refused(f'value: {raw!r} has quotes beside a substitution, which {NEEDED}; type="str" makes a text')
         try:
             value = yaml.safe_load(text or "''") if kind is None else TYPES[kind](text)
         except (KeyError, ValueError, yaml.YAMLError) as error:
@@ -280,6 +277,13 @@ class Use:
         if len(kinds) == 1 and kinds <= {bool, int, float, str}:
             return value
         raise self.refused(f"value: {text!r} is no value of a parameter; quote a text that looks like something else")
+
+    def word(self) -> str:
+        """Return the value of a parameter that all nodes get, as a word of a command line."""
+        value = self.typed()
+        if isinstance(value, list) or value == "" or (str(value) != self.text("value") and not isinstance(value, bool)):
+            raise self.refused(f"value: {self.text('value')!r} {NEEDED}; a plain number or text is passed as it is")
+        return str(value)
 
     def inside(self, *tags: str) -> list[Use]:
         """Return the elements in the element that have one of these tags, and that count. Raises Refused for unknown ones."""
@@ -308,13 +312,14 @@ class Reader:
 
     def read(self, file: Path, scope: Scope, depth: int = 0) -> None:
         """Add the nodes of a launch file. Raises Refused."""
+        scope.read.append(file)
         try:
             for child in read(file).children:
                 self._read(child, scope, file, depth)
         except Refused as error:
             raise error if error.is_named else Refused(f"{file.name}, {error}", is_named=True) from error
 
-    def _read(self, element: Element, scope: Scope, file: Path, depth: int) -> None:
+    def _read(self, element: Element, scope: Scope, file: Path, depth: int, *, nested: bool = False) -> None:
         if element.tag not in ATTRIBUTES:
             raise element.refused(NEEDED)
         check_attributes(element, ATTRIBUTES[element.tag])
@@ -322,33 +327,40 @@ class Reader:
         if not use.counts():
             return
         if element.tag == "group":
+            if "$(" in element.attributes.get("scoped", ""):
+                raise use.refused(f"has a substitution in scoped, which {NEEDED}")
             inner = scope.copy() if use.truth("scoped", default=True) else scope
             for child in element.children:
-                self._read(child, inner, file, depth)
+                self._read(child, inner, file, depth, nested=True)
             return
         use.inside()
         if element.tag == "arg":
             declare(use)
         elif element.tag == "let":
-            scope.variables[use.text("name")] = use.text("value")
+            scope.variables[own_name(use)] = use.text("value")
         elif element.tag == "set_env":
             scope.environment[use.text("name")] = use.text("value")
         elif element.tag == "push_ros_namespace":
             scope.namespace = joined(scope.namespace, use.text("namespace"))
+        elif element.tag == "set_parameter" and not nested:
+            scope.parameters += ("-p", f"{use.text('name')}:={use.word()}")
         elif element.tag == "set_parameter":
-            scope.parameters = {**scope.parameters, use.text("name"): use.typed()}
+            raise use.refused(f"in a group {NEEDED}, which may also give it to nodes behind the group")
         elif element.tag == "include":
             self._include(use, depth)
         else:
             self.nodes.append(self._node(use))
 
     def _include(self, use: Use, depth: int) -> None:
-        file = use.file.parent / use.text("file")
+        file = absolute(use, "file")
         if depth == DEEPEST:
             raise use.refused(f"is the {DEEPEST}th file in another; it seems to include itself")
         if not file.name.endswith((".xml", ".launch")):
             raise use.refused(f"names {file.name}, which is not XML: it {NEEDED}")
-        use.scope.variables.update({given.text("name"): given.text("value") for given in use.inside("arg", "let")})
+        for given in use.inside("arg", "let"):
+            if "$(dirname" in given.element.attributes.get("value", ""):
+                raise given.refused(f"has $(dirname), which is the folder of the included file, and {NEEDED}")
+            use.scope.variables[own_name(given)] = given.text("value")
         self.read(file, use.scope, depth + 1)
 
     def _node(self, use: Use) -> Node:
@@ -357,9 +369,9 @@ class Reader:
         words = [program(use), *use.words("args"), "--ros-args", *use.words("ros_args")]
         words += ["-r", f"__node:={name}"] if name else []
         words += ["-r", f"__ns:={namespace}"] if namespace else []
-        words += ["--params-file", self._file("/**", scope.parameters)] if scope.parameters else []
+        words += scope.parameters
         for param in use.inside("param"):
-            words += ["--params-file", self._parameters(param, f"{namespace}/{name}" if name else "/**")]
+            words += ["--params-file", self._parameters(param, f"{namespace}/{name}" if name and namespace else "/**")]
         for remap in use.inside("remap"):
             words += ["-r", f"{remap.text('from')}:={remap.text('to')}"]
         environment = scope.environment | {env.text("name"): env.text("value") for env in use.inside("env")}
@@ -370,22 +382,38 @@ class Reader:
         """Return the path of a file with the parameters of an element."""
         if not param.has("from"):
             return self._file(node, parameters(param))
-        file = param.file.parent / param.text("from")
+        file = absolute(param, "from")
         if not file.is_file():
             raise param.refused(f"from: {file} does not exist")
         return str(file)
 
     def _file(self, node: str, values: dict[str, object]) -> str:
-        """Write parameters of nodes into a file, in JSON, which is YAML; return its path."""
+        """Write parameters of nodes into a file, as `launch_ros` does; return its path."""
         number, path = tempfile.mkstemp(suffix=".yaml", dir=self.folder)
         with os.fdopen(number, "w") as file:
-            json.dump({node: {"ros__parameters": values}}, file)
+            yaml.dump({node: {"ros__parameters": values}}, file, default_flow_style=False)
         return path
+
+
+def absolute(use: Use, name: str) -> Path:
+    """Return the path in an attribute. Raises Refused for a relative one, which `launch` looks for in the working directory."""
+    file = Path(use.text(name))
+    if not file.is_absolute():
+        raise use.refused(f"{name}: {file} is relative; write $(dirname)/{file}, or $(find-pkg-share PACKAGE)/...")
+    return file
+
+
+def own_name(use: Use) -> str:
+    """Return the name of a variable. Raises Refused for those by which `launch` keeps settings of its own."""
+    name = use.text("name")
+    if name in RESERVED:
+        raise use.refused(f"sets {name}, which {NEEDED}")
+    return name
 
 
 def declare(use: Use) -> None:
     """Give an argument its default, if it has no value."""
-    name = use.text("name")
+    name = own_name(use)
     if name not in use.scope.variables:
         if not use.has("default"):
             raise use.refused(f"{name} has no value; give it a default")
@@ -431,7 +459,12 @@ class Running:
     def start(self, node: Node) -> None:
         try:
             process = subprocess.Popen(
-                node.words, env=node.environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+                node.words,
+                env=node.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                preexec_fn=end_with_parent,
             )
         except OSError as error:
             say(f"[ERROR] [{node.name}]: Unable to launch {node.words[0]}: {error.strerror}")
@@ -479,6 +512,11 @@ class Running:
                 self.report()
 
 
+def end_with_parent() -> None:
+    """Let the kernel kill a node if the launcher is killed."""
+    LIBC.prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL))
+
+
 def say(line: str) -> None:
     print(line, flush=True)
 
@@ -488,17 +526,17 @@ def main() -> None:
     told: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: told.append(number))
-    launch, running = Path(sys.argv[1]), Running()
+    launch, running, parent = Path(sys.argv[1]).resolve(), Running(), os.getppid()
     with tempfile.TemporaryDirectory(prefix="ros2-") as folder:
         reader = Reader(Path(folder))
         try:
-            reader.read(launch, Scope({}, dict(os.environ)))
+            reader.read(launch, Scope({}, dict(os.environ), []))
         except Refused as error:
             sys.exit(f"Unable to launch {error}")
         try:
             for node in reader.nodes:
                 running.start(node)
-            while not told:
+            while not told and os.getppid() == parent:
                 running.copy(TICK_S)
                 running.report()
         finally:

@@ -4,11 +4,12 @@ It needs rclpy, and with `--bag` mcap. `TOPIC` are regular expressions. Its driv
 line:
 
 - `{"ready": true}`: it takes part, and what is published from now on can be recorded;
-- `{"nodes": [...], "publishers": 3, "pending": [...], "clock": 1.5}`: the nodes, the number of publishers, the topics that it
-  does not receive yet from all who publish them, and the last time of `/clock`, whenever one of them has changed;
-- `{"messages": 6000, "lost": {...}, "late": {...}, "dropped": 0}` at the end: the number of messages in the bag, those of each
-  topic that are lost, those that were published before it received the topic, and the packets of the last seconds that the
-  kernel dropped: what was in them may have been the last messages;
+- `{"nodes": [...], "participants": 2, "publishers": 3, "pending": [...], "clock": 1.5}`: the nodes, the numbers of programs and
+  of publishers, the topics that it does not receive yet from all who publish them, and the last time of `/clock`, whenever one
+  of them has changed;
+- `{"messages": 6000, "lost": {...}, "late": {...}, "silent": [...], "dropped": 0}` at the end: the number of messages in the
+  bag; by topic, how many are lost, and how many were published before the start and before it received them; topics with a
+  publisher from which nothing came; and the packets that the kernel dropped in the last seconds: the last messages, perhaps;
 - `{"failure": "..."}` if it cannot go on.
 
 A line on its standard input lets it publish `/sierra/started`, which new subscribers get too. SIGINT, SIGTERM or the end of its
@@ -45,6 +46,7 @@ from std_msgs.msg import Bool
 
 NAME = "sierra_watcher"
 STARTED = "/sierra/started"
+PREFIX = 12  # bytes of the identity of a publisher that are those of its participant
 HIDDEN = re.compile(rf"/(_|launch_ros_|{NAME}(_witness)?$)")  # no nodes of the launch file
 DEPTH = 5000  # messages of a topic that may wait
 LOOK_S, LATER_S = 0.05, 0.3  # between two looks at the graph, before and after the start
@@ -121,12 +123,15 @@ class Recorded:
         first, last, messages = self.numbers.get(source, (number, number, 0))
         self.numbers[source] = (first, max(last, number), messages)
 
-    def lost(self) -> int:
+    def lost(self, before: set[SOURCE]) -> int:
+        """Return how many messages are missing; of publishers that were there `before` the start, since their first one."""
         gaps = sum(last - first + 1 - messages for first, last, messages in self.numbers.values())
-        return max(gaps, self.lost_events)
+        begins = sum(first - 1 for source, (first, _, _) in self.numbers.items() if source not in before)
+        return max(gaps, self.lost_events) + begins
 
-    def late(self) -> int:
-        return sum(first - 1 for first, _, _ in self.numbers.values())
+    def late(self, before: set[SOURCE]) -> int:
+        """Return how many messages of publishers that were there before the start came before the first one."""
+        return sum(first - 1 for source, (first, _, _) in self.numbers.items() if source in before)
 
 
 class Bag:
@@ -178,6 +183,13 @@ class Watcher:
         self.time: float | None = None
         self.failure = ""
         self.has_started = False
+        self.topics_seen: list[Any] = []
+        self.sources: dict[str, set[SOURCE]] = {}
+        """All publishers of recorded topics that were seen, by topic."""
+        self.before: set[SOURCE] = set()
+        """Those that were seen before the start."""
+        self.programs: set[SOURCE] = set()
+        """The participants of DDS that publish something: one for each program."""
         latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.started = self.node.create_publisher(Bool, STARTED, latched)
         if clock:
@@ -185,24 +197,36 @@ class Watcher:
             self.node.create_subscription(Clock, "/clock", self._tick, lossy)
 
     def _tick(self, message: Clock) -> None:
-        self.time = message.clock.sec + message.clock.nanosec / 1e9
+        now = message.clock.sec + message.clock.nanosec / 1e9
+        if self.time is not None and now < self.time:
+            self.failure = f"the simulated time went back from {self.time:g} s to {now:g} s"
+        self.time = now
 
     def start(self) -> None:
         self.has_started = True
+        self.before = self._publishers()
         self.started.publish(Bool(data=True))
 
     def spin(self) -> None:
         """Take what has come, and look at the graph now and then. Raises Failure."""
         self.executor.spin_once(LOOK_S)
-        if time.monotonic() - self.looked > (LATER_S if self.has_started else LOOK_S):
+        if self._has_to_look():
             self.looked = time.monotonic()
             publishers, pending = self._look()
             nodes = sorted({f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()})
             self._count_drops()
             own = [name for name in nodes if not HIDDEN.search(name)]
-            self.say(nodes=own, publishers=publishers, pending=pending, clock=self.time)
+            self.say(nodes=own, participants=len(self.programs), publishers=publishers, pending=pending, clock=self.time)
         if self.failure:
             raise Failure(self.failure)
+
+    def _has_to_look(self) -> bool:
+        """Return whether it is time to look at the whole graph, which costs more when there are many topics."""
+        passed = time.monotonic() - self.looked
+        if passed < LOOK_S:
+            return False
+        before, self.topics_seen = self.topics_seen, self.node.get_topic_names_and_types()
+        return not self.has_started or passed > LATER_S or self.topics_seen != before
 
     def _count_drops(self) -> None:
         now = time.monotonic()
@@ -219,18 +243,25 @@ class Watcher:
     def _look(self) -> tuple[int, list[str]]:
         """Subscribe to topics that are new; return the number of publishers, and topics that do not come from all of them."""
         count, pending = 0, []
-        for topic, kinds in self.node.get_topic_names_and_types():
+        self.programs = set()
+        for topic, kinds in self.topics_seen:
             publishers = self.node.get_publishers_info_by_topic(topic)
+            publishers = [one for one in publishers if not HIDDEN.search(f"/{one.node_name}")]
+            self.programs |= {bytes(one.endpoint_gid[:PREFIX]) for one in publishers}
             count += len(publishers)
             if self.bag is None or topic == STARTED or not any(wanted.fullmatch(topic) for wanted in self.topics):
                 continue
+            if len(kinds) > 1:
+                raise Failure(f"{topic} has several types: {', '.join(kinds)}")
+            self.sources.setdefault(topic, set()).update(bytes(one.endpoint_gid) for one in publishers)
             if publishers and topic not in self.recorded:
-                if len(kinds) > 1:
-                    raise Failure(f"{topic} has several types: {', '.join(kinds)}")
                 self._subscribe(topic, kinds[0], publishers)
             if publishers and self.subscriptions[topic].get_publisher_count() < len(publishers):
                 pending.append(topic)
         return count, pending
+
+    def _publishers(self) -> set[SOURCE]:
+        return set().union(*self.sources.values())
 
     def _subscribe(self, topic: str, kind: str, publishers: list[Any]) -> None:
         package, _, name = kind.split("/")
@@ -288,10 +319,17 @@ class Watcher:
                 self.recorded[topic].see(*identity(taken[1]))
         topics = list(self.recorded.values())
         self.bag.close()
-        lost = {topic.name: count for topic in topics if (count := topic.lost())}
-        late = {topic.name: count for topic in topics if (count := topic.late())}
+        lost = {topic.name: count for topic in topics if (count := topic.lost(self.before))}
+        late = {topic.name: count for topic in topics if (count := topic.late(self.before))}
+        silent = [name for name, sources in self.sources.items() if sources - self.recorded[name].numbers.keys()]
         drops = dropped() - self.drops[0][1] if self.drops else 0
-        account = {"messages": sum(topic.messages for topic in topics), "lost": lost, "late": late, "dropped": drops}
+        account = {
+            "messages": sum(topic.messages for topic in topics),
+            "lost": lost,
+            "late": late,
+            "silent": silent,
+            "dropped": drops,
+        }
         print(json.dumps(account), flush=True)
 
 

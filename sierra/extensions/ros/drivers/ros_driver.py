@@ -579,6 +579,8 @@ class Launch2(Launch):
     begin: float | None = None
     first: float | None = None
     """The simulated time when it was first seen."""
+    latest = 0.0
+    """The last simulated time."""
 
     def command(self) -> list[str]:
         given = self.given
@@ -609,6 +611,7 @@ class Launch2(Launch):
             is_old = self.environment.get("ROS_DISTRO") in WITH_OLD_PROFILES
             self.environment[PROFILES[is_old]] = str(profile)
         else:
+            print("ros: the middleware is yours, so nodes may use shared memory and multicast", flush=True)
             self.environment.update(ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")  # Iron and newer
             self.environment.update(ROS_LOCALHOST_ONLY="1")  # before
 
@@ -641,7 +644,10 @@ class Launch2(Launch):
         index = installed / "share" / "ament_index" / "resource_index" / "packages"
         index.mkdir(parents=True)
         for path in packages:
-            name = (ElementTree.parse(path).findtext("name") or "").strip()  # noqa: S314 - the project's own file
+            try:
+                name = (ElementTree.parse(path).findtext("name") or "").strip()  # noqa: S314 - the project's own file
+            except ElementTree.ParseError as error:
+                raise Failure(f"{path} is not XML: {error}") from error
             if not re.fullmatch(r"\w+", name) or (index / name).exists():
                 raise Failure(f"{path}: a package needs a name of its own, but this is {name!r}")
             (index / name).touch()
@@ -710,12 +716,10 @@ class Launch2(Launch):
         started = self.watch.processes - self.watch.ended
         if not self.watch.processes:
             return "no node was started"
-        known = self.watcher.nodes
-        if self.given.barrier and len(known) < len(started):
-            names = ", ".join(known) or "none"
-            return (
-                f"ROS 2 knows {len(known)} of {len(started)} nodes ({names}); for programs that are no nodes: barrier = false"
-            )
+        known = self.watcher.participants
+        if self.given.barrier and known < len(started):
+            names = ", ".join(self.watcher.nodes) or "none"
+            return f"{known} of {len(started)} programs are nodes ({names}); for programs that are no nodes: barrier = false"
         if time.monotonic() - self.watcher.changed < GRAPH_S:
             return "nodes or topics were added in the last second"
         if self.watcher.pending:
@@ -730,8 +734,15 @@ class Launch2(Launch):
             if time.monotonic() > self.deadline:
                 raise Failure("nothing has published the simulated time (/clock)")
             return None
-        self.first = self.watcher.clock if self.first is None else self.first
-        return self.watcher.clock - self.first
+        if self.first is None:
+            self.first = self.latest = self.watcher.clock
+        if self.watcher.clock != self.latest:
+            if not 0 < self.watcher.clock - self.latest <= self.given.length:
+                raise Failure(f"the simulated time went from {self.latest:g} s to {self.watcher.clock:g} s at once")
+            self.latest, self.deadline = self.watcher.clock, time.monotonic() + self.given.patience
+        elif time.monotonic() > self.deadline:
+            raise Failure(f"the simulated time has been {self.latest:g} s for {self.given.patience:g} s")
+        return self.latest - self.first
 
     def is_finished(self, passed: float | None) -> bool:
         if self.has_all_awaited() and time.monotonic() - self.watch.latest > SETTLED_S:
@@ -778,6 +789,8 @@ class Watcher:
         self.changed = time.monotonic()
         """When nodes or publishers were added or removed."""
         self.nodes: list[str] = []
+        self.participants = 0
+        """The number of programs with nodes."""
         self.pending: list[str] = []
         self.clock: float | None = None
         self.publishers = 0
@@ -803,6 +816,7 @@ class Watcher:
             self.publishers = seen.get("publishers", self.publishers)
             self.nodes, self.pending = seen.get("nodes", self.nodes), seen.get("pending", self.pending)
             self.clock = seen.get("clock", self.clock)
+            self.participants = seen.get("participants", self.participants)
             self.recorded = seen if "messages" in seen else self.recorded
         if self.process.poll() is not None and not self.recorded and self.process.returncode:
             raise Failure(f"the program that watches the run has ended (exit status {self.process.returncode})")
@@ -832,10 +846,15 @@ class Watcher:
         lost, late = self.recorded["lost"], self.recorded["late"]
         print(f"recorded {self.recorded['messages']} messages, lost {sum(lost.values())}", flush=True)
         for topic, count in late.items():
-            print(f"{topic}: {count} published before they could be recorded; wait for /sierra/started", flush=True)
+            print(f"{topic}: {count} published before the start, and before they could be recorded", flush=True)
+        for topic in self.recorded["silent"]:
+            print(f"{topic}: nothing came from a node that publishes it", flush=True)
         if lost and not may_lose:
             topics = ", ".join(f"{count} of {topic}" for topic, count in lost.items())
-            raise Failure(f"messages were lost while they were recorded: {topics}; if that is right, set may_lose = true")
+            raise Failure(
+                f"messages were lost while they were recorded: {topics} (nodes that create publishers before they wait for "
+                "/sierra/started lose none at the begin); if that is right, set may_lose = true"
+            )
         if (count := self.recorded["dropped"]) and not may_lose:
             raise Failure(
                 f"the last messages may be missing: in the last seconds, the kernel dropped {count} packets for the recorder; "
