@@ -202,10 +202,10 @@ def test_two_types_of_one_topic_fail_their_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sequence", "message"),
     [
-        ("[0.1 * k for k in range(40)] + [0.2]", "ros: the simulated time went back from 3.9 s to 0.2 s"),
-        ("[0.1 * k for k in range(40)] + [1000.0]", "ros: the simulated time went from 3.9 s to 1000 s at once"),
+        ("[0.1 * k for k in range(40)] + [0.2]", r"ros: the simulated time went back from 3\.9 s to 0\.2 s"),
+        ("[0.1 * k for k in range(40)] + [1000.0]", r"ros: the simulated time went from 3\.\d s to 1000 s at once"),
         pytest.param(
-            "[0.1 * k for k in range(40)]", "ros: the simulated time has been 3.9 s for 30 s", marks=pytest.mark.nightly
+            "[0.1 * k for k in range(40)]", r"ros: the simulated time has been 3\.9 s for 30 s", marks=pytest.mark.nightly
         ),
     ],
 )
@@ -226,7 +226,7 @@ rclpy.spin(node)
 """
     settings = QUIET.replace("length = 1.0", "length = 30.0\nuse_sim_time = true\npatience = 30.0")
     simulator = '<node pkg="nodes" exec="simulator.py" name="simulator"><param name="use_sim_time" value="false"/></node>'
-    assert message in failed(project(tmp_path / "project", simulator, simulator=program, settings=settings))
+    assert re.search(message, failed(project(tmp_path / "project", simulator, simulator=program, settings=settings)))
 
 
 def test_a_launch_file_with_its_own_seed_is_refused(tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ TICK_S = 0.1
 GONE_S = 3.0
 SETTLED_S = 2.0  # without a new node, until all nodes of ROS 2 count as started
 GRAPH_S = 0.5  # without a new node or publisher, until all nodes of ROS 2 count as complete
+WATCHER_S = 60.0  # for the watcher to take part
 WATCHED_S = 20.0  # for the watcher to close its bag
 GRACE = ((signal.SIGINT, 15.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))  # signals to the launcher, and seconds after each
 SIGINT_S, SIGTERM_S = 5.0, 2.0  # for each node, by roslaunch
@@ -296,11 +297,13 @@ class Launch:
         self.logs.mkdir(parents=True)
         output = str(self.given.output.resolve())
         self.environment.update(ROS_LOG_DIR=str(self.logs), PYTHONUNBUFFERED="1", SIERRA_OUTPUT=output)
-        process = self.started(self.command())
         try:
-            self.supervise(process)
+            process = self.started(self.command())
+            try:
+                self.supervise(process)
+            finally:
+                end(process)
         finally:
-            end(process)
             self.close()
         self.watch.read(b"\n")
         if not self.is_over():
@@ -581,6 +584,8 @@ class Launch2(Launch):
     """The simulated time when it was first seen."""
     latest = 0.0
     """The last simulated time."""
+    watcher: Any = None
+    recorder: subprocess.Popen[bytes] | None = None
 
     def command(self) -> list[str]:
         given = self.given
@@ -589,7 +594,6 @@ class Launch2(Launch):
         domain = self.reserve("domain", DOMAINS, is_free_domain)
         self.environment.update(ROS_DOMAIN_ID=domain, ROS_HOME=str(self.folder / "home"))
         self.stay_here()
-        self.deadline = time.monotonic() + given.patience
         python, has_recorder = self.find_python()
         self.add_packages(python)
         self.start_watcher(python, has_recorder=has_recorder)
@@ -675,14 +679,15 @@ class Launch2(Launch):
         """Start the watcher, which records, and wait until it takes part. Raises Failure."""
         given = self.given
         bag = ["--bag", str(given.output.resolve() / given.bag)] if given.bag and has_recorder else []
-        clock = ["--clock"] if given.sim_time else []
+        clock, limit = ["--clock"] if given.sim_time else [], time.monotonic() + WATCHER_S
         self.watcher = Watcher([python, beside("ros2_watcher.py"), *given.record, *bag, *clock], self.environment)
         self.recorder = None if has_recorder or not given.bag else self.start_recorder()
         while not self.watcher.is_ready or (self.recorder is not None and not (given.output / given.bag).exists()):
             self.watcher.look()
-            if time.monotonic() > self.deadline:
-                raise Failure(f"ROS 2 or its recorder did not start within {given.patience:g} s")
+            if time.monotonic() > limit:
+                raise Failure(f"ROS 2 or its recorder did not start within {WATCHER_S:g} s")
             time.sleep(TICK_S)
+        self.deadline = time.monotonic() + given.patience
 
     def start_recorder(self) -> subprocess.Popen[bytes]:
         """Start the recorder of ROS 2, where the package mcap is missing. Raises Failure."""
@@ -761,7 +766,8 @@ class Launch2(Launch):
         return super().is_over() or (self.begin is not None and self.has_all_awaited())
 
     def close(self) -> None:
-        self.watcher.end()
+        if self.watcher is not None:
+            self.watcher.end()
         if self.recorder is not None:
             end(self.recorder)
 
@@ -825,8 +831,7 @@ class Watcher:
         """Let it tell all nodes that the time has begun."""
         if self.process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
-                self.process.stdin.write(b"start\n")
-                self.process.stdin.flush()
+                os.write(self.process.stdin.fileno(), b"start\n")
 
     def end(self) -> None:
         """Let it close its bag."""
