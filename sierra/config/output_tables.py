@@ -376,10 +376,12 @@ class Output(Table):
 
         An archive belongs to the outputs of the files in it.
         """
-        if self.opens(path):
-            return True
+        return self.opens(path) or self.names(path)
+
+    def names(self, path: str) -> bool:
+        """Return True if the whole pattern fits a path, in an archive or not."""
         if self.ticks or self.rotated:
-            return self.ticks_of(path) is not None
+            return self.numbered.fullmatch(path) is not None
         file = self.file.removeprefix("./")
         return path == file or fnmatch.fnmatchcase(path, file)
 

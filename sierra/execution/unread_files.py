@@ -44,6 +44,7 @@ TEXTS = ("dat", "txt", "out", "xvg", "log", "thermo", "prn")
 SEARCHED: Mapping[str, Callable[[bytes], Keys | None]] = {"json": json_lists.keys_of, "xml": xml_lists.keys_of}
 """The endings of documents that are searched for lists of rows."""
 COMPRESSED = ("gz", "zst")
+UNNAMABLE = "file in [outputs.NAME] cannot name it, because of the braces, or of * ? [, in its name; give it another name"
 MOST_EXPANDED = 1 << 28
 """The largest number of bytes to which an archive may expand that is searched for tables."""
 
@@ -60,6 +61,7 @@ class Alike:
     """The places of the numbers that differ; the first place is 1."""
     content: Callable[[], bytes | None] = lambda: None
     """The bytes of the first file, or None if it is too large or not there."""
+    in_archive: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +101,18 @@ def _all(
 ) -> Sequence[UnreadFiles]:
     """Return the tables that files make, or why they make none; add the names of the tables to `taken`."""
     found = _proposed(one, outputs, taken, runs) or [_unread(one, outputs, tables, _free(one.path, taken), runs)]
+    if any(made.keys and not _is_named(str(made.keys["file"]), one.path) for made in found):
+        found = [UnreadFiles(one.path, one.files, UNNAMABLE, False)]
     taken |= {made.name.lower() for made in found if made.keys}
     return found
+
+
+def _is_named(file: str, path: str) -> bool:
+    """Return whether `file` in `[outputs.NAME]` would name a path."""
+    try:
+        return Output(file=file, format="csv").names(path)
+    except ValueError:
+        return False
 
 
 def _members(one: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
@@ -109,11 +121,13 @@ def _members(one: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
     content = None if declared or not archive_of(f"{one.path}/*") else one.content()
     if content is None:
         return
-    from sierra.ingest.archives import members
+    from sierra.ingest.archives import OF_MACOS, members
 
     alike: dict[str, dict[str, bytes | None]] = {}
     with contextlib.suppress(UnreadableError):
         for member in members(io.BytesIO(content), one.path, MOST_EXPANDED):
+            if OF_MACOS.search(member.name):
+                continue
             some = alike.setdefault(NUMBER.sub("0", member.name), {})
             some[member.name] = None
             if len(some) == 1 and member.size <= most_searched(member.name):
@@ -122,9 +136,8 @@ def _members(one: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
         before = len(NUMBER.findall(one.path))
         for some in alike.values():
             first, varying = next(iter(some)), {*one.varying, *(before + place for place in _varying(some))}
-            yield Alike(
-                f"{one.path}/{first}", one.files * len(some), one.most * len(some), one.runs, varying, partial(some.get, first)
-            )
+            counts = one.files * len(some), one.most * len(some), one.runs
+            yield Alike(f"{one.path}/{first}", *counts, varying, partial(some.get, first), in_archive=True)
 
 
 def of_run(
@@ -194,7 +207,7 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         why = f"{what}; declare {place}, {in_words(read)}"
         return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
     if automatic_format(one.path):
-        noted = not archive_of(one.path)
+        noted = not one.in_archive
         return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", noted, name, keys)
     ending = _ending(one.path)
     if ending in COMPRESSED:
@@ -294,7 +307,7 @@ def _of_lines(lines: str, output: Output, content: bytes | None) -> str:
 
 
 def _not_automatic(one: Alike, tables: Collection[str]) -> str:
-    if archive_of(one.path):
+    if one.in_archive:
         return "in an archive"
     if "/" in one.path:
         return "in a subfolder"

@@ -4,37 +4,40 @@ The files that belong to outputs are written into a temporary folder, under numb
 any other file. Nothing else of an archive is written anywhere.
 
 An archive is read to its end, because a part of it may look whole. Names, members and contents of a zip are checked as those of
-packages are (`sierra.worker.reproduce`), except that names need not suit all systems. A tar must end as the format says, and
-nothing may follow. An archive must not expand to more bytes than the temporary folder has space for, or than the caller allows.
+packages are (`sierra.worker.reproduce`), except that names need not suit all systems. An archive must end as its format says,
+and nothing may follow. Lack of space, and errors of the disk, are never faults of a run: they raise Missing.
 """
 
 from __future__ import annotations
 
 import bz2
+import contextlib
 import gzip
+import io
 import lzma
 import shutil
+import sys
 import tarfile
 import tempfile
 import zipfile
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.containers.images import streams
-from sierra.errors import Damaged
+from sierra.errors import Damaged, Missing
 from sierra.ingest import robot_files
-from sierra.ingest.base import UnreadableError
+from sierra.ingest.base import LaterError, UnreadableError
 from sierra.ingest.independent_row_count import described
-from sierra.ingest.match_outputs import claims
 from sierra.ingest.model import Written
 from sierra.model import OutputFile, Result
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.segments import disk_errors
 from sierra.util.lazy_definitions import regex
+from sierra.util.scratch import scratch
 from sierra.util.text import few
 from sierra.worker import reproduce
 
@@ -43,6 +46,14 @@ PIECE = 1 << 20
 MEMORY = 256 << 20
 """The memory that xz may use; the strongest level needs 65 MiB."""
 NAMED = 3
+AT_A_TIME = 1 << 32
+"""The largest number of bytes that are unpacked, of several executions, before their tables are read."""
+FOLDER = "sierra-unpacked-"
+END = b"PK\5\6"
+END_SIZE = 22
+"""The first bytes and the length of the record at the end of a zip, without the comment that follows it."""
+OF_MACOS = regex(r"(^|/)(__MACOSX(/|$)|\._[^/]*$)")
+"""The names that macOS gives to files with properties of other files."""
 SUFFIX = regex(r"\.[A-Za-z0-9]{1,16}")
 DAMAGES = (*reproduce.NOT_A_ZIP, tarfile.TarError, lzma.LZMAError, zlib.error, OSError)
 
@@ -56,6 +67,32 @@ class Member(NamedTuple):
     """Its bytes, to be read before the next member. Raises UnreadableError if it is damaged, or no regular file."""
 
 
+class _File(io.FileIO):
+    """An archive. Errors of the disk are Missing, so that no library takes them for damage."""
+
+    def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]  # it is always called with this type
+        with _disk_read(self.name):
+            return super().readinto(buffer) or 0
+
+    def readall(self) -> bytes:
+        with _disk_read(self.name):
+            return super().readall() or b""
+
+
+@contextlib.contextmanager
+def _disk_read(path: object) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise Missing(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def open_archive(path: Path) -> BinaryIO:
+    """Open an archive. Raises Missing, also later, if the disk cannot be read."""
+    with _disk_read(path):
+        return io.BufferedReader(_File(str(path)))
+
+
 def members(file: BinaryIO, name: str, most: int) -> Iterator[Member]:
     """Yield all members of an archive except folders. Read them to the end: the archive is sound only then.
 
@@ -67,16 +104,29 @@ def members(file: BinaryIO, name: str, most: int) -> Iterator[Member]:
 
 def _of_zip(file: BinaryIO, most: int) -> Iterator[Member]:
     with zipfile.ZipFile(file) as opened:
+        _check_end(file, len(opened.comment))
         infos = opened.infolist()
         files = {info.orig_filename.removeprefix("./"): info for info in infos if not info.is_dir()}
         _check_names([info.orig_filename for info in infos])
         reproduce.check_apart(opened)
-        if min((info.header_offset for info in infos), default=0):
+        if min((info.header_offset for info in infos), default=opened.start_dir):
             raise UnreadableError(f"{WHAT} has data before its first member; is it two archives, one after the other?")
         if (size := sum(info.file_size for info in infos)) > most:
             raise UnreadableError(f"{WHAT} expands to {size:,} bytes, but there is space for {most:,}")
         for name, info in files.items():
-            yield Member(name, info.file_size, _zipped(opened, info))
+            content = _zipped(opened, info)
+            yield Member(name, info.file_size, content)
+            with contextlib.suppress(reproduce.Stop):  # a link, encrypted, or of another method: only its reader minds
+                reproduce.check_member(info)
+                deque(content, 0)  # damage is UnreadableError
+
+
+def _check_end(file: BinaryIO, comment: int) -> None:
+    """Raise UnreadableError unless a zip ends with its last record and a comment of this length."""
+    file.seek(-END_SIZE - comment, io.SEEK_END)
+    record = file.read(END_SIZE)
+    if not record.startswith(END) or int.from_bytes(record[-2:], "little") != comment:
+        raise UnreadableError(f"{WHAT} has data after its end, or its comment is cut short")
 
 
 def _zipped(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[bytes]:
@@ -117,7 +167,7 @@ def _check_names(names: Sequence[str]) -> None:
             raise reproduce.damaged(f"{WHAT} has a folder {folder[:100]!r}, but {problem}")
 
 
-@contextmanager
+@contextlib.contextmanager
 def _one_line() -> Iterator[None]:
     """Raise UnreadableError for all that can be wrong with an archive."""
     try:
@@ -155,9 +205,11 @@ class _Decompressed:
     def read(self, size: int = -1, /) -> bytes:
         while True:
             if self._unpacker.eof:
-                self._rest = (self._unpacker.unused_data or self._file.read(PIECE)).lstrip(b"\0")
-                if not self._rest:
-                    return b""
+                self._rest = self._unpacker.unused_data.lstrip(b"\0")
+                while not self._rest:
+                    if not (piece := self._file.read(PIECE)):
+                        return b""
+                    self._rest = piece.lstrip(b"\0")
                 self._unpacker = self._new()
             piece = (self._rest or self._file.read(PIECE)) if self._unpacker.needs_input else b""
             if not piece and self._unpacker.needs_input:
@@ -177,45 +229,68 @@ class Unpacking:
         self._names: dict[tuple[str, str], list[str]] = {}
         """The names of all members, for each execution and archive."""
         self._count = 0
+        self._bytes = 0
+        self._first = ""
+        """The execution of the first archive; there is nothing to wait for before it is unpacked."""
+        self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Unpacking:
-        self._folder = tempfile.TemporaryDirectory(prefix="sierra-")
+        parent = Path(tempfile.gettempdir())
+        with disk_errors(parent):
+            self._folder = self._stack.enter_context(scratch(parent, FOLDER))
+            self._most = min(AT_A_TIME, shutil.disk_usage(self._folder).free // 2)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._folder.cleanup()
+        self._stack.close()
 
     def files(self, result: Result, archive: OutputFile, output: str) -> Sequence[Written]:
-        """Return the files of an output in an archive that an execution has left. Raises UnreadableError, and Missing."""
+        """Return the files of an output in an archive that an execution has left.
+
+        Raises UnreadableError, Missing, and LaterError.
+        """
         key = result.execution, archive.path
+        self._first = self._first or result.execution
         if key not in self._files:
             self._files[key] = {}
+            folder = self._folder / str(len(self._files))
+            with disk_errors(folder):
+                folder.mkdir()
             try:
-                with Path(result.directory, RUN_OUTPUT, archive.path).open("rb") as file:
-                    for member in members(file, archive.path, shutil.disk_usage(self._folder.name).free):
-                        self._add(result, archive.path, member)
-            except UnreadableError:
+                with open_archive(Path(result.directory, RUN_OUTPUT, archive.path)) as file:
+                    for member in members(file, archive.path, sys.maxsize):
+                        self._add(result, archive.path, member, folder)
+            except (UnreadableError, LaterError):
                 self._files[key] = {}  # no other output gets a part of it
+                shutil.rmtree(folder)
                 raise
         return self._files[key].get(output, ())
 
-    def _add(self, result: Result, archive: str, member: Member) -> None:
+    def _owners(self, archive: str, member: str) -> list[str]:
+        """Return the outputs that a member belongs to: those that name it, or else those whose whole pattern fits."""
+        name, hidden = f"{archive}/{member}", OF_MACOS.search(member)
+        fitting = [
+            key
+            for key, output in self._outputs.items()
+            if output.opens(archive) and output.names(name) and not (hidden and not OF_MACOS.search(output.file))
+        ]
+        return [key for key in fitting if self._outputs[key].base == name] or fitting
+
+    def _add(self, result: Result, archive: str, member: Member, folder: Path) -> None:
         self._names.setdefault((result.execution, archive), []).append(member.name)
-        name = f"{archive}/{member.name}"
-        owners = claims({name: output for name, output in self._outputs.items() if output.opens(archive)}, name)
+        name, owners = f"{archive}/{member.name}", self._owners(archive, member.name)
         if not owners:
             return
         if len(owners) > 1 and not all(self._outputs[owner].shares_file for owner in owners):
             raise UnreadableError(f"{member.name!r} belongs to the outputs {owners[0]!r} and {owners[1]!r}; change file in one")
         self._count += 1
         suffix = PurePosixPath(member.name).suffix
-        path = Path(self._folder.name, f"{self._count}{suffix if SUFFIX.fullmatch(suffix) else ''}")
-        with disk_errors(path.parent):
-            file = path.open("xb")
-        with file:
+        path = folder / f"{self._count}{suffix if SUFFIX.fullmatch(suffix) else ''}"
+        with disk_errors(folder), path.open("xb") as file:
             for piece in member.content:
-                with disk_errors(path.parent):
-                    file.write(piece)
+                self._bytes += file.write(piece)
+                if self._bytes > self._most and result.execution != self._first:
+                    raise LaterError
         for owner in owners:
             ticks = self._outputs[owner].ticks_of(name) or ()
             empty = Written(str(path), result.run, result.execution, name, "", 0, True, 0, ticks=ticks, archive=archive)

@@ -37,6 +37,10 @@ class UnreadableError(ValueError):
     """A file that a reader cannot read. The text is one line that says what is wrong, and in which line or record."""
 
 
+class LaterError(Exception):
+    """There is no space to unpack the archives of an execution until those of others are read."""
+
+
 class OutputReader(Protocol):
     """A format of output files: one file becomes the rows of a table."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.ingest import robot_files
-from sierra.ingest.base import UnreadableError
+from sierra.ingest.base import LaterError, UnreadableError
 from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.messages import shown
@@ -76,6 +76,8 @@ class TableIngest:
     files: dict[tuple[str, str], list[TableFile]] = field(default_factory=dict)
     faults: dict[str, str] = field(default_factory=dict)
     """The reasons why executions are at fault."""
+    rest: list[Judgement] = field(default_factory=list)
+    """The last executions, if there was no space to unpack their archives beside those of the others; they are not read."""
 
     def of(self, execution: str, file: OutputFile) -> Sequence[TableFile]:
         """Return the tables that were made from a file: one, several of a bag, or `NO_TABLE`."""
@@ -146,7 +148,7 @@ def file_rows(result: Result, file: OutputFile, tables: TableIngest) -> Iterator
 
 
 def tabled(
-    executions: Iterable[Judgement],
+    executions: Sequence[Judgement],
     writer: Writer,
     store: Store,
     context: Context,
@@ -167,7 +169,7 @@ def tabled(
 
 
 def _tabled(
-    executions: Iterable[Judgement],
+    executions: Sequence[Judgement],
     writer: Writer,
     store: Store,
     context: Context,
@@ -181,8 +183,13 @@ def _tabled(
     files: dict[str, list[Written]] = {}
     optional = set[str]()
     patterns: dict[Written, list[str]] = {}
-    for judged in executions:
-        for output, shape, written in _files(judged, context, assigning, unpacking, made.faults):
+    for number, judged in enumerate(executions):
+        try:
+            written_files = list(_files(judged, context, assigning, unpacking, made.faults))
+        except LaterError:
+            made.rest.extend(executions[number:])
+            break
+        for output, shape, written in written_files:
             name = output if judged.status is Status.OK else output + ACCEPTED
             if judged.status is Status.ACCEPTED and not written.ended and shape.format in TEXTS:
                 continue  # it was cut off in its last line, which may look whole

@@ -253,18 +253,26 @@ class Recorder:
 
     def _record_pending(self) -> list[tuple[str, Status, str]]:
         """Write everything pending; return the run, status and reason of each execution that is not successful."""
+        failed = self._record_segment()
+        while self._pending:  # there was no space to unpack all archives together
+            failed += self._record_segment()
+        self._bytes = 0
+        return failed
+
+    def _record_segment(self) -> list[tuple[str, Status, str]]:
+        """Write pending executions, and remove them from those that are pending; return as `_record_pending` does."""
         writer = self._store.writer(self._session.segment, self.context.batch)
         for table, rows in self._other_rows.items():
             writer.rows(table, rows)
         writer.records(self._compared())
-        judged = self._write(writer)
+        judged, rest = self._write(writer)
         judged = [self._marked(one) for one in judged]
         self._write_parts(writer, judged)
         self._store.publish(writer)
         self._ruled += 1
         for one in judged:
             self._put_away(one.result)
-        self._pending, self._bytes = [], 0
+        self._pending = rest
         self._other_rows, self._copies = {}, []
         return [(one.result.run, one.status, one.reason or "") for one in judged if not one.status.is_result]
 
@@ -336,22 +344,23 @@ class Recorder:
             unlike = f"; {self._unlike} of them have different results: they are not deterministic" if self._unlike else ""
             yield f"{message}{unlike}; see the table duplicates"
 
-    def _write(self, writer: Writer) -> list[Judgement]:
-        """Write everything pending and return the final judgements."""
+    def _write(self, writer: Writer) -> tuple[list[Judgement], list[Judgement]]:
+        """Write what is pending; return the final judgements, and the executions for which there was no space yet."""
         tables = tabled(self._pending, writer, self._store, self.context, self._assigning, self._shapes)
-        judged = [tables.judged(one) for one in self._pending]
+        pending = self._pending[: len(self._pending) - len(tables.rest)]
+        judged = [tables.judged(one) for one in pending]
         objects = Objects(writer.path("objects"))
         artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self.context.raw)]
         objects.close()
         writer.records(artifacts)
-        self._write_observations(writer)
+        self._write_observations(writer, pending)
         first = self._next()
         writer.records(self._execution(one, place) for place, one in enumerate(judged, first))
         self._position = first + len(judged)
         if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
             writer.records([IngestRulesRow(self._reading, self.context.declared)])
             writer.records([self.context.isolation] if self.context.isolation else [])
-        return judged
+        return judged, tables.rest
 
     def _record_late(self) -> None:
         """Record late files with the batches of their executions, if these are recorded without files of the same robot."""
@@ -390,8 +399,8 @@ class Recorder:
         for table, several in rows.items():
             writer.rows(table, several)
 
-    def _write_observations(self, writer: Writer) -> None:
-        found = [one for one in (observed(judgement.result) for judgement in self._pending) if one is not None]
+    def _write_observations(self, writer: Writer, pending: list[Judgement]) -> None:
+        found = [one for one in (observed(judgement.result) for judgement in pending) if one is not None]
         writer.records(one.observation for one in found)
         for one in found:
             if one.observation.reason is None:
@@ -406,16 +415,11 @@ class Recorder:
         writer.records(new.values())
         writer.records(row for one in found for row in one.written)
         writer.records(row for one in found for row in one.channels)
-        given = ((one.result.execution, port) for one in self._pending for port in one.result.ports)
+        given = ((one.result.execution, port) for one in pending for port in one.result.ports)
         writer.records(ChannelRow(execution, f"127.0.0.1:{port}", "given") for execution, port in dict.fromkeys(given))
-        own = (
-            (one.result.execution, path)
-            for one in self._pending
-            for path in one.result.elsewhere
-            if path.startswith(astray.RUN)
-        )
+        own = ((one.result.execution, path) for one in pending for path in one.result.elsewhere if path.startswith(astray.RUN))
         writer.records(FileWrittenRow(execution, path, WRITTEN) for execution, path in own)
-        writer.records(row for one in self._pending for row in _endings(one))
+        writer.records(row for one in pending for row in _endings(one))
         self._file_sets |= sets.keys()
         if digests := {path: fact for one in found for path, fact in one.digests.items()}:
             cache = HashCache()

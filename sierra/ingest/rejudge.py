@@ -389,19 +389,28 @@ class _Group:
         ]
         # an execution that failed before and still fails is not recorded: its run is executed
         first = [one for one in first if results[one.result.execution][0].succeeded or one.status.is_result]
+        rest = self._record(first, results, copied=past[0].tabled)
+        while rest:  # there was no space to unpack all archives together
+            rest = self._record(rest, results, copied=False)
+
+    def _record(
+        self, first: Sequence[Judgement], results: Mapping[str, tuple[Past, Result]], *, copied: bool
+    ) -> Sequence[Judgement]:
+        """Publish a segment of executions; return those for which there was no space yet."""
         writer = self.store.writer(self.session.segment, self.context.batch)
-        if past[0].tabled:
+        if copied:
             tables: TableIngest = self._copied(
                 [results[one.result.execution] for one in first if one.status is Status.OK], writer
             )
         else:
             tables = tabled(first, writer, self.store, self.context, self.assigning, self.shapes)
-        made = [(results[one.result.execution][0], tables.judged(one)) for one in first]
+        made = [(results[one.result.execution][0], tables.judged(one)) for one in first[: len(first) - len(tables.rest)]]
         writer.records(row for of, one in made for row in _artifacts(of, one.result, tables))
         writer.records(self._row(of, one) for of, one in made)
         writer.records([IngestRulesRow(self.context.ingest_rules, self.context.declared)] if made else [])
         self.store.publish(writer)
         self.outcome.judged |= {of.last.run for of, _ in made}
+        return tables.rest
 
     def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
         """Copy recorded rows. Raises Damaged if their number differs from the number in their artifacts."""

@@ -7,8 +7,12 @@ import copy
 import gzip
 import io
 import lzma
+import os
 import stat
+import subprocess
+import sys
 import tarfile
+import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Iterable
@@ -17,7 +21,9 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from tests.projects import CONFIG, make, quick, run, sql
+from sierra.errors import Missing
+from sierra.ingest import archives
+from tests.projects import CONFIG, SIERRA, make, quick, run, sql
 
 pytestmark = pytest.mark.integration
 ROWS = b"t,v\n1,10\n2,20\n"
@@ -62,8 +68,8 @@ def packed(
     return out.getvalue()
 
 
-def as_link(file: zipfile.ZipFile) -> None:
-    file.filelist[0].external_attr = (stat.S_IFLNK | 0o777) << 16
+def as_link(file: zipfile.ZipFile, number: int = 0) -> None:
+    file.filelist[number].external_attr = (stat.S_IFLNK | 0o777) << 16
 
 
 def as_huge(file: zipfile.ZipFile) -> None:
@@ -84,8 +90,20 @@ def twice_there(file: zipfile.ZipFile) -> None:
     file.filelist.append(other)
 
 
+def zip64() -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        with file.open(NAME, "w", force_zip64=True) as member:
+            member.write(ROWS)
+        for number in range(1 << 16):  # the end of a zip with so many members is another one
+            file.writestr(zipfile.ZipInfo(f"{number}/"), b"")
+    return out.getvalue()
+
+
 WHOLE, ZIP = tar((NAME, ROWS)), packed((NAME, ROWS))
 LARGE = tar((NAME, ROWS * 1000))
+NOTED = packed((NAME, ROWS), change=lambda file: setattr(file, "comment", b"a note"))
+HIDDEN = packed((NAME, ROWS), ("link", b"elsewhere"), change=lambda file: as_link(file, 1))
 HOSTILE: tuple[tuple[str, bytes, str], ...] = (
     ("out.zip", packed((NAME, ROWS), (NAME, b"t,v\n")), "the archive has two members with one name on some systems"),
     ("out.zip", packed((NAME, ROWS), ("RESULTS.csv", b"")), "the archive has two members with one name on some systems"),
@@ -100,9 +118,15 @@ HOSTILE: tuple[tuple[str, bytes, str], ...] = (
     ("out.zip", packed((NAME, ROWS), change=as_secret), "member 'results.csv' needs a password"),
     ("out.zip", packed((NAME, ROWS), method=zipfile.ZIP_BZIP2), "is compressed by a method other than deflate"),
     ("out.zip", packed((NAME, ROWS), change=twice_there), "member 'other.csv' overlaps another one"),
-    ("out.zip", packed((NAME, ROWS), change=as_huge), "the archive expands to 1,152,921,504,606,846,976 bytes, but there is"),
+    ("out.zip", packed((NAME, ROWS), change=as_huge), "member 'results.csv' is shorter than it says"),
     ("out.zip", packed((NAME, ROWS), change=as_small), "member 'results.csv' is damaged: Bad CRC-32"),
     ("out.zip", ZIP + packed((NAME, b"t,v\n")), "the archive has data before its first member; is it two archives"),
+    ("out.zip", ZIP + b"garbage", "the archive has data after its end, or its comment is cut short"),
+    ("out.zip", ZIP + WHOLE, "the archive has data after its end, or its comment is cut short"),
+    ("out.zip", ZIP + ZIP[:40], "the archive has data after its end, or its comment is cut short"),
+    ("out.zip", NOTED[:-1], "the archive has data after its end, or its comment is cut short"),
+    ("out.zip", WHOLE + packed(), "the archive has data before its first member"),
+    ("out.zip", packed((NAME, ROWS), ("other", b"x1x")).replace(b"x1x", b"x2x", 1), "member 'other' is damaged: Bad CRC-32"),
     ("out.zip", b"", "the archive cannot be read: File is not a zip file"),
     ("out.tar", tar((NAME, ROWS), (f"./{NAME}", ROWS)), "the archive has two members with one name on some systems"),
     ("out.tar", tar((NAME, ROWS), ("../x", b"")), "the archive has a member '../x', but names must stay inside it"),
@@ -123,6 +147,7 @@ HOSTILE: tuple[tuple[str, bytes, str], ...] = (
     ("out.tar.gz", WHOLE, "the archive is truncated or damaged: Not a gzipped file"),
     ("out.tar.xz", lzma.compress(WHOLE)[:-30], "the archive is truncated or damaged: the compressed data ends too early"),
     ("out.tar.xz", lzma.compress(WHOLE) + b"rest of something", "the archive cannot be read: Input format not supported"),
+    ("out.tar.xz", lzma.compress(WHOLE) + bytes(1 << 21) + lzma.compress(WHOLE), "the archive has data after its end"),
     ("out.tar.bz2", bz2.compress(WHOLE)[:-10], "the archive is truncated or damaged: the compressed data ends too early"),
     ("out.tar.bz2", bz2.compress(WHOLE) + b"rest", "the archive"),
     ("out.tar.zst", pa.compress(LARGE, "zstd", asbytes=True)[:-10], "the archive"),
@@ -139,6 +164,9 @@ SOUND: tuple[tuple[str, bytes], ...] = (
     ("out.tar.bz2", bz2.compress(PLAIN[:512]) + bz2.compress(PLAIN[512:])),
     ("out.tar.zst", pa.compress(PLAIN, "zstd", asbytes=True)),
     ("OUT.ZIP", ZIP),
+    ("out.zip", NOTED),
+    ("out.zip", HIDDEN),
+    ("out.zip", zip64()),
 )
 
 
@@ -318,3 +346,65 @@ def test_init_declares_what_is_in_an_archive(tmp_path: Path) -> None:
     done = quick(tmp_path / "p", "init", "--yes", "--command", "python3 sim.py {input}")
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'file = "out.zip/data/results.csv"' in (tmp_path / "p/sierra.toml").read_text()
+
+
+def test_only_whole_patterns_choose_members_and_no_glob_those_of_macos(tmp_path: Path) -> None:
+    members = packed(("inner.zip", ZIP), ("data.csv", ROWS), ("a/._data.csv", b"\0"), ("__MACOSX/data.csv", b"\0"))
+    root = project(tmp_path / "p", [[("out.zip", members)]], '[outputs.o]\nfile = "*.zip/*data.csv"\n')
+    run(root, "population_size=1")
+    assert sql(root, "SELECT DISTINCT file FROM o") == [{"file": "out.zip/data.csv"}]
+
+
+def test_executions_whose_archives_need_space_are_read_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(archives, "AT_A_TIME", 1)
+    root = project(tmp_path / "p", [[("out.zip", ZIP)]] * 3, '[outputs.o]\nfile = "out.zip/results.csv"\n')
+    assert quick(root, "run", "population_size=1:3:3", "--no-figures").returncode == 0
+    assert sql(root, "SELECT count(DISTINCT run) AS runs, count(*) AS n FROM o") == [{"runs": 3, "n": 6}]
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("results.csv", "*.csv"))
+    assert quick(root, "run", "population_size=1:3:3", "--no-figures").returncode == 0
+    assert sql(root, "SELECT count(DISTINCT run) AS runs, count(*) AS n FROM o WHERE file IS NOT NULL") == [{"runs": 3, "n": 6}]
+    assert quick(root, "fsck").returncode == 0
+
+
+def test_lack_of_space_ends_the_command_and_fails_no_run(tmp_path: Path) -> None:
+    large = packed((NAME, b"t,v\n" + b"1,10\n" * (1 << 22)), method=zipfile.ZIP_DEFLATED)
+    root = project(tmp_path / "p", [[("out.zip", large)]], '[outputs.o]\nfile = "out.zip/results.csv"\n')
+    small = ("prlimit", f"--fsize={1 << 24}", SIERRA, "run", "population_size=1", "--no-figures")
+    done = subprocess.run(small, cwd=root, capture_output=True, text=True, env=os.environ | {"TMPDIR": str(tmp_path)})
+    assert done.returncode == 3, done.stderr
+    assert f"cannot write to {tmp_path}/{archives.FOLDER}" in done.stderr
+    assert done.stderr.strip().endswith(": File too large")
+    assert quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+    assert sql(root, "SELECT status FROM executions") == [{"status": "ok"}]
+
+
+def test_errors_of_the_disk_are_no_damage() -> None:
+    with archives.open_archive(Path("/proc/self/mem")) as file, pytest.raises(Missing, match="cannot read /proc/self/mem: "):
+        list(archives.members(file, "out.tar.gz", 1))
+
+
+def test_what_a_killed_process_has_unpacked_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    kill = "import os, sierra.ingest.archives as a; u = a.Unpacking({}); u.__enter__(); os._exit(9)"
+    subprocess.run((sys.executable, "-c", kill), env=os.environ | {"TMPDIR": str(tmp_path)})
+    assert list(tmp_path.glob(f"{archives.FOLDER}*"))
+    with archives.Unpacking({}):
+        assert len(list(tmp_path.glob(f"{archives.FOLDER}*"))) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_that_no_pattern_fits_are_not_proposed_and_folders_are_no_archives(tmp_path: Path) -> None:
+    files = [("w.zip", packed(("br{x}.csv", ROWS), ("._r.csv", b"\0"))), ("d/br{x}.csv", ROWS), ("dir.zip/a.csv", ROWS)]
+    root = project(tmp_path / "p", [files], "")
+    run(root, "population_size=1")
+    shown = quick(root, "outputs").stdout
+    assert "not a table: d/br{x}.csv" in shown
+    assert "cannot name it, because of the braces" in shown
+    assert "in an archive" not in shown
+    assert quick(root, "outputs", "--write").returncode == 0
+    assert "br{x}" not in (root / "sierra.toml").read_text()
+    assert 'file = "dir.zip/a.csv"' in (root / "sierra.toml").read_text()
+    run(root, "population_size=1")
