@@ -8,6 +8,7 @@ import re
 import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
@@ -336,6 +337,11 @@ class Output(Table):
 
     def check_own_keys(self) -> None:
         """Check what this format needs. Raises ValueError."""
+
+    def with_files(self, root: Path) -> Output:
+        """Return the output with the content of those files of the project that its keys name. Raises ValueError."""
+        del root
+        return self
 
     @classmethod
     def proposals(cls, content: Callable[[], bytes | None], name: str) -> Sequence[Proposal]:

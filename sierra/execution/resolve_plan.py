@@ -35,6 +35,7 @@ from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.execution.plan import Plan
 from sierra.ingest.base import used as used_readers
+from sierra.ingest.base import with_files
 from sierra.model import IN_PROJECT, Query, RunSpec
 from sierra.provenance import environment, referenced_files, source
 from sierra.provenance.change_guard import guard
@@ -76,6 +77,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     project.plugin_files()
     project_file.check_plugins(config)
     readers = used_readers(config.outputs, config.readers)
+    outputs = with_files(config.outputs, root)
     template = templates.of_project(config, root)
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
@@ -153,7 +155,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
         image=image,
         limits=commands.limits(config),
         template_sha256=template.sha256,
-        outputs=config.outputs,
+        outputs=outputs,
         success=config.success,
         readers=readers,
         seen=guard(root, b"" if checkout else code.manifest, executed, code.listed, code.since),

@@ -100,6 +100,17 @@ def check_formats(outputs: Mapping[str, Output], recorded: Iterable[str] = ()) -
         check_package(output)
 
 
+def with_files(outputs: Mapping[str, Output], root: Path) -> Mapping[str, Output]:
+    """Return outputs with the content of the files of the project that their keys name. Raises ConfigError."""
+    found = {}
+    for name, output in outputs.items():
+        try:
+            found[name] = output.with_files(root)
+        except ValueError as error:
+            raise ConfigError(f"[outputs.{name}]: {error}") from error
+    return found
+
+
 def _unknown(name: str, known: Iterable[str]) -> str:
     if home := extensions.home("outputs", name):
         return extensions.belongs(name, home)

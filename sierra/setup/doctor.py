@@ -186,7 +186,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
     from sierra.containers import container_setup, images
     from sierra.design import platforms, run_values
     from sierra.execution import commands
-    from sierra.ingest.base import used
+    from sierra.ingest.base import used, with_files
     from sierra.provenance import fingerprint_programs, required_packages
 
     config = project.config
@@ -225,6 +225,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         project_file.check_plugins(config)
         runners.check(config.runner_tables)
         used(config.outputs, config.readers)
+        with_files(config.outputs, project.root)
         return "the options of all plug-ins are valid"
 
     yield _tried(f"options{of}", check_options)

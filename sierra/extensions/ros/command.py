@@ -33,12 +33,13 @@ def _recover(opened: Project, outcomes: Sequence[Outcome], folder: Path) -> None
     """Write what can be read of bags that were cut off, and print a note on each table."""
     from sierra.extensions.ros.output import BagOutput
     from sierra.extensions.ros.recovery import recover
-    from sierra.ingest.base import check_package
+    from sierra.ingest.base import check_package, with_files
     from sierra.store.recorded_files import OUTPUT_FOLDER
 
     check_package(BagOutput)
+    outputs = with_files(opened.config.outputs, opened.root)
     for outcome in outcomes:
         name = outcome.file.path.removeprefix(OUTPUT_FOLDER)
-        for found in recover(folder / outcome.path, name, opened.config.outputs) if outcome.file.kind != "log" else ():
+        for found in recover(folder / outcome.path, name, outputs) if outcome.file.kind != "log" else ():
             what = f"{counted(found.rows, 'message')} written" if found.rows else "nothing was written"
             note(f"{readable(str(found.path))}: {what}; {found.reason}")

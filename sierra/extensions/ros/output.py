@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar
+from pathlib import Path
+from typing import Annotated, ClassVar
 
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
-from sierra.config.field_types import NotNegative
+from sierra.config.field_types import InProject, NotNegative
 from sierra.config.output_tables import PLACEHOLDER, Output, Proposal
+from sierra.extensions.ros.bags import message_files
 from sierra.util.lazy_definitions import regex
 
 COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
+TypeOfMessage = Annotated[str, StringConstraints(pattern=rf"^{message_files.TYPE.pattern}$")]
 DATABASE = regex(r"\.db3(\.gz|\.zst)?$")
 
 
@@ -27,6 +30,11 @@ class BagOutput(Output):
     )
     ros: str = Field(
         "", description="version of ROS 2, such as `humble`, whose types count if a bag does not have their definitions"
+    )
+    messages: tuple[InProject, ...] | Mapping[TypeOfMessage, str] = Field(
+        (),
+        description="folders of the project with packages whose `PACKAGE/msg/NAME.msg` count, before `ros`, if a bag does not have "
+        "the definitions of its types; or these definitions by the names of the types, such as `my_msgs/msg/State`",
     )
     covariances: bool = Field(False, description="whether covariances in a bag become columns")
     min_rate: NotNegative = Field(
@@ -50,6 +58,13 @@ class BagOutput(Output):
         if self.ros not in ("", *VERSIONS):
             raise ValueError(f"ros: unknown version {self.ros!r}; known are {', '.join(VERSIONS)}")
 
+    def with_files(self, root: Path) -> BagOutput:
+        from sierra.extensions.ros.bags import message_types
+
+        texts = self.messages if isinstance(self.messages, Mapping) else message_files.texts(root, self.messages)
+        message_types.parsed_messages(texts)
+        return self.model_copy(update={"messages": texts}) if texts else self
+
     @classmethod
     def proposals(cls, content: Callable[[], bytes | None], name: str) -> Sequence[Proposal]:
         from sierra.extensions.ros import proposals
@@ -62,7 +77,7 @@ class BagOutput(Output):
 
     def doubt(self) -> str:
         """Return a warning about bags that may lack the definitions of their messages. The recorder of the robots decides."""
-        if self.ros or not DATABASE.search(self.file):
+        if self.ros or self.messages or not DATABASE.search(self.file):
             return ""
         return (
             f"databases of ROS 2 before Iron ({self.file}) do not have the definitions of their messages, so that runs fail "

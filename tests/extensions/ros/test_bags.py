@@ -274,6 +274,95 @@ def test_database_of_an_older_ros_needs_its_version(tmp_path: Path) -> None:
     assert "neither the bag nor ROS 2 humble has" in fault(tmp_path, content, ros="humble")
 
 
+MESSAGES = {
+    "t/msg/State": "std_msgs/Header header\nPart[2] parts\nPart best\n",
+    "t/msg/Part": "float64 x\nuint8 UP=1\nstring name\n",
+}
+STATE = Recorded("/x", "t/msg/State", 1, {"header.stamp.sec": 2, "parts": [{}, {}], "best.x": 0.5, "best.name": "ä"})
+
+
+def of_own_types(folder: Path, kind: str) -> Path:
+    from rosbags.typesys import get_types_from_msg
+
+    store = bags.get_typestore(bags.Stores.ROS1_NOETIC if kind == "bag" else bags.Stores.ROS2_HUMBLE)
+    for name in reversed(MESSAGES):
+        store.register(get_types_from_msg(MESSAGES[name], name))
+    return record(folder, kind, [STATE], store=store)
+
+
+def without_definitions(path: Path) -> bytes:
+    """Return a bag without the definitions of its types: a database as before Iron, or MCAP with blank ones."""
+    if path.suffix == ".db3":
+        return change(path, "DROP TABLE message_definitions", "UPDATE topics SET type_description_hash = ''")
+    import io
+
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    target = io.BytesIO()
+    writer = Writer(target)
+    writer.start()
+    for schema, channel, message in make_reader(io.BytesIO(path.read_bytes())).iter_messages():
+        assert schema is not None
+        number = writer.register_channel(channel.topic, "cdr", writer.register_schema(schema.name, schema.encoding, b""))
+        writer.add_message(number, message.log_time, message.data, message.publish_time)
+    writer.finish()
+    return target.getvalue()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_own_types_are_read_as_the_bag_defines_them_whatever_messages_says(tmp_path: Path, kind: str) -> None:
+    path = of_own_types(tmp_path, kind)
+    other = {"t/msg/State": "uint8 wrong", "t/msg/Part": "float32 x"}
+    for messages in ({}, other):
+        [row] = rows(tmp_path, path, ["/x"], messages=messages)
+        assert values(row, "header_stamp_ns", "parts.length", "best.x", "best.name") == (2 * NS, 2, 0.5, "ä")
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3"])
+def test_messages_define_the_types_that_a_bag_does_not(tmp_path: Path, kind: str) -> None:
+    path = of_own_types(tmp_path, kind)
+    whole = rows(tmp_path, path, ["/x"])
+    content = without_definitions(path)
+    path.write_bytes(content)
+    assert rows(tmp_path, path, ["/x"], ros="humble", messages=MESSAGES) == whole
+    own_header = {"std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id\n"}
+    assert rows(tmp_path, path, ["/x"], messages=MESSAGES | own_header) == whole
+    cure = 'messages = ["FOLDER"] names a folder of the project with its PACKAGE/msg/NAME.msg'
+    lacking = f"the type 't/msg/State' needs the type 'std_msgs/msg/Header', which is not known; {cure}"
+    assert fault(tmp_path, content, ["/x"], messages=MESSAGES) == lacking
+    shorter = {"t/msg/State": "std_msgs/Header header\nPart best\n", "t/msg/Part": "float64 x"}
+    assert "a message of type 't/msg/State': is damaged" in fault(tmp_path, content, ["/x"], ros="humble", messages=shorter)
+    if kind == "db3":
+        assert fault(tmp_path, content, ["/x"]).endswith(cure)
+        unknown = f"neither the bag nor messages has the definition of the type 't/msg/State'; {cure}"
+        assert fault(tmp_path, content, ["/x"], messages=own_header) == unknown
+
+
+def test_messages_before_the_types_of_ros_and_not_if_their_hash_is_another(tmp_path: Path) -> None:
+    path = record(tmp_path, "db3", odometry())
+    content = change(path, "DROP TABLE message_definitions")
+    own = {"nav_msgs/msg/Odometry": "std_msgs/Header header\nstring child\n"}
+    assert "another definition of 'nav_msgs/msg/Odometry'" in fault(tmp_path, content, ros="humble", messages=own)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("State again", "contains itself"),
+        ("float64[1000000] all", "is the maximum"),
+        ("float64 x\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint8 y", "defines other types too"),
+        ("int8" + "[9] " * 20_000 + "x", "arrays of arrays"),
+        ("a" * 50_000, "is damaged (Could not parse"),
+        ("../../x/Y y", "is damaged"),
+    ],
+)
+def test_messages_that_would_occupy_the_machine_are_refused(tmp_path: Path, text: str, why: str) -> None:
+    said = fault(tmp_path, without_definitions(of_own_types(tmp_path, "db3")), ["/x"], messages={"t/msg/State": text})
+    assert why in said
+    assert len(said) < 400
+
+
 def test_database_is_only_read(tmp_path: Path) -> None:
     topic = "/'; DROP TABLE messages; --"
     path = record(tmp_path, "db3", [Recorded(topic, "std_msgs/msg/Float64", 1, {"data": 0.5})])
@@ -293,6 +382,8 @@ def test_database_is_only_read(tmp_path: Path) -> None:
         ({"topics": ["/{topic}/x"]}, "none of topic, received_ns"),
         ({"topics": ["/{robot}/x"], "file": "{robot}/run.bag"}, "none of topic, received_ns, robot"),
         ({"topics": ["/x"], "ros": "noetic"}, "known are dashing"),
+        ({"topics": ["/x"], "messages": ["../other"]}, "a path within the project"),
+        ({"topics": ["/x"], "messages": {"t/../State": "uint8 x"}}, "should match pattern"),
     ],
 )
 def test_keys_of_a_bag_are_checked(keys: dict[str, Any], why: str) -> None:

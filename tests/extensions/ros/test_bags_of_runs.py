@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -74,6 +76,89 @@ def test_bag_becomes_several_tables_and_a_cut_one_fails_the_run(tmp_path: Path) 
     [note] = [line for line in recovered.stderr.splitlines() if "odom.partial.parquet" in line]
     assert "messages written; is truncated" in note or "nothing was written" in note
     assert "needs --to" in quick(here, "files", str(run["run"]), "--recover").stderr
+
+
+OWN = """
+[source]
+paths = ["sim.py"]
+
+[outputs.state]
+file = "run.db3"
+format = "bag"
+topics = ["/state"]
+messages = ["packages"]
+"""
+
+
+def with_own_messages(folder: Path) -> Path:
+    """Return a project whose runs leave a database of ROS before Iron, with a type whose definition is in the project."""
+    from rosbags.typesys import get_types_from_msg
+
+    store = bags.get_typestore(bags.Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("float64 x\nfloat64 y\n", "own_msgs/msg/State"))
+    messages = [Recorded("/state", "own_msgs/msg/State", 9, {"x": 0.5, "y": 2.0})]
+    bag = bags.record(folder.with_name("bags"), "db3", messages, store=store)
+    with contextlib.closing(sqlite3.connect(bag)) as database, database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute("UPDATE topics SET type_description_hash = ''")
+    config = projects.CONFIG.replace("runs = 2", "runs = 1") + OWN
+    here = projects.make(folder, config, simulator=SIMULATOR.format(bag=str(bag), kind="db3"))
+    (here / "packages" / "any" / "msg").mkdir(parents=True)
+    (here / "packages" / "any" / "package.xml").write_text("<package><name> own_msgs </name></package>")
+    (here / "packages" / "any" / "msg" / "State.msg").write_text("float64 x\nfloat64 y\n")
+    return here
+
+
+@pytest.mark.integration
+def test_changed_definition_reads_again_and_a_replay_uses_the_recorded_one(tmp_path: Path) -> None:
+    here = with_own_messages(tmp_path / "p")
+    state = here / "packages" / "any" / "msg" / "State.msg"
+    projects.run(here, "population_size=1")
+    assert sql(here, "SELECT x, y FROM state") == [{"x": 0.5, "y": 2.0}]
+    assert projects.run(here, "population_size=1")[0]["reevaluated"] == 0
+    state.write_text("float64 x\nuint64 bits\n")
+    summary, _ = projects.run(here, "population_size=1")
+    assert (summary["executed"], summary["reevaluated"]) == (0, 1)
+    assert sql(here, "SELECT x, bits FROM state") == [{"x": 0.5, "bits": 1 << 62}]
+    [batch] = sql(here, "SELECT batch FROM batches")
+    state.write_text("float32 x\n")
+    replayed = quick(here, "replay", str(batch["batch"]))
+    assert (replayed.returncode, "identical" in replayed.stdout) == (0, True)
+    state.unlink()
+    assert quick(here, "replay", str(batch["batch"])).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("files", "why"),
+    [
+        ({}, "messages: the folder 'packages' has no files PACKAGE/msg/NAME.msg"),
+        ({"a/msg/S-1.msg": b""}, "packages/a/msg/S-1.msg: 'a/msg/S-1' is not the name of a type, such as my_msgs/msg/State"),
+        ({"a/msg/S.msg": b"\xff"}, "messages: cannot read packages/a/msg/S.msg: it is not UTF-8 text"),
+        ({"a/msg/S.msg": b"#" * 70_000}, "messages: packages/a/msg/S.msg has more than 65536 bytes"),
+        ({"a/msg/S.msg": b"float64 x; import os"}, "the definition of the type 'a/msg/S': is damaged"),
+        ({"a/msg/S.msg": b"", "a/package.xml": b"<package>"}, "packages/a/package.xml:1:"),
+        ({"a/msg/S.msg": b"", "a/package.xml": b"<package/>"}, "packages/a/package.xml does not name its package"),
+        ({"a/msg/S.msg": b"", "a/package.xml": b"<p><name>../b</name></p>"}, "'../b/msg/S' is not the name of a type"),
+        (
+            {"a/msg/S.msg": b"int8 x", "b/msg/S.msg": b"int8 y", "b/package.xml": b"<p><name>a</name></p>"},
+            "packages/a/msg/S.msg and packages/b/msg/S.msg define the type 'a/msg/S' differently",
+        ),
+    ],
+)
+def test_definitions_that_cannot_be_used_are_named_before_anything_runs(
+    tmp_path: Path, files: dict[str, bytes], why: str
+) -> None:
+    config = projects.CONFIG + OWN
+    here = projects.make(tmp_path / "p", config)
+    (here / "packages").mkdir()
+    for name, content in files.items():
+        path = here / "packages" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    ended = quick(here, "run", "population_size=1")
+    assert (ended.returncode, len(ended.stderr.splitlines())) == (2, 1)
+    assert "[outputs.state]: " in ended.stderr
+    assert why in ended.stderr
 
 
 @pytest.mark.nightly

@@ -49,6 +49,7 @@ class Keys(NamedTuple):
 
     topics: tuple[str, ...]
     ros: str = ""
+    messages: Mapping[str, str] | tuple[()] = ()
     covariances: bool = False
     min_rate: float = 0.0
 
@@ -149,7 +150,7 @@ class TopicTable:
                 has = few(topics, NAMED) if topics else "no topic"
                 raise UnreadableError(f"has no topic {pattern.text!r}; it has {has}")
             self.channels = found | self.channels
-        types = MessageTypes(keys.ros)
+        types = MessageTypes(keys.ros, dict(keys.messages))
         self._types = {channel: types.of(channel) for channel in self.channels}
         self._check_alike()
         first = next(iter(self._types.values()))

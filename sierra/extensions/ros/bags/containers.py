@@ -20,6 +20,8 @@ from sierra.util.lazy_definitions import dataclass
 
 LARGEST = 1 << 28
 """The limit on the bytes of one message and of one chunk, decompressed."""
+LONGEST = 200
+"""The limit on the characters of another library's text in an error."""
 CODECS = {"": None, "none": None, "bz2": "bz2", "lz4": "lz4", "zstd": "zstd"}
 """The compressions of chunks, by their names in bags, with Arrow's names."""
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -79,7 +81,9 @@ def damage(what: str) -> Iterator[None]:
     except (RecursionError, MemoryError) as error:
         raise UnreadableError(f"{what}: is damaged or too complex ({type(error).__name__})") from error
     except Exception as error:
-        raise UnreadableError(f"{what}: is damaged ({' '.join(str(error).split()) or type(error).__name__})") from error
+        text = " ".join(str(error).split()) or type(error).__name__
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]} …"
+        raise UnreadableError(f"{what}: is damaged ({text})") from error
 
 
 def exactly(file: BinaryIO, size: int) -> bytes:

@@ -15,8 +15,8 @@ themselves, have too many fields, or have lists of items without any bytes are r
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -49,6 +49,8 @@ PRIMITIVES = {
 BYTES = ("byte", "char", "int8", "uint8")
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 STAMP, SECONDS, NANOSECONDS = "header.stamp", "sec", "nanosec"
+OWN = 'messages = ["FOLDER"] names a folder of the project with its PACKAGE/msg/NAME.msg'
+NONE: Mapping[str, str] = {}
 EMPTY = "structure_needs_at_least_one_member"
 BASE, NAMED, ARRAY, SEQUENCE = 1, 2, 3, 4
 """The kinds of fields, as `rosbags` numbers them."""
@@ -89,8 +91,9 @@ class Field:
 class MessageType:
     """A type of messages, with what is needed to read them."""
 
-    def __init__(self, name: str, store: Typestore, *, ros1: bool) -> None:
-        self.name = name
+    def __init__(self, name: str, store: Typestore, *, ros1: bool, cure: str = "") -> None:
+        """`cure` is the end of the error for a type that is not known."""
+        self.name, self._cure = name, cure
         self._decode = store.deserialize_ros1 if ros1 else store.deserialize_cdr
         self._fields = store.fielddefs
         self._ros1 = ros1
@@ -116,7 +119,7 @@ class MessageType:
     def _of(self, name: str) -> Sequence[tuple[str, Any]]:
         """Return the fields of a type. Raises UnreadableError if it is unknown, or if there are too many."""
         if name not in self._fields:
-            raise UnreadableError(f"the type {self.name!r} needs the type {name!r}, which is not known")
+            raise UnreadableError(f"the type {self.name!r} needs the type {name!r}, which is not known{self._cure}")
         fields = [one for one in self._fields[name][1] if one[0] != EMPTY]
         self._visited += len(fields) + 1
         if self._visited > FIELDS:
@@ -171,9 +174,12 @@ class MessageType:
 class MessageTypes:
     """The types of the channels of one bag."""
 
-    def __init__(self, ros: str) -> None:
-        """`ros`: the version of ROS 2 whose types count if the bag does not have their definitions; empty for none."""
-        self._ros = ros
+    def __init__(self, ros: str, messages: Mapping[str, str] = NONE) -> None:
+        """Give what counts if the bag does not have the definition of a type: `messages`, or else the version `ros` of ROS 2.
+
+        `messages` are definitions by the names of their types. An empty `ros` is no version.
+        """
+        self._ros, self._messages = ros, messages
         self._known: dict[tuple[str, str | None, str], MessageType] = {}
 
     def of(self, channel: Channel) -> MessageType:
@@ -186,26 +192,60 @@ class MessageTypes:
             name = _full_name(channel.type)
             with damage(f"the definition of the type {channel.type!r}"):
                 store = self._store(channel, name)
-                self._known[key] = MessageType(name, store, ros1=channel.ros1)
+                cure = f"; {OWN}" if store is self._others else ""
+                self._known[key] = MessageType(name, store, ros1=channel.ros1, cure=cure)
                 _check_digest(channel, name, store)
         return self._known[key]
 
     def _store(self, channel: Channel, name: str) -> Typestore:
         from rosbags.typesys import Stores, get_typestore
 
-        if channel.definition is not None:
+        definition = channel.definition
+        blank = definition is not None and not definition.strip() and not channel.ros1
+        if definition is not None and not (blank and name in self._others.fielddefs):
             store = get_typestore(Stores.EMPTY)
-            store.register(_parsed(channel.definition, channel.language, name))
+            store.register(_parsed(definition, channel.language, name))
             return store
-        if not self._ros:
-            raise UnreadableError(
-                f"the bag does not have the definition of the type {channel.type!r}; "
-                'ros = "humble" names the version of ROS 2 that recorded it'
-            )
-        store = get_typestore(Stores(f"ros2_{self._ros}"))
-        if name not in store.fielddefs:
-            raise UnreadableError(f"neither the bag nor ROS 2 {self._ros} has the definition of the type {channel.type!r}")
-        return store
+        if name not in self._others.fielddefs:
+            raise UnreadableError(self._lacking(channel.type))
+        return self._others
+
+    def _lacking(self, name: str) -> str:
+        given = [*(["messages"] if self._messages else []), *([f"ROS 2 {self._ros}"] if self._ros else [])]
+        if not given:
+            what = f"the bag does not have the definition of the type {name!r}"
+            return f'{what}; ros = "humble" names the version of ROS 2 that recorded it, and {OWN}'
+        return f"neither the bag nor {' nor '.join(given)} has the definition of the type {name!r}; {OWN}"
+
+    @cached_property
+    def _others(self) -> Typestore:
+        """The types whose definitions need not be in the bag."""
+        return _known_types(self._ros, tuple(self._messages.items()))
+
+
+@lru_cache(maxsize=8)
+def _known_types(ros: str, messages: tuple[tuple[str, str], ...]) -> Typestore:
+    """Return the types of a version of ROS 2, or of none, and of definitions, which replace those of the same names."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores(f"ros2_{ros}") if ros else Stores.EMPTY)
+    own = parsed_messages(dict(messages))
+    for name in own:
+        store.fielddefs.pop(name, None)
+    store.register(own)
+    return store
+
+
+def parsed_messages(messages: Mapping[str, str]) -> Mapping[str, Any]:
+    """Return the types that are defined by the names of their types. Raises UnreadableError."""
+    types: dict[str, Any] = {}
+    for name, text in messages.items():
+        with damage(f"the definition of the type {name!r}"):
+            parsed = _parsed(text, "msg", name)
+            if parsed.keys() != {name}:
+                raise UnreadableError(f"the definition of the type {name!r} defines other types too")
+            types |= parsed
+    return types
 
 
 def _full_name(name: str) -> str:
