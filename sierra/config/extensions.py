@@ -70,6 +70,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "readers": {"bag": "bags.bag_topics:BagTopics"},
         "outputs": {"bag": "output:BagOutput"},
         "series": {"bag": "topic"},
+        "pictures": {"bag": "bags.camera_pictures:pictures"},
         "options": {f"{name} --recover": "command:recovered" for name in ("show", "open show", "files", "open files")},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
@@ -99,7 +100,8 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 }
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
 
-`former` are former names of commands. Seven kinds are data. `sections` are those of `sierra --help`, for commands. `inputs` are
+`former` are former names of commands. `pictures` are formats of outputs whose files have pictures for videos, each with the
+function that writes these. Seven kinds are data. `sections` are those of `sierra --help`, for commands. `inputs` are
 endings of input files, with the format of their templates. `starts` are endings of those whose platform starts the simulator
 itself, with its name. `variables` are recorded with the environment; `libraries` are search paths of libraries. `examples` are
 projects for `sierra init --example`, with their folders. `needs` names other extensions, without which this one is as if it

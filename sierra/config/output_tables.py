@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -308,7 +308,7 @@ class Output(Table):
         return _unused(self, (*LATER_KEYS, *self.own_keys))
 
     @property
-    def own_keys(self) -> Mapping[str, object]:
+    def own_keys(self) -> Mapping[str, Any]:
         """Return the keys that only outputs of this format have, with their values."""
         return {key: getattr(self, key) for key in type(self).model_fields if key not in Output.model_fields}
 

@@ -23,6 +23,7 @@ from sierra.deliverables.models.models_of_batch import Models
 from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.ingest.base import with_files
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store import clock_times, equal_runs
@@ -140,7 +141,7 @@ class Gallery:
         self.declared_notes = () if own else targets.notes(project, store, frame.batch)
         """A note if the declarations are those of another target."""
         project = project if own else targets.of_batch(project, store, frame.batch)
-        self._config = project.config
+        self._config, self._root = project.config, project.root
         self.models = Models(project, store, frame)
         """The models that figures show with the data."""
         self._store = store
@@ -297,11 +298,11 @@ class Gallery:
         return {**read, **units, **dict.fromkeys(self.frame.durations(output.name), "ns")}
 
     def declared_output(self, name: str) -> Output:
-        """Return the declaration of an output. Raises NotFound."""
+        """Return the declaration of an output, with the content of files that it names. Raises NotFound, ConfigError."""
         declared = self._config.outputs.get(name)
         if declared is None:
             raise NotFound(f"sierra.toml has no [outputs.{name}]; {like(name, list(self._config.outputs), 'it has')}")
-        return declared
+        return with_files({name: declared}, self._root)[name]
 
     def ticks_per_second(self, output: str) -> Mapping[int, float]:
         """Return the ticks per second of each experiment, by its position; nothing if the time of the output is no ticks."""

@@ -33,8 +33,8 @@ class BagOutput(Output):
     )
     messages: tuple[InProject, ...] | Mapping[TypeOfMessage, str] = Field(
         (),
-        description="folders of the project with packages whose `PACKAGE/msg/NAME.msg` count, before `ros`, if a bag does not have "
-        "the definitions of its types; or these definitions by the names of the types, such as `my_msgs/msg/State`",
+        description="folders of the project with packages whose `PACKAGE/msg/NAME.msg` count, before `ros`, if a bag does not "
+        "have the definitions of its types; or these definitions by the names of the types, such as `my_msgs/msg/State`",
     )
     covariances: bool = Field(False, description="whether covariances in a bag become columns")
     min_rate: NotNegative = Field(
@@ -60,6 +60,9 @@ class BagOutput(Output):
 
     def with_files(self, root: Path) -> BagOutput:
         from sierra.extensions.ros.bags import message_types
+        from sierra.ingest.base import check_package
+
+        check_package(self)
 
         texts = self.messages if isinstance(self.messages, Mapping) else message_files.texts(root, self.messages)
         message_types.parsed_messages(texts)

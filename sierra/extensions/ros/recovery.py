@@ -72,7 +72,7 @@ def _written(source: Source, output: BagOutput, path: Path) -> tuple[int, str]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    keys = Keys(**{**output.own_keys, "min_rate": 0.0})
+    keys = Keys(**dict(output.own_keys))._replace(min_rate=0.0)
     rows = 0
     with opened(source, whole=False) as bag:
         known = Counter(channel for channel, _, _ in _Readable(bag.scan(lambda _: True)))

@@ -9,7 +9,7 @@ from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.validate import options
 from sierra.errors import NotFound
 from sierra.extensions.videos.films import Film
-from sierra.extensions.videos.pictures import ImageFiles, VideoFile, pictures
+from sierra.extensions.videos.pictures import Pictures, VideoFile, pictures
 from sierra.extensions.videos.subject_kinds import Layout, PictureSubject
 from sierra.extensions.videos.survey import Survey
 from sierra.store.row_types import CaptureRow
@@ -53,7 +53,7 @@ class CapturedSubject(PictureSubject):
         return [] if self.left_out() else ["rendered apart from the measured runs, with the same results"]
 
 
-def _track(frame: Frame, run: ChosenRun, row: CaptureRow) -> ImageFiles | VideoFile:
+def _track(frame: Frame, run: ChosenRun, row: CaptureRow) -> Pictures | VideoFile:
     """Return the frames of one run, which belong to the execution for capture."""
     output = options(Output, {"file": row.files, "format": FILE_FORMAT}, "captured files")
     return pictures(frame, "capture", output, replace(run, judgement=row.execution), row.ticks_per_second or 1.0)

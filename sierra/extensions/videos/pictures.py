@@ -19,9 +19,11 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol
 
+from sierra.config import extensions
 from sierra.config.output_tables import Output
 from sierra.errors import SierraError, UsageError
 from sierra.extensions.videos.encode import library
+from sierra.ingest.base import UnreadableError
 from sierra.store.samples import ChosenRun, Frame
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
@@ -69,13 +71,15 @@ class PictureTrack(Protocol):
         """Return a reader of its own for each video that is drawn."""
 
 
-def pictures(frame: Frame, name: str, output: Output, run: ChosenRun, per_second: float) -> ImageFiles | VideoFile:
+def pictures(frame: Frame, name: str, output: Output, run: ChosenRun, per_second: float) -> Pictures | VideoFile:
     """Return the pictures that a run left in the files of an output. Raises UsageError or SierraError, naming run and file."""
     where = f"run {run.number} of experiment {run.experiment}"
     found = [file for file in frame.files_of_run(run) if output.matches(_path(file))]
     if not found:
         raise UsageError(f"{where}: no file {output.file!r} (output {name!r})")
     ending = PurePosixPath(output.file).suffix[1:].lower()
+    if output.kind in extensions.added("pictures") and not output.archive:
+        return PicturesWithin(frame, where, name, output, found)
     if ending in IMAGES:
         return ImageFiles(frame, where, output, found, per_second)
     if ending not in VIDEOS:
@@ -113,8 +117,32 @@ def _state(file: _Extracted, place: int) -> State:
     return np.frombuffer(bytes.fromhex(file.sha256), np.uint8), np.array([place], np.int64)
 
 
-class ImageFiles:
-    """A file for each time; the time is in its name."""
+class Pictures:
+    """A file for each time."""
+
+    missing = ""
+    """A note on times without a file; "" if there are none."""
+
+    def __init__(self, files: Sequence[_Extracted], times: Floats) -> None:
+        """Check that all pictures have the same size. Raises UsageError, SierraError."""
+        self._files, self.times = files, times
+        self.size = _checked(files[0])
+        for one in files[1:]:
+            if (size := _checked(one)) != self.size:
+                raise UsageError(
+                    f"{one.where}: {size[0]} × {size[1]} pixels, but the first picture has {self.size[0]} × {self.size[1]}"
+                )
+
+    def states(self) -> Iterator[State]:
+        for place, file in enumerate(self._files):
+            yield _state(file, place)
+
+    def reader(self) -> Reader:
+        return _ImageReader(self._files, self.size)
+
+
+class ImageFiles(Pictures):
+    """A recorded file for each time; the time is in its name."""
 
     def __init__(self, frame: Frame, where: str, output: Output, files: Sequence[Recorded], per_second: float) -> None:
         import numpy as np
@@ -128,25 +156,31 @@ class ImageFiles:
                 raise UsageError(f"{where}: {_path(by_tick[tick])} and {path} have the same {output.ticks[0]}")
             by_tick[tick] = file
         ticks = sorted(by_tick)
-        self._files = _extracted(frame, where, [by_tick[tick] for tick in ticks])
-        self.times: Floats = np.array(ticks, np.float64) / per_second
-        if len(np.unique(self.times)) < len(ticks):
+        times: Floats = np.array(ticks, np.float64) / per_second
+        if len(np.unique(times)) < len(ticks):
             raise UsageError(f"{where}: numbers in {output.file} are too large to be told apart as times")
-        self.size = _checked(self._files[0])
-        for one in self._files[1:]:
-            if (size := _checked(one)) != self.size:
-                raise UsageError(
-                    f"{one.where}: {size[0]} × {size[1]} pixels, but the first picture has {self.size[0]} × {self.size[1]}"
-                )
+        super().__init__(_extracted(frame, where, [by_tick[tick] for tick in ticks]), times)
         self.missing = _missing(where, output, ticks)
-        """A note on times without a file; "" if there are none."""
 
-    def states(self) -> Iterator[State]:
-        for place, file in enumerate(self._files):
-            yield _state(file, place)
 
-    def reader(self) -> Reader:
-        return _ImageReader(self._files, self.size)
+class PicturesWithin(Pictures):
+    """Pictures in one file of a format of an extension, such as those of a camera in a bag; times are since the first."""
+
+    def __init__(self, frame: Frame, where: str, name: str, output: Output, files: Sequence[Recorded]) -> None:
+        import numpy as np
+
+        own = {file.path: file for file in files}
+        if len(own) > 1:
+            raise UsageError(f"{where}: {len(own)} files {output.file!r}; a video needs one (output {name!r})")
+        (file,) = _extracted(frame, where, [*own.values()])
+        try:
+            found = extensions.load("pictures", output.kind)(file.path, _path(files[0]), output)
+        except UnreadableError as error:
+            raise UsageError(f"{file.where}: {error} (output {name!r})") from error
+        if not found:
+            raise UsageError(f"{file.where}: has no picture (output {name!r})")
+        shown = [_Extracted(f"{file.where}, picture {k}", one.sha256, one.path) for k, one in enumerate(found)]
+        super().__init__(shown, np.array([one.time - found[0].time for one in found], np.float64) / 1e9)
 
 
 def _missing(where: str, output: Output, ticks: Sequence[int]) -> str:

@@ -186,6 +186,9 @@ class TopicTable:
         """The columns with the topic of a message, the parts of it that have names, and when it was received."""
         return tuple(self.schema.names[: len(self.names) + 2])
 
+    def type_of(self, channel: Channel) -> MessageType:
+        return self._types[channel]
+
     def decoded(self, channel: Channel, data: bytes) -> tuple[Any, ...]:
         return self._types[channel].decoded(data)
 

@@ -55,7 +55,7 @@ def _package(folder: Path, root: Path) -> str:
 
     text = _text(file, root)
     try:
-        name = xml_view.parse(text.encode(), str(file.relative_to(root))).getroot().findtext("name")
+        name: str | None = xml_view.parse(text.encode(), str(file.relative_to(root))).getroot().findtext("name")
     except SierraError as error:
         raise ValueError(f"messages: {error}") from error
     if not name or not name.strip():

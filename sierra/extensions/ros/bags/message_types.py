@@ -111,10 +111,14 @@ class MessageType:
         one = attrgetter(*names) if names else None
         return lambda message: (one(message),) if one else ()
 
+    def message(self, data: bytes) -> object:
+        """Return a message. It raises all kinds of errors: use it within `damage`."""
+        return self._decode(data, self.name)
+
     def decoded(self, data: bytes) -> tuple[Any, ...]:
         """Return the values of the attributes of all fields. Raises UnreadableError."""
         with damage(f"a message of type {self.name!r}"):
-            return self._values(self._decode(data, self.name))
+            return self._values(self.message(data))
 
     def _of(self, name: str) -> Sequence[tuple[str, Any]]:
         """Return the fields of a type. Raises UnreadableError if it is unknown, or if there are too many."""
@@ -236,7 +240,7 @@ def _known_types(ros: str, messages: tuple[tuple[str, str], ...]) -> Typestore:
     return store
 
 
-def parsed_messages(messages: Mapping[str, str]) -> Mapping[str, Any]:
+def parsed_messages(messages: Mapping[str, str]) -> dict[str, Any]:
     """Return the types that are defined by the names of their types. Raises UnreadableError."""
     types: dict[str, Any] = {}
     for name, text in messages.items():
