@@ -18,6 +18,10 @@ from sierra.util.lazy_definitions import regex
 
 NUMBERS = regex(r"([0-9]+(?:[-_.: T]?[0-9]+)*)")
 """Numbers that belong together, such as a date and a time."""
+VALUES = regex(r"([0-9]+(?:\.[0-9]+)?)")
+"""A value in a name."""
+SURE_SEED = 1000
+"""The least seed that no name has by chance."""
 YEAR = regex(r"(?<![0-9])[0-9]{4,}")
 DATE = regex(r"(?<![0-9])20[0-9]{2}([-_.]?)(?:0[1-9]|1[0-2])\1(?:0[1-9]|[12][0-9]|3[01])(?![0-9]{1,3}(?![0-9]))")
 WORDS = ("robot", "agent", "drone", "uav", "ugv", "auv", "vehicle", "bot", "boid", "ant", "turtle", "rover")
@@ -59,6 +63,15 @@ def with_date(path: str) -> str | None:
     text, numbers = _split(path)
     dated = [bool(DATE.search(number)) for number in numbers]
     return _pattern(text, numbers, dated, path) if any(dated) else None
+
+
+def with_values(path: str, seed: int, values: Iterable[object]) -> str | None:
+    """Return a pattern for a file whose name has the seed of its run, and perhaps values of it; None for another one."""
+    given = {float(value) for value in values if isinstance(value, int | float)} | {float(seed)}
+    parts = VALUES.split(path)
+    if seed < SURE_SEED or str(seed) not in parts[1::2]:
+        return None
+    return "".join("*" if place % 2 and float(part) in given else part for place, part in enumerate(parts))
 
 
 def of_robots(columns: Mapping[str, Collection[str]]) -> dict[str, str]:

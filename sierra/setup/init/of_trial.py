@@ -35,8 +35,9 @@ def with_outputs(guess: Guess, tried: Trial) -> Guess | None:
     declared = {keys["file"] for keys in guess.outputs.values()}
     for unread in tried.unread:
         if unread.keys and unread.path not in declared:
-            pattern = open_names.with_date(str(unread.keys["file"]))
-            name, path = (open_names.name_of(pattern), pattern) if pattern else (unread.name, unread.keys["file"])
+            path, name = str(unread.keys["file"]), unread.name
+            if pattern := open_names.with_date(path) or open_names.with_values(path, tried.seed, tried.values.values()):
+                path, name = pattern, open_names.name_of(pattern)
             found[name] = {**unread.keys, "file": path}
     tables = [table for table in tried.files if table.table and table.table not in guess.outputs]
     of_robots = open_names.of_robots({table.path: tuple(table.columns) for table in tables})
@@ -67,7 +68,8 @@ def with_findings(guess: Guess, first: Trial, second: Trial | None = None) -> Gu
     for file in first.files:
         if file.table is None or file.table in names.values():
             continue
-        pattern = open_files.get(file.path)
+        is_open = "*" in str(outputs.get(file.table, {}).get("file", ""))
+        pattern = None if is_open else open_files.get(file.path)
         name = file.table
         if pattern and not pattern.endswith(ROTATION) and pattern not in names:
             name = next(free for free in numbered(open_names.name_of(pattern)) if free not in outputs)

@@ -124,3 +124,20 @@ def test_names_of_templates_differ_and_are_no_prefixes_of_xml(tmp_path: Path) ->
     assert quick(tmp_path, "init", "-y", "--no-try", "--template", "a.world").returncode == 0
     assert settings(tmp_path)["templates"] == {"a": "a.world", "xml": "a.xml"}
     assert quick(tmp_path, "run", "montecarlo.C1", "-n").returncode == 0
+
+
+def test_a_file_with_the_values_and_the_seed_in_its_name_is_read_in_each_run(tmp_path: Path) -> None:
+    program = """
+import os, sys
+robots, speed, seed = sys.argv[1:]
+os.mkdir("results")
+with open(f"results/n{robots}_v{float(speed)}_s{seed}.csv", "w") as file:
+    file.write(f"time,food\\n0,0\\n1,{int(robots) + int(seed) % 7}\\n")
+"""
+    (tmp_path / "forage.py").write_text(program)
+    done = quick(tmp_path, "init", "--yes", "--command", "python3 forage.py {robots} {speed} {seed}")
+    assert done.returncode == 0, done.stderr
+    outputs = tomllib.loads((tmp_path / "sierra.toml").read_text())["outputs"]
+    assert [keys["file"] for keys in outputs.values()] == ["results/n*_v*_s*.csv"]
+    done = quick(tmp_path, "run", "robots=2,3", "speed=0.5", "--runs", "2", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
