@@ -32,6 +32,7 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +58,10 @@ PRIMITIVE = {
     "bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
     "string", "wstring",
 }  # fmt: skip
-SOURCE = Any
+SOURCE = bytes
 """The identity of a publisher, as the middleware gives it."""
+ANY = b""
+"""That of all publishers, where messages do not name theirs, as before ROS 2 Kilted."""
 
 
 class Failure(Exception):
@@ -99,8 +102,12 @@ def dropped() -> int:
 
 
 def identity(information: Any) -> tuple[SOURCE, int]:
-    """Return the publisher of a message, and its number."""
-    return bytes(information["publisher_gid"]["data"]), information["publication_sequence_number"]
+    """Return the publisher of a message, and its number. Raises Failure without a number, as before ROS 2 Iron."""
+    try:
+        number = int(information["publication_sequence_number"])
+    except (KeyError, TypeError) as error:
+        raise Failure("this version of ROS 2 does not number messages, so that lost ones would not be noticed") from error
+    return bytes(information["publisher_gid"]["data"]) if "publisher_gid" in information else ANY, number
 
 
 class Recorded:
@@ -112,10 +119,13 @@ class Recorded:
         self.lost_events = 0
         self.numbers: dict[SOURCE, tuple[int, int, int]] = {}
         """The first and the last number of each publisher, and how many messages came."""
+        self.counts = collections.Counter[int]()
+        """How often each number came, where messages do not name their publishers."""
 
     def count(self, source: SOURCE, number: int) -> None:
         first, last, messages = self.numbers.get(source, (number, number, 0))
         self.numbers[source] = (min(first, number), max(last, number), messages + 1)
+        self.counts.update([number] if source == ANY else [])
         self.messages += 1
 
     def see(self, source: SOURCE, number: int) -> None:
@@ -123,13 +133,22 @@ class Recorded:
         first, last, messages = self.numbers.get(source, (number, number, 0))
         self.numbers[source] = (first, max(last, number), messages)
 
-    def lost(self, before: set[SOURCE]) -> int:
+    def lost(self, before: Collection[SOURCE]) -> int:
         """Return how many messages are missing; of publishers that were there `before` the start, since their first one."""
-        gaps = sum(last - first + 1 - messages for first, last, messages in self.numbers.values())
+        gaps = sum(last - first + 1 - messages for source, (first, last, messages) in self.numbers.items() if source != ANY)
         begins = sum(first - 1 for source, (first, _, _) in self.numbers.items() if source not in before)
-        return max(gaps, self.lost_events) + begins
+        return max(gaps + self._missing(), self.lost_events) + begins
 
-    def late(self, before: set[SOURCE]) -> int:
+    def _missing(self) -> int:
+        """Return how many messages of unnamed publishers are missing at least: no number is rarer than a later one."""
+        first, last, _ = self.numbers.get(ANY, (1, 0, 0))
+        missing, most = 0, 1
+        for number in range(last, first - 1, -1):
+            most = max(most, self.counts[number])
+            missing += most - self.counts[number]
+        return missing
+
+    def late(self, before: Collection[SOURCE]) -> int:
         """Return how many messages of publishers that were there before the start came before the first one."""
         return sum(first - 1 for source, (first, _, _) in self.numbers.items() if source in before)
 
@@ -309,8 +328,8 @@ class Watcher:
 
     def close(self) -> None:
         """Wait for messages that are on their way, close the bag, and tell what is in it."""
-        self.latest = time.monotonic()
-        while time.monotonic() - self.latest < QUIET_S:
+        begin = self.latest = time.monotonic()
+        while time.monotonic() - self.latest < QUIET_S and time.monotonic() - begin < REPAIRED_S:
             self.executor.spin_once(LOOK_S)
         if self.bag is None:
             return
@@ -319,9 +338,12 @@ class Watcher:
                 self.recorded[topic].see(*identity(taken[1]))
         topics = list(self.recorded.values())
         self.bag.close()
-        lost = {topic.name: count for topic in topics if (count := topic.lost(self.before))}
-        late = {topic.name: count for topic in topics if (count := topic.late(self.before))}
-        silent = [name for name, sources in self.sources.items() if sources - self.recorded[name].numbers.keys()]
+        before = {topic.name: {*self.before, *([ANY] if self.sources[topic.name] <= self.before else [])} for topic in topics}
+        lost = {topic.name: count for topic in topics if (count := topic.lost(before[topic.name]))}
+        late = {topic.name: count for topic in topics if (count := topic.late(before[topic.name]))}
+        silent = [
+            topic.name for topic in topics if self.sources[topic.name] - topic.numbers.keys() and ANY not in topic.numbers
+        ]
         drops = dropped() - self.drops[0][1] if self.drops else 0
         account = {
             "messages": sum(topic.messages for topic in topics),

@@ -77,6 +77,8 @@ find_spec("rclpy") or sys.exit(1)
 print(find_spec("mcap") is not None, sys.prefix)
 """
 PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+WITHOUT_NUMBERS = ("foxy", "galactic", "humble")
+"""Versions of ROS 2 whose messages have no numbers; `ros2 bag` records there."""
 WITH_OLD_PROFILES = ("foxy", "galactic", "humble", "iron", "jazzy")
 PROFILE = """\
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -625,9 +627,9 @@ class Launch2(Launch):
         for python in dict.fromkeys(tried):
             done = subprocess.run([python, "-c", PROBE], env=self.environment, stdout=subprocess.PIPE, check=False)
             if done.returncode == 0:
-                has_recorder, _, prefix = done.stdout.decode().strip().partition(" ")
+                has_mcap, _, prefix = done.stdout.decode().strip().partition(" ")
                 self.add_prefix(prefix)
-                return python, has_recorder == "True"
+                return python, has_mcap == "True" and self.environment.get("ROS_DISTRO") not in WITHOUT_NUMBERS
         raise Failure(
             "no ROS 2: name its setup script in [platforms.ros], or install it by pip install 'sierra-experiments[ros2]', "
             "which is there for Python 3.10 to 3.13 on Linux on x86-64"
@@ -696,7 +698,7 @@ class Launch2(Launch):
         words = ["bag", "record", "-s", "mcap", "-o", str(given.output.resolve() / given.bag), "--regex", topics]
         program = shutil.which("ros2", path=self.environment.get("PATH"))
         if program is None:
-            raise Failure("the package mcap is missing, which records topics: pip install 'sierra-experiments[ros2]'")
+            raise Failure("nothing can record topics here: pip install 'sierra-experiments[ros2]', or install ros2 bag")
         return subprocess.Popen(
             [program, *words], env=self.environment, stdin=subprocess.DEVNULL, stdout=sys.stderr, start_new_session=True
         )
