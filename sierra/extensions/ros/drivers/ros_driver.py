@@ -110,7 +110,9 @@ STARTED = re.compile(r"(?:process)?\[(\S+)\]: (?:process )?started with pid \[(\
 DIED = re.compile(r"\[(\S+?)\]:? process has died (?:\[pid \d+, )?(exit code -?\d+|without exit code)")
 FINISHED = re.compile(r"\[(\S+?)\]:? process has finished cleanly")
 REQUIRED = re.compile(r"REQUIRED process \[(\S+)\] has died!")
-REFUSED = re.compile(r"(cannot launch node of type .*|failed to start local process: .*|Unable to launch .*)")
+REFUSED = re.compile(
+    "(cannot launch node of type .*|failed to start local process: .*|Unable to launch .*|Caught .*exception.* in launch .*)"
+)
 
 
 class Failure(Exception):
