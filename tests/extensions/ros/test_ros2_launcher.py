@@ -188,3 +188,12 @@ def test_a_file_of_parameters_is_given_as_it_is(folder: Path) -> None:
     [[_, words, files, _]] = told(folder, NODE.format("", '<param from="$(dirname)/given.yaml"/>'))
     assert words[-2:] == ["--params-file", "FILE"]
     assert files == [str(folder / "given.yaml")]
+
+
+def test_without_ros_2_one_line_says_what_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "a.launch.xml").write_text("<launch/>")
+    words = [sys.executable, str(DRIVERS / "ros_driver.py"), "a.launch.xml", ".", "ros2", "--ros", "2", "--length", "1"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("ros: no ROS 2: name its setup script in [platforms.ros], or install it by pip install")
+    assert done.stderr.count("\n") == 1
