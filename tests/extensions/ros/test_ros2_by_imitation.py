@@ -96,8 +96,10 @@ def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[
     ros2.find(monkeypatch, require)
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "sitecustomize.py").write_text(WITHOUT_MCAP)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
     (tmp_path / "bin").mkdir()
+    python = f'#!/bin/sh\nPYTHONPATH={tmp_path / "site"} exec {ros2.PROGRAMS / "python3"} "$@"\n'
+    (tmp_path / "bin" / "python3").write_text(python)
+    (tmp_path / "bin" / "python3").chmod(0o755)
     (tmp_path / "bin" / "ros2").write_text(f"#!{sys.executable}\n{IMITATION}")
     (tmp_path / "bin" / "ros2").chmod(0o755)
     (tmp_path / "tmp").mkdir()
