@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import tomllib
 from pathlib import Path
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from sierra.config import project_file
 from sierra.errors import ConfigError
 from sierra.ingest import csv
+from sierra.store.table_layout import TableLayout
 from tests import projects
 from tests.readings import read_file
 
@@ -65,16 +67,30 @@ def test_file_is_read_as_it_is_declared(tmp_path: Path, content: bytes, keys: di
 
 @pytest.mark.integration
 def test_texts_between_bars_stay_as_an_earlier_version_recorded_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    texts = {}
+    texts, dump = {}, TableLayout.dump
     for begun in ("later", "earlier"):
         folder = projects.make(tmp_path / begun, simulator="open('t.csv', 'w').write(' id  | v\\n r0  | 1\\n')\n")
         with monkeypatch.context() as patch:
             if begun == "earlier":
                 patch.setattr(csv, "PADDED", "")
+                patch.setattr(TableLayout, "dump", lambda layout: dump(dataclasses.replace(layout, trimmed=False)))
             projects.run(folder, "population_size=1")
         projects.run(folder, "population_size=1,2")
         texts[begun] = projects.values(folder, "SELECT id FROM t")
     assert texts == {"later": {"r0"}, "earlier": {" r0  "}}
+
+
+@pytest.mark.integration
+def test_texts_between_bars_are_trimmed_whatever_runs_before_them_wrote(tmp_path: Path) -> None:
+    read = "import sys\nsize = open(sys.argv[1]).read().partition('count=\"')[2][0]\n"
+    program = read + "open('t.csv', 'w').write('id,v\\nr0,1\\n' if size == '1' else ' id  | v\\n r0  | 1\\n')\n"
+    texts = []
+    for order in ((1, 2), (2, 1)):
+        folder = projects.make(tmp_path / str(order[0]), simulator=program)
+        for size in order:
+            projects.run(folder, f"population_size={size}")
+        texts.append(projects.values(folder, "SELECT id FROM t"))
+    assert texts == [{"r0"}, {"r0"}]
 
 
 BAD: list[tuple[str, bytes, dict[str, Any], str]] = [
