@@ -50,7 +50,7 @@ class Csv(Text):
         self._padded: set[tuple[str, str]] = set()
         """The executions and names of files whose cells keep the blanks around them, as an earlier version recorded them."""
         self._trims = False
-        """True if those of the part do."""
+        """True if the cells of the part that is being read lose them."""
 
     def read(self, files: Sequence[Written]) -> Reading:
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -159,76 +160,68 @@ def tabled(
 
     The rows of accepted ends are in tables of their own: the programs may not have come to the end of their files.
     """
-    with contextlib.ExitStack() as stack:
-        unpacking = None
-        if any(output.archive for output in context.outputs.values()):
-            from sierra.ingest.archives import Unpacking
-
-            unpacking = stack.enter_context(Unpacking(context.outputs))
-        return _tabled(executions, writer, store, context, assigning, shapes, unpacking)
-
-
-def _tabled(
-    executions: Sequence[Judgement],
-    writer: Writer,
-    store: Store,
-    context: Context,
-    assigning: OutputMatcher,
-    shapes: dict[str, Shape],
-    unpacking: Unpacking | None,
-) -> TableIngest:
     from sierra.store.connections import connect
 
-    made = TableIngest(context.outputs)
-    files: dict[str, list[Written]] = {}
-    optional = set[str]()
-    patterns: dict[Written, list[str]] = {}
-    for number, judged in enumerate(executions):
+    with _unpacking(context.outputs) as unpacking:
+        made = TableIngest(context.outputs)
+        files: dict[str, list[Written]] = {}
+        optional = set[str]()
+        patterns: dict[Written, list[str]] = {}
+        for number, judged in enumerate(executions):
+            try:
+                written_files = list(_files(judged, context, assigning, unpacking, made.faults))
+            except LaterError:
+                made.rest.extend(executions[number:])
+                break
+            for output, shape, written in written_files:
+                name = output if judged.status is Status.OK else output + ACCEPTED
+                if judged.status is Status.ACCEPTED and not written.ended and shape.format in TEXTS:
+                    continue  # it was cut off in its last line, which may look whole
+                if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
+                    made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(written.name), name=name))
+                shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
+                files.setdefault(name, []).append(written)
+                if shape.form.lines:
+                    patterns.setdefault(written, []).append(shape.form.lines)
+                    optional |= set() if context.outputs[output].required else {name}
+        if not files:
+            return made
+        for written, several in patterns.items():
+            with contextlib.suppress(UnreadableError):  # the reader says so
+                assigning.unmatched.add(written.run, Source(written), several)
+        connection = connect()
         try:
-            written_files = list(_files(judged, context, assigning, unpacking, made.faults))
-        except LaterError:
-            made.rest.extend(executions[number:])
-            break
-        for output, shape, written in written_files:
-            name = output if judged.status is Status.OK else output + ACCEPTED
-            if judged.status is Status.ACCEPTED and not written.ended and shape.format in TEXTS:
-                continue  # it was cut off in its last line, which may look whole
-            if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
-                made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(written.name), name=name))
-            shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
-            files.setdefault(name, []).append(written)
-            if shape.form.lines:
-                patterns.setdefault(written, []).append(shape.form.lines)
-                optional |= set() if context.outputs[output].required else {name}
-    if not files:
+            for name, found in files.items():
+                twice = dict(_twice(found, shapes[name]))
+                for execution, fault in twice.items():
+                    made.faults.setdefault(execution, fault)
+                single = [one for one in found if one.execution not in twice]
+                reading = read(connection, single, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
+                shapes[name] = reading.shape
+                for one in single:
+                    rows = reading.rows.get(key := (one.execution, one.name))
+                    if name in optional and rows == 0:
+                        continue
+                    made_of = TableFile(name, None, None, None)
+                    if rows is not None:
+                        member = one.name.removeprefix(f"{one.archive}/") if one.archive else None
+                        made_of = TableFile(name, rows, reading.counted.get(key), _layout(reading, one), member)
+                    of_file = made.files.setdefault((one.execution, one.archive or one.name), [])
+                    of_file += [] if made_of in of_file else [made_of]
+                for execution, fault in reading.faults.items():
+                    made.faults.setdefault(execution, fault)
+        finally:
+            connection.close()
         return made
-    for written, several in patterns.items():
-        with contextlib.suppress(UnreadableError):  # the reader says so
-            assigning.unmatched.add(written.run, Source(written), several)
-    connection = connect()
-    try:
-        for name, found in files.items():
-            twice = dict(_twice(found, shapes[name]))
-            for execution, fault in twice.items():
-                made.faults.setdefault(execution, fault)
-            single = [one for one in found if one.execution not in twice]
-            reading = read(connection, single, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
-            shapes[name] = reading.shape
-            for one in single:
-                rows = reading.rows.get(key := (one.execution, one.name))
-                if name in optional and rows == 0:
-                    continue
-                made_of = TableFile(name, None, None, None)
-                if rows is not None:
-                    member = one.name.removeprefix(f"{one.archive}/") if one.archive else None
-                    made_of = TableFile(name, rows, reading.counted.get(key), _layout(reading, one), member)
-                of_file = made.files.setdefault((one.execution, one.archive or one.name), [])
-                of_file += [] if made_of in of_file else [made_of]
-            for execution, fault in reading.faults.items():
-                made.faults.setdefault(execution, fault)
-    finally:
-        connection.close()
-    return made
+
+
+def _unpacking(outputs: Mapping[str, Output]) -> AbstractContextManager[Unpacking | None]:
+    """Return the context in which files in archives are read; None if no output is in an archive."""
+    if not any(output.archive for output in outputs.values()):
+        return contextlib.nullcontext()
+    from sierra.ingest.archives import Unpacking
+
+    return Unpacking(outputs)
 
 
 def _files(
@@ -247,9 +240,9 @@ def _files(
                 several = unpacking.files(result, file, name)
             except UnreadableError as error:
                 faults.setdefault(result.execution, f"{shown(file.path)}: {error}")
-        for one in several:
-            written.setdefault(name, []).append(one.name)
-            yield name, shape, one
+        for table in several:
+            written.setdefault(name, []).append(table.name)
+            yield name, shape, table
     whole = judged.status is Status.OK and result.execution not in faults
     if whole and unpacking is not None and (lack := unpacking.lacking(result, written)) is not None:
         faults[result.execution] = lack

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sierra.config.output_tables import Keys, Proposal
-from sierra.extensions.ros.bags.bag_topics import RECEIVED, opened
+from sierra.extensions.ros.bags.bag_topics import RECEIVED, STAMP, opened
 from sierra.extensions.ros.bags.containers import Channel
 from sierra.extensions.ros.bags.message_types import MessageTypes
 from sierra.ingest.base import UnreadableError
@@ -15,7 +15,6 @@ from sierra.ingest.model import Written
 from sierra.ingest.rewriting import Source
 from sierra.util.text import counted
 
-STAMP = "header_stamp_ns"
 ROBOT = "robot"
 
 

@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 ROWS, BYTES = 5_000, 16 << 20
 """The limits on the messages of a batch, and on their bytes."""
-RECEIVED = "received_ns"
+RECEIVED, STAMP = "received_ns", "header_stamp_ns"
+"""The columns with the times when a message was received, and of its sensor."""
 NAMED = 8
 """The number of topics that an error names."""
 

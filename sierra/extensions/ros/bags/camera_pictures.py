@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sierra.config.output_tables import Output
-from sierra.extensions.ros.bags.bag_topics import NAMED, RECEIVED, Keys, TopicTable, opened
+from sierra.extensions.ros.bags.bag_topics import NAMED, RECEIVED, STAMP, Keys, TopicTable, opened
 from sierra.extensions.ros.bags.containers import NS, damage
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Written
@@ -20,7 +20,6 @@ from sierra.ingest.rewriting import Source
 from sierra.util.hashing import sha256
 from sierra.util.text import few
 
-STAMP = "header_stamp_ns"
 ENCODINGS = {
     "rgb8": ("RGB", "RGB"),
     "bgr8": ("RGB", "BGR"),

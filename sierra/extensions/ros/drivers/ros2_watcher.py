@@ -120,7 +120,7 @@ class Recorded:
         self.numbers: dict[SOURCE, tuple[int, int, int]] = {}
         """The first and the last number of each publisher, and how many messages came."""
         self.counts = collections.Counter[int]()
-        """How often each number came, where messages do not name their publishers."""
+        """The number of messages with each number, where messages do not name their publishers."""
 
     def count(self, source: SOURCE, number: int) -> None:
         first, last, messages = self.numbers.get(source, (number, number, 0))
@@ -223,7 +223,7 @@ class Watcher:
 
     def start(self) -> None:
         self.has_started = True
-        self.before = self._publishers()
+        self.before = set().union(*self.sources.values())
         self.started.publish(Bool(data=True))
 
     def spin(self) -> None:
@@ -264,23 +264,20 @@ class Watcher:
         count, pending = 0, []
         self.programs = set()
         for topic, kinds in self.topics_seen:
-            publishers = self.node.get_publishers_info_by_topic(topic)
-            publishers = [one for one in publishers if not HIDDEN.search(f"/{one.node_name}")]
-            self.programs |= {bytes(one.endpoint_gid[:PREFIX]) for one in publishers}
+            known = self.node.get_publishers_info_by_topic(topic)
+            publishers = [publisher for publisher in known if not HIDDEN.search(f"/{publisher.node_name}")]
+            self.programs |= {bytes(publisher.endpoint_gid[:PREFIX]) for publisher in publishers}
             count += len(publishers)
             if self.bag is None or topic == STARTED or not any(wanted.fullmatch(topic) for wanted in self.topics):
                 continue
             if len(kinds) > 1:
                 raise Failure(f"{topic} has several types: {', '.join(kinds)}")
-            self.sources.setdefault(topic, set()).update(bytes(one.endpoint_gid) for one in publishers)
+            self.sources.setdefault(topic, set()).update(bytes(publisher.endpoint_gid) for publisher in publishers)
             if publishers and topic not in self.recorded:
                 self._subscribe(topic, kinds[0], publishers)
             if publishers and self.subscriptions[topic].get_publisher_count() < len(publishers):
                 pending.append(topic)
         return count, pending
-
-    def _publishers(self) -> set[SOURCE]:
-        return set().union(*self.sources.values())
 
     def _subscribe(self, topic: str, kind: str, publishers: list[Any]) -> None:
         package, _, name = kind.split("/")

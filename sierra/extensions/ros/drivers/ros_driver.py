@@ -195,12 +195,8 @@ class Watch:
         """The id of each process that was started and has not been reported as ended."""
         self.processes: set[str] = set()
         """All processes that were started. Several may have the same node, as `ros2 launch` calls it."""
-        self.nodes: set[str] = set()
-        """All nodes that were started."""
         self.ended: set[str] = set()
         """Processes that have ended by themselves, without an error."""
-        self.finished: set[str] = set()
-        """The nodes of these."""
         self.is_over = False
         """Whether the launcher ends its nodes; from then on, it is no failure if they end."""
         self.latest = 0.0
@@ -209,6 +205,16 @@ class Watch:
         self._line = b""
         self.last: collections.deque[str] = collections.deque(maxlen=LOG_LINES)
         """The last lines that nodes and the launcher have printed."""
+
+    @property
+    def nodes(self) -> set[str]:
+        """All nodes that were started."""
+        return set(map(node_of, self.processes))
+
+    @property
+    def finished(self) -> set[str]:
+        """The nodes that have ended by themselves, without an error."""
+        return set(map(node_of, self.ended))
 
     def read(self, chunk: bytes) -> None:
         """Read a part of the launcher's output, and copy it. Raises Failure."""
@@ -223,7 +229,6 @@ class Watch:
         if found := STARTED.search(text):
             self.started[found[1]] = int(found[2])
             self.processes.add(found[1])
-            self.nodes.add(node_of(found[1]))
             self.latest = time.monotonic()
         elif self.is_over:
             return
@@ -246,7 +251,6 @@ class Watch:
         if how:
             raise Died(f"the node {node} died early: {how}", process)
         self.ended.add(process)
-        self.finished.add(node)
 
     def check_alive(self) -> None:
         """Raise Died if a process has disappeared, and the launcher does not report it."""
