@@ -43,6 +43,7 @@ OTHER_CLOCK = {
 }
 """The variables of a program whose wall clock is that of `Fleet.set_clock`. `select` waits there; `time.sleep` may fail."""
 MOTOR = "/run/robot/motor"
+LENT = "/run/lent"
 USER, UID = "robot", 5002
 GUEST, GUEST_UID = "guest", 5003
 """Another user, whose login `AllowUsers` must permit: see `Fleet.configure`."""
@@ -79,6 +80,7 @@ mkdir /run/sshd /run/robot
 mount --bind {folder}/own /run/robot
 mount --bind {etc} /etc
 mount --bind {folder}/home /home
+{lent}
 for hidden in {hidden}; do mount -t tmpfs -o mode=755 tmpfs "$hidden"; done
 {engines}
 mount -t tmpfs -o mode=1777 tmpfs /tmp
@@ -151,7 +153,9 @@ class Robot:
 class Fleet:
     """Robots on one bridge. `names` are names in `ssh_config`, whose `known_hosts` has the robots' keys."""
 
-    def __init__(self, count: int = 3, disk: str = "64m") -> None:
+    def __init__(self, count: int = 3, disk: str = "64m", lent: Path | None = None) -> None:
+        """`lent` is a folder that all robots have as LENT."""
+        self.lent = f"mkdir {LENT} && mount --bind {lent} {LENT}" if lent is not None else ""
         self.names = tuple(f"rb{number}" for number in range(1, count + 1))
         self.disk = disk
         self.folder = Path(tempfile.mkdtemp(prefix=f"{MARK}-{os.getpid()}-"))
@@ -235,7 +239,13 @@ class Fleet:
         hidden = " ".join(f"'{one}'" for one in (REPOSITORY, Path("/root")) if not one.is_relative_to("/tmp"))
         machine = f"setarch {robot.machine}" if robot.machine else ""
         script = INIT.format(
-            name=name, folder=robot.folder, etc=self.folder / "etc", hidden=hidden, machine=machine, engines=FOR_ENGINES
+            name=name,
+            folder=robot.folder,
+            etc=self.folder / "etc",
+            hidden=hidden,
+            machine=machine,
+            engines=FOR_ENGINES,
+            lent=self.lent,
         )
         (robot.folder / "init.sh").write_text(script)
         own = ["--mount", "--uts", "--ipc", "--pid", "--fork", "--kill-child", "--mount-proc", "--propagation", "private"]

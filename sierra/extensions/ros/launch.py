@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar, Literal, Protocol
 from xml.etree import ElementTree
 
 from sierra.plugin import Add, Change, Set, TemplateError, TemplateView
@@ -24,8 +24,8 @@ ROOT = "/launch"
 SETTINGS = "sierra"
 PLACE = "place"
 """The setting with the place of a robot."""
-OF_ALL = ("arg", "env", "remap", "param", "rosparam")
-"""Elements of a launch file that start nothing. All robots keep them, since each sets parameters before its nodes start."""
+Shared = Literal["master", "domain"]
+"""The master of ROS 1, or the domain of ROS 2, that all robots of a run use."""
 KEEPER = '<node pkg="sierra_ros" type="timekeeper" name="sierra_timekeeper" required="true" output="screen"/>'
 
 POSE = ("x", "y", "yaw")
@@ -41,6 +41,8 @@ class Dialect(Protocol):
     """XPath of the namespaces of the groups in a launch file."""
     unnamed: ClassVar[str]
     """XPath of groups with nodes and without a namespace."""
+    of_all: ClassVar[tuple[str, ...]]
+    """Elements of a launch file that start nothing. All robots keep them, since each sets parameters before its nodes start."""
 
     def setting(self, name: str) -> str:
         """Return the XPath of the value of a setting."""
@@ -58,6 +60,7 @@ class Launch1:
     argument: ClassVar[str] = "arg"
     group: ClassVar[str] = f"{ROOT}/group[not(@ns='{SETTINGS}')]/@ns"
     unnamed: ClassVar[str] = f"{ROOT}/group[node][not(@ns or @if or @unless)]"
+    of_all: ClassVar[tuple[str, ...]] = ("arg", "env", "remap", "param", "rosparam")
     types: ClassVar[Mapping[str, str]] = {"random_seed": "int", "population_size": "int", "place": "int", "length": "double"}
 
     def setting(self, name: str) -> str:
@@ -89,6 +92,7 @@ class Launch2:
     pushed: ClassVar[tuple[str, ...]] = ("push_ros_namespace", "push-ros-namespace")
     group: ClassVar[str] = f"{ROOT}/group/*[{' or '.join(f'self::{tag}' for tag in pushed)}]/@namespace"
     unnamed: ClassVar[str] = f"{ROOT}/group[node][not({' or '.join((*pushed, '@if', '@unless'))})]"
+    of_all: ClassVar[tuple[str, ...]] = ("arg", "let", "set_env", "unset_env", "set_parameter", "set_remap", *pushed)
 
     def setting(self, name: str) -> str:
         return f"{ROOT}/let[@name='{SETTINGS}_{name}']/@value"
@@ -127,15 +131,16 @@ class Robots:
     arguments: tuple[tuple[str, str], ...] = ()
     """Arguments that all copies get."""
     poses: tuple[PlanePose, ...] | RandomPoses = ()
-    share_master: bool = False
-    """True if all robots of a run use the master of the base station."""
+    shared: Shared | None = None
+    has_base: bool = False
+    """True if a base station takes part, which then starts everything that belongs to no robot."""
 
     def made(self, document: bytes) -> bytes:
         """Return a launch file with a copy of the group for each robot. Raises TemplateError.
 
         In a run on robots (with the setting `place`), the launch file of a robot has only its own copy, and that of the base
-        station (0) has none. If they share a master, the base station starts everything that belongs to no robot. Without a
-        group that stands for robots, the document stays as it is.
+        station (0) has none, and starts everything else if the robots share a master or a domain. Without a group that stands
+        for robots, the document stays as it is.
         """
         root = _parsed(document)
         count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
@@ -143,8 +148,10 @@ class Robots:
         if self.poses and (count is None or (place is None and len(found) != 1)):
             raise TemplateError("poses need one group that is one robot, which gets them; set group in [platforms.ros]")
         if count is None:
-            if self.share_master:
-                raise TemplateError("the robots share a master, but no group is one robot; set group in [platforms.ros]")
+            if self.shared:
+                raise TemplateError(
+                    f"the robots share a {self.shared}, but no group is one robot; set group in [platforms.ros]"
+                )
             return document
         if not count.isdecimal() or int(count) == 0:
             raise TemplateError(f"population_size is {count!r}; use a whole number of 1 or more")
@@ -161,7 +168,7 @@ class Robots:
         else:
             copies = [self._copy(found[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
         root[at : at + 1] = copies
-        if self.share_master:
+        if self.shared:
             self._keep_own(root, copies)
         self._check_names(root)
         made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
@@ -180,10 +187,20 @@ class Robots:
         list(self._poses(count, "0"))
 
     def _keep_own(self, root: ElementTree.Element, robots: Sequence[ElementTree.Element]) -> None:
-        """Remove the place, which no two robots share, and from the launch file of a robot what the base station starts."""
+        """Remove what only the base station starts from the launch file of a robot. A master has no place of a single robot.
+
+        Raises TemplateError for what every robot would start in one domain.
+        """
         settings = root.findall(f"group[@ns='{SETTINGS}']")
         if robots:
-            root[:] = [one for one in root if one in [*settings, *robots] or one.tag in OF_ALL]
+            kept = [child for child in root if child in [*settings, *robots] or child.tag in self.dialect.of_all]
+            others = [child.tag for child in root if child not in kept and isinstance(child.tag, str)]
+            if others and not self.has_base:
+                raise TemplateError(
+                    f"{others[0]} is outside the group of the robot, so that each robot of a run would start it in the same "
+                    "domain; write it into the group, or let a base station start it: robots.base = {}"
+                )
+            root[:] = kept
         for group in settings:
             for one in group.findall(f"param[@name='{PLACE}']"):
                 group.remove(one)

@@ -17,8 +17,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field, StringConstraints
 
 from sierra.config.change_tables import StartPoses
+from sierra.config.robots_table import RobotsTable
 from sierra.design.platforms.base import driver_path
-from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, SETTINGS, Launch1, Launch2, Robots
+from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, SETTINGS, Launch1, Launch2, Robots, Shared
 from sierra.plugin import (
     Add,
     Axis,
@@ -37,7 +38,7 @@ from sierra.plugin import (
 from sierra.plugin import Pose as StartPose
 
 TABLE = "[platforms.ros]"
-DRIVER, OF_ROS_1, OF_ROS_2 = "ros_driver.py", ("ros_timekeeper.py",), ("ros2_launcher.py", "ros2_watcher.py")
+DRIVER, OF_ROS_1, OF_ROS_2 = "ros_driver.py", ("ros_timekeeper.py",), ("ros2_launcher.py", "ros2_watcher.py", "ros2_fleet.py")
 """The program that starts a run, and those that it needs beside it."""
 PYTHON = "/usr/bin/python3"
 """The Python of ROS 1 on Debian and Ubuntu: nodes name it in their first line."""
@@ -140,15 +141,17 @@ class Ros:
             raise ConfigError(
                 f"[trials] and {TABLE} both declare start poses; remove those in [trials], the map shows the others"
             )
-        self._shares_master = project.robots is not None and project.robots.base is not None and not project.robots.base.command
-        if self._shares_master and options.ros == 2:
-            raise ConfigError(f"{TABLE}: ROS 2 has no master that a base station could have; give robots.base a command")
+        self._has_base = project.robots is not None and project.robots.base is not None and not project.robots.base.command
+        self._shared = _shared(project.robots, options, has_base=self._has_base)
+        if self._shared == "domain" and not self._is_xml:
+            raise ConfigError(f"{TABLE}: SIERRA does not split launch files in YAML between robots; use a launch file in XML")
         self._input = "input.launch" if options.ros == 1 else f"input.launch{Path(project.template).suffix}"
         self._driver = driver_path(project.template, DRIVER, is_among_files=bool(project.files))
         self._python = project.command or ((PYTHON,) if options.ros == 1 else ("{python}",))
         self._dialect = Launch1() if options.ros == 1 else Launch2()
         arguments = (("model", self._kind.model),) if self._kind.model else ()
-        self._robots = Robots(self._dialect, options.group, self._kind.prefix, arguments, options.start, self._shares_master)
+        names = options.group, self._kind.prefix
+        self._robots = Robots(self._dialect, *names, arguments, options.start, self._shared, self._has_base)
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
         if not self._is_xml:
@@ -253,7 +256,8 @@ class Ros:
         words += (word for node in options.wait_for for word in ("--await", node))
         words += ("--patience", repr(options.patience))
         words += () if options.barrier else ("--no-barrier",)
-        words += ("--share-master",) if self._shares_master else ()
+        words += ("--share-master",) if self._shared == "master" else ()
+        words += ("--fleet", "base" if self._has_base else "robots") if self._on_robots and options.ros == 2 else ()
         words += ("--sim-time",) if options.use_sim_time else ()
         words += ("--may-lose",) if options.may_lose else ()
         words += (word for topic in options.record for word in ("--record", topic))
@@ -285,12 +289,27 @@ class Ros:
         for name in ("length", "ticks_per_second"):
             if (value := getattr(options, name)) is not None:
                 settings[name] = repr(value) if name == "length" else repr(value).removesuffix(".0")
-        return settings if self._shares_master else {**settings, "output": "$(env SIERRA_OUTPUT)"}
+        return settings if self._shared == "master" else {**settings, "output": "$(env SIERRA_OUTPUT)"}
 
     def _has_robots(self, template: TemplateView) -> bool:
         """Return whether one group of the template stands for the robots."""
         names = template.find(self._dialect.group)
         return names.count(self._options.group) == 1 if self._options.group else len(names) == 1
+
+
+def _shared(robots: RobotsTable | None, options: RosOptions, *, has_base: bool) -> Shared | None:
+    """Return what all robots of a run share. Raises ConfigError if one of them would not take part."""
+    if robots is None:
+        return None
+    if options.ros == 1:
+        return "master" if has_base else None
+    for name, group in robots.groups.items():
+        if group.command:
+            raise ConfigError(
+                f"{TABLE}: the robots of a run share a domain of ROS 2, and wait for each other; remove the command of "
+                f"robots.groups.{name}"
+            )
+    return "domain" if has_base or robots.count != 1 else None
 
 
 def _kind(options: RosOptions) -> RobotKind:

@@ -9,9 +9,18 @@ from pathlib import Path
 import pytest
 
 import sierra.extensions.ros
+from tests.support.robot_fleet import LENT
 
 DRIVERS = Path(sierra.extensions.ros.__file__).parent / "drivers"
 PROGRAMS = Path(__file__).parents[3] / ".venv-ros2" / "bin"
+
+
+SETUP = f"""
+packages=$(echo {LENT}/lib/python3*/site-packages)
+export AMENT_PREFIX_PATH={LENT} PYTHONPATH=$packages
+export LD_LIBRARY_PATH={LENT}/lib$(printf ':%s' $packages/ros_*.libs)
+"""
+"""A setup script of robots to which the environment is lent, for the Python of the system."""
 
 
 def find(monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]) -> None:

@@ -1,5 +1,8 @@
 """Follow the graph of a run of ROS 2 and record topics: `python3 ros2_watcher.py [--bag FOLDER] [--clock] TOPIC ...`.
 
+With `--place` and `--run`, it is that of one part of a run on several robots (see `ros2_fleet.py`). With `--own`, it records
+only topics that a node in this namespace publishes.
+
 It needs rclpy, and with `--bag` mcap. `TOPIC` are regular expressions. Its driver reads what it prints, a JSON object in each
 line:
 
@@ -10,10 +13,11 @@ line:
 - `{"messages": 6000, "lost": {...}, "late": {...}, "silent": [...], "dropped": 0}` at the end: the number of messages in the
   bag; by topic, how many are lost, and how many were published before the start and before it received them; topics with a
   publisher from which nothing came; and the packets that the kernel dropped in the last seconds: the last messages, perhaps;
+- `{"started": true}` when `/sierra/started` has come, and `{"members": [...]}`: the states of all parts that it knows;
 - `{"failure": "..."}` if it cannot go on.
 
-A line on its standard input lets it publish `/sierra/started`, which new subscribers get too. SIGINT, SIGTERM or the end of its
-standard input end it; then it closes the bag.
+The line `start` on its standard input lets it publish `/sierra/started`, which new subscribers get too; any other line is the
+state of its part. SIGINT, SIGTERM or the end of its standard input end it; then it closes the bag.
 
 Publishers number their messages, so a message that is lost leaves a gap. A second subscription to each topic, which never waits
 for what is missing, knows the last number. The middleware counts losses too. The larger number is told.
@@ -38,18 +42,22 @@ from typing import Any
 
 import rclpy
 from ament_index_python import get_package_share_directory
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
 NAME = "sierra_watcher"
-STARTED = "/sierra/started"
+STARTED, MEMBERS = "/sierra/started", "/sierra/members"
 PREFIX = 12  # bytes of the identity of a publisher that are those of its participant
 HIDDEN = re.compile(rf"/(_|launch_ros_|{NAME}(_witness)?$)")  # no nodes of the launch file
 DEPTH = 5000  # messages of a topic that may wait
+PARTS = 1000  # of a run, at most
+TOLD_S = 5.0  # for all parts to have the last state of this one
+CHUNK = 1 << 16
 LOOK_S, LATER_S = 0.05, 0.3  # between two looks at the graph, before and after the start
 REPAIRED_S = 5.0  # publishers of Fast DDS tell every 3 s what they have published
 QUIET_S = 0.3  # without a message, until all have come
@@ -211,6 +219,11 @@ class Watcher:
         """The participants of DDS that publish something: one for each program."""
         latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.started = self.node.create_publisher(Bool, STARTED, latched)
+        self.own: str | None = None
+        """The namespace of the nodes whose topics are recorded; None: those of all."""
+        self.members: dict[int, Any] = {}
+        """What the parts of the run have told, by place."""
+        self.told: Any = None
         if clock:
             lossy = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.node.create_subscription(Clock, "/clock", self._tick, lossy)
@@ -221,10 +234,36 @@ class Watcher:
             self.failure = f"the simulated time went back from {self.time:g} s to {now:g} s"
         self.time = now
 
+    def join(self, place: int, run: str) -> None:
+        """Take part in a run on several robots, in this place."""
+        kept = {"reliability": ReliabilityPolicy.RELIABLE, "durability": DurabilityPolicy.TRANSIENT_LOCAL}
+        self.part = {"run": run, "place": place}
+        self.told = self.node.create_publisher(String, MEMBERS, QoSProfile(depth=1, **kept))
+        self.node.create_subscription(String, MEMBERS, self._hear, QoSProfile(depth=PARTS, **kept))
+        self.node.create_subscription(Bool, STARTED, self._begin, QoSProfile(depth=1, **kept))
+
+    def _hear(self, message: String) -> None:
+        try:
+            member = json.loads(message.data)
+            self.members[member["place"]] = member
+        except (ValueError, LookupError, TypeError):
+            self.failure = f"a node publishes on {MEMBERS}, which is for SIERRA alone"
+
+    def _begin(self, message: Bool) -> None:
+        self._note_start()
+        print(json.dumps({"started": True}), flush=True)
+
+    def tell(self, state: Any) -> None:
+        """Tell all parts the state of this one."""
+        self.told.publish(String(data=json.dumps({**self.part, "state": state})))
+
     def start(self) -> None:
+        self._note_start()
+        self.started.publish(Bool(data=True))
+
+    def _note_start(self) -> None:
         self.has_started = True
         self.before = set().union(*self.sources.values())
-        self.started.publish(Bool(data=True))
 
     def spin(self) -> None:
         """Take what has come, and look at the graph now and then. Raises Failure."""
@@ -235,7 +274,10 @@ class Watcher:
             nodes = sorted({f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()})
             self._count_drops()
             own = [name for name in nodes if not HIDDEN.search(name)]
-            self.say(nodes=own, participants=len(self.programs), publishers=publishers, pending=pending, clock=self.time)
+            members = {"members": list(self.members.values())} if self.told is not None else {}
+            self.say(
+                nodes=own, participants=len(self.programs), publishers=publishers, pending=pending, clock=self.time, **members
+            )
         if self.failure:
             raise Failure(self.failure)
 
@@ -268,7 +310,9 @@ class Watcher:
             publishers = [publisher for publisher in known if not HIDDEN.search(f"/{publisher.node_name}")]
             self.programs |= {bytes(publisher.endpoint_gid[:PREFIX]) for publisher in publishers}
             count += len(publishers)
-            if self.bag is None or topic == STARTED or not any(wanted.fullmatch(topic) for wanted in self.topics):
+            if self.bag is None or topic in (STARTED, MEMBERS) or not any(wanted.fullmatch(topic) for wanted in self.topics):
+                continue
+            if topic not in self.recorded and not any(map(self._is_own, publishers)):
                 continue
             if len(kinds) > 1:
                 raise Failure(f"{topic} has several types: {', '.join(kinds)}")
@@ -278,6 +322,11 @@ class Watcher:
             if publishers and self.subscriptions[topic].get_publisher_count() < len(publishers):
                 pending.append(topic)
         return count, pending
+
+    def _is_own(self, publisher: Any) -> bool:
+        """Return whether a publisher belongs to a node whose topics are recorded."""
+        space: str = publisher.node_namespace
+        return self.own is None or space == self.own or space.startswith(f"{self.own}/")
 
     def _subscribe(self, topic: str, kind: str, publishers: list[Any]) -> None:
         package, _, name = kind.split("/")
@@ -325,6 +374,8 @@ class Watcher:
 
     def close(self) -> None:
         """Wait for messages that are on their way, close the bag, and tell what is in it."""
+        if self.told is not None:
+            self.told.wait_for_all_acked(Duration(seconds=TOLD_S))
         begin = self.latest = time.monotonic()
         while time.monotonic() - self.latest < QUIET_S and time.monotonic() - begin < REPAIRED_S:
             self.executor.spin_once(LOOK_S)
@@ -352,12 +403,23 @@ class Watcher:
         print(json.dumps(account), flush=True)
 
 
+def obey(watcher: Watcher) -> bool:
+    """Do what the driver wants, one line for each; return False if it has ended."""
+    chunk = os.read(sys.stdin.fileno(), CHUNK)
+    for line in chunk.splitlines():
+        watcher.start() if line == b"start" else watcher.tell(json.loads(line))
+    return bool(chunk)
+
+
 def main() -> None:
     """Watch a run until a signal comes."""
     parser = argparse.ArgumentParser()
     parser.add_argument("topics", nargs="*")
     parser.add_argument("--bag", type=Path)
     parser.add_argument("--clock", action="store_true")
+    parser.add_argument("--place", type=int)
+    parser.add_argument("--run", default="")
+    parser.add_argument("--own")
     given = parser.parse_args()
     told: list[int] = []
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
@@ -365,11 +427,14 @@ def main() -> None:
         signal.signal(number, lambda number, frame: told.append(number))
     try:
         watcher = Watcher(given.topics, Bag(given.bag) if given.bag else None, clock=given.clock)
+        watcher.own = given.own
+        if given.place is not None:
+            watcher.join(given.place, given.run)
         print(json.dumps({"ready": True}), flush=True)
         while not told:
             watcher.spin()
-            if select.select([sys.stdin], [], [], 0.0)[0]:
-                watcher.start() if sys.stdin.readline() else told.append(0)  # its driver has ended
+            if select.select([sys.stdin], [], [], 0.0)[0] and not obey(watcher):
+                told.append(0)  # its driver has ended
         watcher.close()
     except (Failure, OSError) as error:
         print(json.dumps({"failure": " ".join(str(error).split())}), flush=True)

@@ -16,6 +16,8 @@ parameters of the master:
 - `/sierra/robot1/finished`: the awaited nodes of robot 1 have ended; `/sierra/finished`: those of all robots;
 - `/sierra/over`: the time is over, and robots end their nodes; `/sierra/robot1/closed`: robot 1 has done so.
 
+With `--fleet`, a run of ROS 2 has a part on each robot, all in one domain: see `ros2_fleet.py`.
+
 No single word of roslaunch is believed, because its exit status is 0 even if every node has died:
 
 - a time keeper (`ros_timekeeper.py`, a required node) writes a file when the time is over;
@@ -36,6 +38,7 @@ import contextlib
 import glob
 import hashlib
 import http.client
+import importlib
 import json
 import os
 import random
@@ -60,6 +63,7 @@ DOMAINS = range(1, 102)  # ROS_DOMAIN_ID: safe on Linux, without the default 0
 SYSTEM = "/usr/share"  # the packages of Debian; a setup script names others
 TICK_S = 0.1
 GONE_S = 3.0
+CLOSED_S = 60.0  # for other parts of a run to end
 SETTLED_S = 2.0  # without a new node, until all nodes of ROS 2 count as started
 GRAPH_S = 0.5  # without a new node or publisher, until all nodes of ROS 2 count as complete
 WATCHER_S = 60.0  # for the watcher to take part
@@ -76,33 +80,11 @@ from importlib.util import find_spec
 find_spec("rclpy") or sys.exit(1)
 print(find_spec("mcap") is not None, sys.prefix)
 """
+PUSHED = ("push_ros_namespace", "push-ros-namespace")
 PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 WITHOUT_NUMBERS = ("foxy", "galactic", "humble")
 """Versions of ROS 2 whose messages have no numbers; `ros2 bag` records there."""
 WITH_OLD_PROFILES = ("foxy", "galactic", "humble", "iron", "jazzy")
-PROFILE = """\
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <transport_descriptors>
-    <transport_descriptor>
-      <transport_id>here</transport_id>
-      <type>UDPv4</type>
-      <receiveBufferSize>4194304</receiveBufferSize>
-      <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
-      <maxInitialPeersRange>100</maxInitialPeersRange>
-    </transport_descriptor>
-  </transport_descriptors>
-  <participant profile_name="sierra" is_default_profile="true">
-    <rtps>
-      <userTransports><transport_id>here</transport_id></userTransports>
-      <useBuiltinTransports>false</useBuiltinTransports>
-      <builtin>
-        <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
-        <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
-      </builtin>
-    </rtps>
-  </participant>
-</profiles>
-"""  # Fast DDS over UDP on 127.0.0.1, with up to 100 processes; it discovers by unicast, because no multicast may be there
 HERE = "127.0.0.1"
 
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -332,7 +314,7 @@ class Launch:
 
     def supervise(self, process: subprocess.Popen[bytes]) -> None:
         """Follow the launcher until it ends, or is to be ended. Raises Failure."""
-        while process.poll() is None:
+        while process.poll() is None or self.goes_on(process.returncode):
             self.copy(process, TICK_S)
             self.watch.check_alive()
             if self.look():
@@ -340,6 +322,10 @@ class Launch:
                 end(process)
         while self.copy(process, 0.0):
             pass
+
+    def goes_on(self, status: int) -> bool:
+        """Return whether the run goes on although the launcher has ended with a status."""
+        return False
 
     def copy(self, process: subprocess.Popen[bytes], seconds: float) -> bool:
         """Copy output of the launcher; return whether there was any within this time."""
@@ -595,12 +581,23 @@ class Launch2(Launch):
     watcher: Any = None
     recorder: subprocess.Popen[bytes] | None = None
 
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.parts: Any = importlib.import_module("ros2_fleet")  # in runs of ROS 1, this file is not there
+        self.fleet: Any = None
+        """The parts of the run on other robots; None if all of it is here."""
+        if given.fleet:
+            try:
+                self.fleet = self.parts.Fleet(os.environ, has_base=given.fleet == "base")
+            except self.parts.Unfit as error:
+                raise Failure(str(error)) from error
+            given.bag = given.bag if self.fleet.records else None
+
     def command(self) -> list[str]:
         given = self.given
         if given.length is None:
             raise Failure("ROS 2 needs --length")
-        domain = self.reserve("domain", DOMAINS, is_free_domain)
-        self.environment.update(ROS_DOMAIN_ID=domain, ROS_HOME=str(self.folder / "home"))
+        self.environment.update(ROS_DOMAIN_ID=self.find_domain(), ROS_HOME=str(self.folder / "home"))
         self.stay_here()
         python, has_recorder = self.find_python()
         self.add_packages(python)
@@ -609,8 +606,21 @@ class Launch2(Launch):
             return [given.launcher, "launch", "--noninteractive", str(given.launch)]
         return [python, beside("ros2_launcher.py"), str(given.launch)]
 
+    def find_domain(self) -> str:
+        """Return a domain that nobody on this machine uses: that of all parts, or any. Raises Failure."""
+        if self.fleet is None:
+            return self.reserve("domain", DOMAINS, is_free_domain)
+        domain = DOMAINS[self.fleet.number % len(DOMAINS)]
+        try:
+            return self.reserve("domain", range(domain, domain + 1), is_free_domain)
+        except Failure as error:
+            raise Failure(
+                f"another program on this robot uses the domain {domain} of ROS 2, which this run got by chance; "
+                "execute the run again: it gets another one"
+            ) from error
+
     def stay_here(self) -> None:
-        """Let nodes discover those of this machine only, and use no shared memory: nodes that are killed would leave it behind.
+        """Let nodes discover those of this run only, and use no shared memory: nodes that are killed would leave it behind.
 
         For Fast DDS, only a profile can do this. Its file counts if there is no other one, and no other middleware is chosen.
         """
@@ -619,13 +629,16 @@ class Launch2(Launch):
         middleware = self.environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
         if "fastrtps" in middleware and not any(name in self.environment for name in PROFILES):
             profile = self.folder / "fastdds.xml"
-            profile.write_text(PROFILE)
+            profile.write_text(self.parts.profile(self.fleet.addresses if self.fleet else [HERE]))
             is_old = self.environment.get("ROS_DISTRO") in WITH_OLD_PROFILES
             self.environment[PROFILES[is_old]] = str(profile)
         else:
             print("ros: the middleware is yours, so nodes may use shared memory and multicast", flush=True)
             self.environment.update(ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")  # Iron and newer
-            self.environment.update(ROS_LOCALHOST_ONLY="1")  # before
+            if self.fleet is None:
+                self.environment.update(ROS_LOCALHOST_ONLY="1")  # before
+            else:
+                self.environment.update(ROS_STATIC_PEERS=";".join(self.fleet.addresses))
 
     def find_python(self) -> tuple[str, bool]:
         """Return a Python that has rclpy, and whether it has mcap. Let its packages be found. Raises Failure."""
@@ -688,7 +701,8 @@ class Launch2(Launch):
         given = self.given
         bag = ["--bag", str(given.output.resolve() / given.bag)] if given.bag and has_recorder else []
         clock, limit = ["--clock"] if given.sim_time else [], time.monotonic() + WATCHER_S
-        self.watcher = Watcher([python, beside("ros2_watcher.py"), *given.record, *bag, *clock], self.environment)
+        part = ["--place", str(self.fleet.place), "--run", self.fleet.run, *self.own_namespace()] if self.fleet else []
+        self.watcher = Watcher([python, beside("ros2_watcher.py"), *given.record, *bag, *clock, *part], self.environment)
         self.recorder = None if has_recorder or not given.bag else self.start_recorder()
         while not self.watcher.is_ready or (self.recorder is not None and not (given.output / given.bag).exists()):
             self.watcher.look()
@@ -696,6 +710,17 @@ class Launch2(Launch):
                 raise Failure(f"ROS 2 or its recorder did not start within {WATCHER_S:g} s")
             time.sleep(TICK_S)
         self.deadline = time.monotonic() + given.patience
+
+    def own_namespace(self) -> list[str]:
+        """Return the option with the namespace of the robot here, whose topics it records; none if it records all."""
+        if self.fleet.has_base:
+            return []
+        for group in ElementTree.parse(self.given.launch).findall("group"):  # noqa: S314 - the run's own file
+            names = {child.get("name") for child in group.findall("let")}
+            spaces = [child.get("namespace", "") for child in group if child.tag in PUSHED]
+            if {"robot", "index"} <= names and spaces:
+                return ["--own", f"/{spaces[0].strip('/')}"]
+        return []
 
     def start_recorder(self) -> subprocess.Popen[bytes]:
         """Start the recorder of ROS 2, where the package mcap is missing. Raises Failure."""
@@ -711,28 +736,72 @@ class Launch2(Launch):
 
     def look(self) -> bool:
         self.watcher.look()
+        if self.fleet is not None:
+            self.follow_others()
         if self.begin is None:
-            if not (missing := self.missing()):
+            if not (missing := self.missing() or self.unready()):
                 self.watcher.start()
-                self.begin = self.deadline = time.monotonic()
-                self.deadline += self.given.patience
+                self.begin_time()
             elif time.monotonic() > self.deadline:
                 raise Failure(f"after {self.given.patience:g} s, {missing}")
             return False
         passed = self.passed()
+        if self.fleet is not None and not self.fleet.leads:
+            return self.is_ended(passed)
         if self.given.awaited:
             return self.is_finished(passed)
         return passed is not None and passed >= self.given.length and self.mark()
 
+    def begin_time(self) -> None:
+        self.begin = self.deadline = time.monotonic()
+        self.deadline += self.given.patience
+
+    def follow_others(self) -> None:
+        """Hear the other parts of the run, and tell them the state of this one. Raises Failure."""
+        self.hear()
+        if self.begin is None and self.watcher.has_started:
+            self.begin_time()
+        running = [process for process in self.watch.processes if is_named(node_of(process), self.given.awaited)]
+        self.tell(
+            programs=len(self.watch.processes - self.watch.ended) if self.begin is None else self.fleet.state["programs"],
+            awaited=len(running),
+            ready=self.begin is not None or not self.missing(),
+            finished=self.begin is not None and not self.awaits() and time.monotonic() - self.watch.latest > SETTLED_S,
+        )
+
+    def hear(self) -> None:
+        try:
+            self.fleet.hear(self.watcher.members)
+        except self.parts.Unfit as error:
+            raise Failure(str(error)) from error
+
+    def tell(self, **state: Any) -> None:
+        """Tell the other parts what is new of the state of this one."""
+        if any(self.fleet.state[name] != value for name, value in state.items()) or self.fleet.place not in self.fleet.states:
+            self.fleet.state.update(state)
+            self.watcher.send(json.dumps(self.fleet.state))
+
+    def unready(self) -> str:
+        """Return the other part that is not ready, if there is one. Only the leader lets the time begin."""
+        if self.fleet is None:
+            return ""
+        if late := self.fleet.unready():
+            return f"{late} does not see all nodes of the run"
+        return "" if self.fleet.leads else f"{self.fleet.name(self.fleet.places[0])} has not let the time begin"
+
     def missing(self) -> str:
         """Return what is missing until the time can begin; nothing if all nodes are there."""
-        started = self.watch.processes - self.watch.ended
-        if not self.watch.processes:
+        programs = len(self.watch.processes - self.watch.ended)
+        if self.fleet is not None:
+            if absent := self.fleet.absent():
+                return f"nothing was heard of {absent}; can the robots reach each other by UDP?"
+            programs = self.fleet.programs
+        if not programs and not self.watch.processes:
             return "no node was started"
         known = self.watcher.participants
-        if self.given.barrier and known < len(started):
+        if self.given.barrier and known < programs:
             names = ", ".join(self.watcher.nodes) or "none"
-            return f"{known} of {len(started)} programs are nodes ({names}); for programs that are no nodes: barrier = false"
+            return f"{known} of {programs} programs are nodes ({names}); for programs that are no nodes: barrier = false"
         if time.monotonic() - self.watcher.changed < GRAPH_S:
             return "nodes or topics were added in the last second"
         if self.watcher.pending:
@@ -760,21 +829,42 @@ class Launch2(Launch):
     def is_finished(self, passed: float | None) -> bool:
         if self.has_all_awaited() and time.monotonic() - self.watch.latest > SETTLED_S:
             return self.mark()
-        if passed is not None and passed > self.given.length + self.given.patience:
-            late = ", ".join(self.awaits() or self.given.awaited)
+        if self.is_late(passed):
+            late = ", ".join(self.awaits() or (self.fleet.unfinished() if self.fleet else []) or self.given.awaited)
             raise Failure(f"awaited nodes have not ended {self.given.patience:g} s after the length of the run: {late}")
+        return False
+
+    def is_late(self, passed: float | None) -> bool:
+        return passed is not None and passed > self.given.length + self.given.patience
+
+    def is_ended(self, passed: float | None) -> bool:
+        """Return whether the leader has ended the run. Raises Failure if it is late."""
+        if self.fleet.is_over:
+            return self.mark()
+        if self.is_late(passed):
+            raise Failure(f"{self.fleet.name(self.fleet.places[0])} has not ended the run")
         return False
 
     def has_all_awaited(self) -> bool:
         """Return whether awaited nodes were started, and all of them have ended."""
+        if self.fleet is not None:
+            return self.fleet.awaited > 0 and not self.fleet.unfinished()
         return not self.awaits() and any(is_named(node, self.given.awaited) for node in self.watch.nodes)
+
+    def goes_on(self, status: int) -> bool:
+        """Return whether nothing of a run on several robots is left to be started here. `ros2 launch` has ended then."""
+        if self.fleet is None or status or self.watch.is_over:
+            return False
+        return not self.watch.processes or bool(self.given.awaited and not self.awaits())
 
     def is_over(self) -> bool:
         """Return whether the whole time is over. `ros2 launch` ends by itself when all nodes have ended."""
-        return super().is_over() or (self.begin is not None and self.has_all_awaited())
+        return super().is_over() or (self.fleet is None and self.begin is not None and self.has_all_awaited())
 
     def close(self) -> None:
         if self.watcher is not None:
+            if self.fleet is not None and self.is_over():
+                self.close_together()
             self.watcher.end()
         if self.recorder is not None:
             end(self.recorder)
@@ -788,7 +878,18 @@ class Launch2(Launch):
     def written_last(self, bag: Path) -> Path:
         return bag / "metadata.yaml"  # the folder and its files are there from the recorder's start
 
+    def close_together(self) -> None:
+        """Tell that the nodes of this part have ended. The leader waits for the others, which end by themselves."""
+        self.tell(closed=True)
+        limit = time.monotonic() + CLOSED_S
+        while self.fleet.leads and not self.fleet.is_closed and time.monotonic() < limit:
+            self.watcher.look()
+            self.hear()
+            time.sleep(TICK_S)
+
     def mark(self) -> bool:
+        if self.fleet is not None and self.fleet.leads:
+            self.tell(over=True)
         self.marker.write_text(self.run)
         return True
 
@@ -808,6 +909,10 @@ class Watcher:
         self.pending: list[str] = []
         self.clock: float | None = None
         self.publishers = 0
+        self.has_started = False
+        """Whether it has heard that the time begins."""
+        self.members: list[dict[str, Any]] = []
+        """The states of the parts of a run on several robots."""
         self.recorded: dict[str, Any] = {}
         self._text = b""
 
@@ -830,6 +935,8 @@ class Watcher:
             self.publishers = seen.get("publishers", self.publishers)
             self.nodes, self.pending = seen.get("nodes", self.nodes), seen.get("pending", self.pending)
             self.clock = seen.get("clock", self.clock)
+            self.has_started = seen.get("started", self.has_started)
+            self.members = seen.get("members", self.members)
             self.participants = seen.get("participants", self.participants)
             self.recorded = seen if "messages" in seen else self.recorded
         if self.process.poll() is not None and not self.recorded and self.process.returncode:
@@ -837,9 +944,12 @@ class Watcher:
 
     def start(self) -> None:
         """Let it tell all nodes that the time has begun."""
+        self.send("start")
+
+    def send(self, line: str) -> None:
         if self.process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
-                os.write(self.process.stdin.fileno(), b"start\n")
+                os.write(self.process.stdin.fileno(), f"{line}\n".encode())
 
     def end(self) -> None:
         """Let it close its bag."""
@@ -989,6 +1099,7 @@ def main() -> None:
     parser.add_argument("--bag")
     parser.add_argument("--may-lose", action="store_true")
     parser.add_argument("--share-master", action="store_true")
+    parser.add_argument("--fleet", choices=("base", "robots"), help="the parts of a run of ROS 2 on several robots")
     given = parser.parse_args()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, raise_stopped)
