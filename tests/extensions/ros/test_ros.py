@@ -298,8 +298,29 @@ def test_robots_with_one_master_leave_all_but_their_own_nodes_to_the_base_statio
     assert settings == [{"random_seed", "population_size", "length"}] * 3
     alone = '[robots]\ncount = 2\nbase = { command = "true" }\n'
     assert "--share-master" not in command(make(tmp_path / "alone", more=alone))
-    with pytest.raises(ConfigError, match="ROS 2 has no master that a base station could have"):
-        command(make(tmp_path / "two", OPTIONS + "ros = 2\n", LAUNCH2, more))
+
+
+def test_robots_in_one_domain_leave_all_but_their_own_nodes_to_the_base_station(tmp_path: Path) -> None:
+    more = 'runner = "robots"\n[robots]\ncount = "population_size"\nbase = {}\n'
+    launch = LAUNCH2.replace("<launch>", '<launch><let name="arena" value="lab"/><node pkg="w" exec="judge" name="judge"/>')
+    root = make(tmp_path / "p", OPTIONS + "ros = 2\n", launch, more, "swarm.launch.xml")
+    assert " --fleet base" in command(root)
+    plan = sierra.open(root).plan("population_size=2", runs=1)
+    [(_, files)] = plan.inputs.files(plan.batch, lambda run: True)
+    launches = {
+        place.number: ElementTree.fromstring(dict(own)["input.launch.xml"])  # noqa: S314
+        for place, own in robots.read(files)
+    }
+    tags = {
+        place: [child.tag for child in root if child.tag not in ("let", "set_parameter")] for place, root in launches.items()
+    }
+    assert tags == {0: ["node"], 1: ["group"], 2: ["group"]}
+    places = [root.findall("let[@name='sierra_place']")[0].get("value") for root in launches.values()]
+    assert places == ["0", "1", "2"]
+    assert launches[2].findall("let[@name='arena']")[0].get("value") == "lab"
+    assert " --fleet robots" in command(
+        make(tmp_path / "alone", OPTIONS + "ros = 2\n", LAUNCH2, more.replace("base = {}\n", ""))
+    )
 
 
 def test_robots_find_the_master_of_their_run_and_refuse_one_out_of_reach(

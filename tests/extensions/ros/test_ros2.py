@@ -257,10 +257,12 @@ def burst(_):
     os.kill(watcher, signal.SIGCONT)
     time.sleep(0.5)
     chatter.publish(Int64(data=20000))
+    time.sleep(2.0)
+    sys.exit()
 node.create_subscription(Bool, "/sierra/started", burst, latched)
 rclpy.spin(node)
 """
-    settings = SETTINGS.replace("length = 1.0", f"length = 6.0\nmay_lose = {str(may_lose).lower()}")
+    settings = SETTINGS.replace("length = 1.0", f'length = 1.0\nwait_for = ["fast"]\nmay_lose = {str(may_lose).lower()}')
     root = project(tmp_path / "project", '<node pkg="nodes" exec="fast.py" name="fast"/>', fast=program, settings=settings)
     if may_lose:
         projects.run(root, "level=1", "--runs", "1")
