@@ -74,7 +74,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "options": {f"{name} --recover": "command:recovered" for name in ("show", "open show", "files", "open files")},
         "inputs": {".launch": "xml"},
         "variables": dict.fromkeys(("ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH"), ""),
-        "examples": {"ros": "examples/ros", "ros2": "examples/ros2", "turtlebot3": "examples/turtlebot3"},
+        "examples": {name: f"examples/{name}" for name in ("ros", "ros2", "turtlebot3", "robots-ros1")},
     },
     "sierra1": {
         "needs": {"argos": ""},

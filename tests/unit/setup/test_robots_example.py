@@ -25,37 +25,64 @@ MOVED = [[0.1, 0.0, 2.8], [0.4, -0.2, -2.0]]
 
 
 class Ros:
-    """An imitation of rospy: robot 0 executes a node, and two others tell where they are, all for one tick."""
+    """An imitation of rclpy: robot 0 executes a node, and two others tell where they are, all for one tick."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
+        self.parameters = {"sierra_length": 0.1, "sierra_population_size": 3, "sierra_output": str(folder), "speed": SPEED}
         self.heard: dict[str, Callable[[Any], None]] = {}
         self.sent: dict[str, list[Any]] = {}
+        self.timers: list[Callable[[], None]] = []
 
-    def modules(self) -> dict[str, ModuleType]:
-        rospy, geometry, navigation = ModuleType("rospy"), ModuleType("geometry_msgs.msg"), ModuleType("nav_msgs.msg")
-        values = {"~start": STARTS[0], "~speed": SPEED, "/sierra/length": 0.1, "/sierra/population_size": 3}
-        rospy.__dict__.update(
-            init_node=lambda name: None,
-            get_namespace=lambda: "/robot0/",
-            get_param=lambda name, default=None: values.get(name) or self.tell(),
-            Publisher=lambda topic, kind, queue_size: SimpleNamespace(publish=self.sent.setdefault(topic, []).append),
-            Subscriber=lambda topic, kind, callback, queue_size: self.heard.update({topic: callback}),
-            Rate=lambda hertz: SimpleNamespace(sleep=lambda: None),
-            on_shutdown=lambda callback: None,
-            is_shutdown=lambda: False,
+    def node(self, name: str) -> SimpleNamespace:
+        return SimpleNamespace(
+            get_namespace=lambda: "/robot0",
+            declare_parameter=lambda name, default: SimpleNamespace(value=self.parameters[name]),
+            create_publisher=lambda kind, topic, depth: SimpleNamespace(
+                publish=self.sent.setdefault(topic, []).append, wait_for_all_acked=lambda timeout: True
+            ),
+            create_subscription=lambda kind, topic, callback, profile: self.heard.update({topic: callback}),
+            create_timer=self.timer,
         )
-        geometry.__dict__["Twist"] = lambda: SimpleNamespace(linear=SimpleNamespace(), angular=SimpleNamespace())
-        navigation.__dict__["Odometry"] = SimpleNamespace
-        return {"rospy": rospy, "geometry_msgs": ModuleType("geometry_msgs"), "geometry_msgs.msg": geometry} | {
-            "nav_msgs": ModuleType("nav_msgs"),
-            "nav_msgs.msg": navigation,
-        }
 
-    def tell(self) -> bool:
+    def timer(self, period: float, callback: Callable[[], None]) -> SimpleNamespace:
+        self.timers.append(callback)
+        return SimpleNamespace(cancel=lambda: self.timers.remove(callback))
+
+    def spin(self, node: SimpleNamespace) -> None:
+        self.ring()
         self.heard["odom"](odometry("base_link", MOVED[0]))
         for name, start in (("robot1", STARTS[1]), ("robot2", STARTS[2])):
             self.heard["/poses"](odometry(name, placed(start, MOVED[1])))
-        return True
+        self.ring()
+        assert self.sent["cmd_vel"] == []
+        self.heard["/sierra/started"](SimpleNamespace(data=True))
+        while True:
+            self.ring()
+
+    def ring(self) -> None:
+        for timer in list(self.timers):
+            timer()
+
+    def modules(self) -> dict[str, ModuleType]:
+        def twist() -> SimpleNamespace:
+            return SimpleNamespace(linear=SimpleNamespace(), angular=SimpleNamespace())
+
+        contents: dict[str, dict[str, object]] = {
+            "rclpy": {"init": lambda signal_handler_options: None, "spin": self.spin, "shutdown": lambda: None},
+            "rclpy.duration": {"Duration": lambda seconds: seconds},
+            "rclpy.node": {"Node": self.node},
+            "rclpy.qos": {"QoSProfile": SimpleNamespace, "DurabilityPolicy": SimpleNamespace(TRANSIENT_LOCAL=1)},
+            "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO=0)},
+            "rclpy.utilities": {"remove_ros_args": lambda words: words},
+            "geometry_msgs.msg": {"Twist": twist},
+            "nav_msgs.msg": {"Odometry": SimpleNamespace},
+            "std_msgs.msg": {"Bool": SimpleNamespace},
+        }
+        modules = {name.partition(".")[0]: ModuleType(name.partition(".")[0]) for name in contents}
+        modules |= {name: ModuleType(name) for name in contents}
+        for name, content in contents.items():
+            modules[name].__dict__.update(content)
+        return modules
 
 
 def odometry(name: str, pose: list[float]) -> SimpleNamespace:
@@ -72,14 +99,17 @@ def placed(start: list[float], pose: list[float]) -> list[float]:
 
 def driven_by_ros(folder: Path, gathering: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[float, float]:
     """Return the speed and the turn that the node commands to robot 0 in its first tick."""
-    ros = Ros()
+    ros = Ros(folder)
     monkeypatch.setitem(sys.modules, "gathering", SimpleNamespace(**gathering))
     for name, module in ros.modules().items():
         monkeypatch.setitem(sys.modules, name, module)
-    monkeypatch.setenv("SIERRA_OUTPUT", str(folder))
     monkeypatch.setattr(sys, "path", list(sys.path))
-    runpy.run_path(str(EXAMPLE / "packages" / "gathering" / "scripts" / "gather"))
-    [command] = ros.sent["cmd_vel"]
+    monkeypatch.setattr(sys, "argv", ["gather", *map(str, STARTS[0])])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(EXAMPLE / "packages" / "gathering" / "scripts" / "gather"))
+    assert ended.value.code is None
+    command, last = ros.sent["cmd_vel"]
+    assert (last.linear.x, last.angular.z) == (0, 0)
     return command.linear.x, command.angular.z
 
 

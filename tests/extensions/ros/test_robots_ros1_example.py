@@ -1,4 +1,4 @@
-"""The example `robots`: rospy nodes on robots under the master of a base station, and the same controller in MuJoCo."""
+"""The example `robots-ros1`: rospy nodes on robots under the master of a base station, and the same controller in MuJoCo."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import sierra
 from tests import projects
 from tests.support import robot_fleet, ros_image
 from tests.support.robot_fleet import Fleet
@@ -30,7 +31,7 @@ def swarm(require: Callable[..., str]) -> Iterator[Fleet]:
 @pytest.fixture
 def demo(swarm: Fleet, tmp_path: Path) -> Path:
     """Return the example with the hosts of the fleet, and with short runs."""
-    done = projects.quick(tmp_path, "init", "--example", "robots", "demo")
+    done = projects.quick(tmp_path, "init", "--example", "robots-ros1", "demo")
     assert done.returncode == 0, done.stderr
     settings = tmp_path / "demo" / "sierra.toml"
     text = 'observe = "none"\n' + settings.read_text().replace("6.0", "3.0")
@@ -79,6 +80,13 @@ def test_a_swarm_in_containers_finds_its_master_if_the_network_is_declared(
     heard = projects.sql(demo, "SELECT child_frame_id AS robot FROM heard GROUP BY robot ORDER BY robot")
     assert heard == [{"robot": "robot1"}, {"robot": "robot2"}], "the base station hears both"
     assert projects.sql(demo, "SELECT DISTINCT engine, network FROM isolations") == [{"engine": "apptainer", "network": "host"}]
+
+
+@pytest.mark.parametrize("name", ["gathering.py", "arena.xml", "delay.sql"])
+def test_the_example_with_ros_2_has_the_same_controller_and_model(name: str) -> None:
+    package = Path(sierra.__file__).parent
+    here = package / "extensions" / "ros" / "examples" / "robots-ros1" / name
+    assert here.read_bytes() == (package / "setup" / "examples" / "robots" / name).read_bytes()
 
 
 def assert_sampled_in_the_same_way(demo: Path) -> None:
