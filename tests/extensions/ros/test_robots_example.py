@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,6 +11,8 @@ import pytest
 
 from tests import projects
 from tests.extensions.ros import ros2
+from tests.support import robot_fleet
+from tests.support.robot_fleet import Fleet
 
 pytestmark = pytest.mark.integration
 RUNS = 6
@@ -56,6 +58,47 @@ def test_nodes_on_this_machine_are_compared_with_the_same_swarm_in_mujoco(demo: 
     assert (pair["first"], pair["second"], pair["n_first"], pair["n_second"]) == ("sim", "nodes", RUNS, RUNS)
     assert pair["low"] <= pair["difference"] <= pair["high"]
     assert abs(pair["difference"]) < 0.3
+
+
+HOSTS = ("base", "robot1", "robot2", "robot3")
+
+
+@pytest.fixture
+def swarm(require: Callable[..., str]) -> Iterator[Fleet]:
+    """Yield four hosts with ROS 2: a base station, and three robots."""
+    robot_fleet.needed(require)
+    with Fleet(4, lent=ros2.PROGRAMS.parent) as fleet:
+        yield fleet
+
+
+@pytest.mark.nightly
+def test_robots_with_networks_of_their_own_are_compared_with_the_same_swarm_in_mujoco(demo: Path, swarm: Fleet) -> None:
+    settings = demo / "sierra.toml"
+    text = settings.read_text()
+    for host, name in zip(HOSTS, swarm.names, strict=True):
+        text = text.replace(f"{host}.local", name)
+    link = f'[runners.robots]\ndisk_min = 1\nlink_options = {{ ssh_config = "{swarm.ssh_config}" }}\n'
+    own = '[platforms.ros]\nsetup = "{project}/setup.bash"\n'
+    (demo / "setup.bash").write_text(ros2.SETUP)
+    settings.write_text(text.replace("[runners.robots]\n", link).replace("[platforms.ros]\n", own))
+    done = projects.quick(demo, "run", "population_size=3", "--runs", "2", "--target", "sim,robots", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = projects.sql(
+        demo,
+        "SELECT target, robot, count(*) AS rows, count(DISTINCT time) AS times, round(arg_min(x, time), 2) AS x "
+        "FROM path JOIN batch_runs USING (run) JOIN sessions USING (batch) GROUP BY ALL ORDER BY target, robot",
+    )
+    ticks = round(10 * LENGTH)
+    assert [tuple(row.values()) for row in rows] == [
+        (target, robot, 2 * ticks, ticks, x) for target in ("robots", "sim") for robot, x in enumerate((1.0, -0.5, -0.5), 1)
+    ]
+    ends = projects.sql(demo, "SELECT arg_max(spread, time) AS spread FROM spread GROUP BY run")
+    assert all(0.2 < row["spread"] < 0.9 for row in ends), "they start at 1 m"
+    delays = projects.sql(demo, (demo / "delay.sql").read_text())
+    assert [row["robot"] for row in delays] == [1, 2, 3]
+    assert all(row["messages"] > 60 and -row["uncertainty_ms"] < row["delay_ms"] < 500 for row in delays), delays
+    for name in swarm.names:
+        assert not [line for line in swarm.commands(name) if "ros" in line]
 
 
 def assert_sampled_in_the_same_way(demo: Path) -> None:
