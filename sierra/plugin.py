@@ -110,7 +110,7 @@ from sierra.runners.links.base import (
 from sierra.runners.links.commands import Commands, Stream
 from sierra.runners.links.process_stream import ProcessStream
 from sierra.runners.local import Local
-from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
+from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, NodeVariables, Request, Scheduler, State, Task
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
 from sierra.stats.bootstrap import BootstrapOptions
 from sierra.stats.bootstrap import estimate as bootstrap
@@ -179,6 +179,7 @@ __all__ = [
     "Needs",
     "NoOptions",
     "NoSession",
+    "NodeVariables",
     "Omnibus",
     "OutputFile",
     "OutputReader",

@@ -130,7 +130,9 @@ def comparisons(incomplete: str) -> list[str]:
 
 def runners(incomplete: str) -> list[str]:
     """Return the names of runners."""
-    return sorted({*_named("runners", incomplete), *_beginning(("local", "robots", "slurm", "pbs"), incomplete)})
+    from sierra.config.plugin_registry import RUNNERS, SCHEDULERS
+
+    return sorted({*_named("runners", incomplete), *_beginning((*RUNNERS.shipped, *SCHEDULERS.shipped), incomplete)})
 
 
 def columns(context: typer.Context, incomplete: str) -> list[str]:

@@ -69,7 +69,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from functools import partial
+from functools import partial, reduce
 from types import FrameType, ModuleType
 from typing import TYPE_CHECKING, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
@@ -148,21 +148,15 @@ CHUNK = 1 << 20
 LINE_BYTES = 1 << 28
 LOGS = ("stdout", "stderr")
 OBSERVED = "observed.json"
+VARIABLE = re.compile(r"\{(\w+)\}")
 CHECK = b',"check":"'
 CHECK_DIGITS = 16
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
-ALLOCATION = (
-    *("SLURM_JOB_ID", "SLURM_ARRAY_JOB_ID", "SLURM_ARRAY_TASK_ID", "SLURM_RESTART_COUNT", "SLURM_JOB_NAME"),
-    *("SLURM_CLUSTER_NAME", "SLURM_JOB_PARTITION", "SLURM_JOB_ACCOUNT", "SLURM_JOB_QOS", "SLURM_JOB_CONSTRAINTS"),
-    *("SLURM_JOB_NODELIST", "SLURMD_NODENAME", "SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE", "SLURM_JOB_CPUS_PER_NODE"),
-    *("SLURM_MEM_PER_NODE", "SLURM_MEM_PER_CPU", "SLURM_JOB_GPUS", "SLURM_GPUS_ON_NODE"),
-    *("SLURM_JOB_START_TIME", "SLURM_JOB_END_TIME"),
-    *("PBS_JOBID", "PBS_ARRAY_ID", "PBS_ARRAY_INDEX", "PBS_ARRAYID", "PBS_JOBNAME", "PBS_QUEUE", "PBS_SERVER"),
-    *("PBS_NODENUM", "PBS_NP", "PBS_NUM_NODES", "PBS_NUM_PPN", "PBS_WALLTIME", "NCPUS"),
+GPUS = (
     *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL"),
     "ZE_AFFINITY_MASK",
 )
-"""The variables of a scheduler that describe the allocated resources."""
+"""The variables of any scheduler that name allocated devices."""
 
 File = Tuple[str, int, str]
 """Path, size and SHA-256 of a file."""
@@ -197,6 +191,8 @@ class Attempt(NamedTuple):
     python: str
     clock: float
     """Seconds that the node's clock is ahead of the shared file system's."""
+    end: Optional[float] = None
+    """When the scheduler will end the task; None if it did not say so."""
 
 
 class Started(NamedTuple):
@@ -254,12 +250,14 @@ class Settings(NamedTuple):
     slots: int
     """The greatest number of runs at a time; fewer if the node has fewer cores."""
     scratch: Optional[str]
-    """A folder of the node, in which `$NAME` and `${NAME}` are its variables. None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
+    """A folder of the node, in which `$NAME` and `${NAME}` are its variables. None: that of the scheduler, $TMPDIR or /tmp."""
     needs: "List[Need]"
     record: List[str]
     """The names, or patterns of names, of variables to record."""
     requeue: Tuple[str, ...] = ()
     """The command that starts a task again, to which the task's id is added; empty: there is none."""
+    node: "Dict[str, List[str]]" = {}  # noqa: RUF012 - nobody changes it
+    """The variables by which the scheduler tells what it gives: see `sierra.runners.schedulers.base.NodeVariables`."""
 
 
 def event_of(record: Record) -> Dict[str, object]:
@@ -576,62 +574,79 @@ def contents(root: int, files: Iterable[File], check_stop: Callable[[], None]) -
 
 def first_record(settings: Settings, index: int, facts: "Dict[str, Fact]", slots: int, cores: int) -> Attempt:
     """Return the first record, without the attempt's own name and clock."""
-    variables = os.environ
-    cpus = number(variables, "SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE", "NCPUS", "PBS_NP", "PBS_NUM_PPN")
+    variables, given = os.environ, Allocation(settings.node, os.environ)
     return Attempt(
         attempt="",
         session=settings.session,
         element=index,
-        job=task_of(variables),
-        node=variables.get("SLURMD_NODENAME") or os.uname().nodename,
+        job=given.text("task"),
+        node=given.text("host") or os.uname().nodename,
         started=time.time(),
         slots=slots,
-        cpus=cpus or cores,
-        memory=memory_of(variables),
-        gpus=variables.get("SLURM_JOB_GPUS") or variables.get("CUDA_VISIBLE_DEVICES"),
-        allocation={name: variables[name] for name in ALLOCATION if name in variables},
+        cpus=given.number("cores") or cores,
+        memory=given.memory,
+        gpus=given.text("gpus") or variables.get("CUDA_VISIBLE_DEVICES"),
+        allocation=given.variables,
         facts=facts,
         variables={name: value for name, value in sorted(variables.items()) if is_recorded(name, settings.record)},
         python=platform.python_version(),
         clock=0.0,
+        end=given.number("end"),
     )
 
 
-def task_of(variables: Mapping[str, str]) -> str:
-    """Return the task's id in its scheduler."""
-    if "SLURM_ARRAY_JOB_ID" in variables:
-        return "%s_%s" % (variables["SLURM_ARRAY_JOB_ID"], variables.get("SLURM_ARRAY_TASK_ID", ""))
-    return str(variables.get("SLURM_JOB_ID") or variables.get("PBS_JOBID") or "")
+class Allocation:
+    """What a scheduler gives to a task, as its variables say."""
 
+    def __init__(self, forms: "Dict[str, List[str]]", environment: Mapping[str, str]) -> None:
+        """`forms` name the variables: see `sierra.runners.schedulers.base.NodeVariables`."""
+        self._forms = forms
+        self._environment = environment
 
-def number(variables: Mapping[str, str], *names: str) -> Optional[int]:
-    """Return the first of these variables that is a number."""
-    return next((int(variables[name]) for name in names if variables.get(name, "").isdigit()), None)
+    def texts(self, about: str) -> Iterator[str]:
+        """Yield the forms about something of which all variables are set, with their values."""
+        for form in self._forms.get(about, ()):
+            if all(self._environment.get(name) for name in VARIABLE.findall(form)):
+                yield VARIABLE.sub(lambda match: self._environment[match[1]], form)
 
+    def text(self, about: str) -> str:
+        """Return the first of these texts, or nothing."""
+        return next(self.texts(about), "")
 
-def memory_of(variables: Mapping[str, str]) -> Optional[int]:
-    """Return the bytes of memory that SLURM has allocated; None for PBS, which does not report them."""
-    megabytes, each = number(variables, "SLURM_MEM_PER_NODE"), number(variables, "SLURM_MEM_PER_CPU")
-    if megabytes is None and each is not None:
-        megabytes = each * (number(variables, "SLURM_CPUS_ON_NODE") or 1)
-    return megabytes << 20 if megabytes else None
+    def number(self, about: str) -> Optional[int]:
+        """Return the first of these texts that is a whole number, or a product of whole numbers, as in `2000*4`."""
+        for text in self.texts(about):
+            factors = text.split("*")
+            if all(factor.isdigit() for factor in factors):
+                return reduce(int.__mul__, map(int, factors))
+        return None
+
+    @property
+    def memory(self) -> Optional[int]:
+        """Return the bytes of memory; None if the scheduler does not tell."""
+        return (self.number("memory_mib") or 0) << 20 or None
+
+    @property
+    def variables(self) -> Dict[str, str]:
+        """Return all variables that are about the allocation."""
+        names = [name for forms in self._forms.values() for form in forms for name in VARIABLE.findall(form)]
+        return {name: self._environment[name] for name in (*names, *GPUS) if name in self._environment}
 
 
 def is_recorded(name: str, patterns: List[str]) -> bool:
     return any(fnmatch.fnmatchcase(name, one) for one in patterns) and not any(word in name.upper() for word in SECRET)
 
 
-def name_of_attempt(suffix: int) -> str:
+def name_of_attempt(given: Allocation, suffix: int) -> str:
     """Return the name `job.restart.host.process`, with a suffix if another attempt has taken it."""
-    job = os.environ.get("SLURM_JOB_ID") or os.environ.get("PBS_JOBID") or "none"
     process = "%d-%d" % (os.getpid(), suffix) if suffix else str(os.getpid())
-    parts = (job, os.environ.get("SLURM_RESTART_COUNT") or "0", os.uname().nodename, process)
+    parts = (given.text("job") or given.text("task") or "none", given.text("restarts") or "0", os.uname().nodename, process)
     return ".".join(re.sub(r"[^A-Za-z0-9_-]", "_", part) for part in parts)
 
 
-def new_pack(folder: str, index: str, first: Attempt) -> Pack:
+def new_pack(folder: str, index: str, first: Attempt, given: Allocation) -> Pack:
     """Create the pack of this attempt, with its first record."""
-    for name in map(name_of_attempt, itertools.count()):
+    for name in map(partial(name_of_attempt, given), itertools.count()):
         with contextlib.suppress(FileExistsError):
             pack = Pack(folder, index, name)
             break
@@ -715,7 +730,7 @@ def scratch(settings: Settings, remove: Callable[[str], None]) -> Iterator[Tuple
 
     The worker holds the lock too, because it may outlive this process by the grace time of its runs.
     """
-    root = scratch_root(settings.scratch)
+    root = scratch_root(settings)
     prefix = "sierra-%s-" % settings.session
     for name in os.listdir(root):
         if name.startswith(prefix):
@@ -733,12 +748,14 @@ def scratch(settings: Settings, remove: Callable[[str], None]) -> Iterator[Tuple
         os.close(lock)
 
 
-def scratch_root(wanted: Optional[str]) -> str:
+def scratch_root(settings: Settings) -> str:
+    wanted = settings.scratch
     if wanted is None:
-        named = [os.environ.get("SLURM_TMPDIR"), os.environ.get("TMPDIR"), "/tmp"]  # noqa: S108 - the last resort
+        given = Allocation(settings.node, os.environ)
+        named = [*given.texts("scratch"), os.environ.get("TMPDIR"), "/tmp"]  # noqa: S108 - the last resort
         writable = [path for path in named if path and os.path.isdir(path) and os.access(path, os.W_OK | os.X_OK)]
         if not writable:
-            raise CannotContinue("no folder for runs: none of $SLURM_TMPDIR, $TMPDIR and /tmp is writable")
+            raise CannotContinue("no folder for runs: the node's own folder, $TMPDIR and /tmp cannot be written into")
         return os.path.abspath(writable[0])
     filled = re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda match: value_of(match[1] or match[2], wanted), wanted)
     folder = os.path.abspath(filled)
@@ -813,10 +830,10 @@ def start_of_task() -> float:
 class Requeue:
     """The request to the scheduler to start this task again before its time is over: once, and only after progress."""
 
-    def __init__(self, folder: str, pack: Pack, command: Iterable[str], wall: Optional[float]) -> None:
+    def __init__(self, folder: str, pack: Pack, command: Iterable[str], wall: Optional[float], task: str) -> None:
         self._cancelled = os.path.join(folder, "cancelled")
         self._pack = pack
-        self._command = [*command, task_of(os.environ)]
+        self._command = [*command, task]
         self._at = start_of_task() + wall - min(BEFORE_S, wall / 6) if wall and len(self._command) > 1 else float("inf")
         self.progressed = False
 
@@ -1125,7 +1142,8 @@ def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float]
     slots = min(settings.slots, cores)
     results = os.path.join(folder, "results")
     first = first_record(settings, index, machine.facts(), slots, cores)
-    pack = new_pack(results, "probe" if probing else str(index), first)
+    given = Allocation(settings.node, os.environ)
+    pack = new_pack(results, "probe" if probing else str(index), first, given)
     try:
         needs = Needs(settings.needs)
         needs.check()
@@ -1133,7 +1151,7 @@ def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float]
             named = os.path.join(folder, "elements", str(index))
             done = executed(results, str(index), pack.path, stop.check)
             done |= {short(one) for one in read_lines(named + ".failed")}
-            requeue = Requeue(folder, pack, settings.requeue, wall)
+            requeue = Requeue(folder, pack, settings.requeue, wall, given.text("task"))
             execution = partial(Execution, folder, settings.session, lock, pack, stop, requeue, worker, needs)
             if not probing and not execute(named, done, slots, own, execution):
                 pack.sync(float("inf"))

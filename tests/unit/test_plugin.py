@@ -24,6 +24,7 @@ from sierra.templates.xml import XmlTemplate
 from sierra.testing import comparisons, criteria, links, platforms, readers, runners, statistics, templates
 from sierra.testing import engines as engine_conformance
 from tests import images, plugins, projects, stores
+from tests.support import lsf
 from tests.tiers import at_night
 
 SHIPPED = ", ".join(READERS.shipped)
@@ -226,6 +227,16 @@ def test_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
     nice_simulator(spool)
     assert "4 runs: 4 executed" in succeed(spool, "run", "herd=1,2", "--no-figures", "--on", "here")
     assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {nicer(3)}
+
+
+@pytest.mark.integration
+def test_a_plugin_for_lsf_tells_what_a_node_gives(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", f"{lsf.install(tmp_path / 'lsf')}{os.pathsep}{os.environ['PATH']}")
+    append(project, '[runners.farm]\nscheduler = "lsf"\narray_tasks = 2\ncpus = 2\n')
+    succeed(project, "run", "herd=1,2", "--no-figures", "--on", "farm")
+    given = rows(project, "SELECT job, cpus, memory, gpus FROM attempts ORDER BY job")
+    assert [row["job"] for row in given] == ["101[1]", "101[2]"], "the job before them has checked the nodes"
+    assert {(row["cpus"], row["memory"], row["gpus"]) for row in given} == {(2, 512 << 20, "3")}
 
 
 @pytest.mark.nightly

@@ -346,8 +346,8 @@ class Collector:
         last = self._last(index)
         if last is None or last.attempt is None:
             return None
-        end = last.attempt.allocation.get("SLURM_JOB_END_TIME", "")
-        return float(end) - last.since if end.isdigit() else None
+        end = last.attempt.end
+        return end - last.since if end is not None else None
 
     def interrupted_alone(self, index: int) -> set[str]:
         """Return the runs of an element that were cut off while they had it for themselves."""

@@ -45,7 +45,7 @@ from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest
 from sierra.runners.cluster.sizing import Size, elements_of, size
 from sierra.runners.cluster.submission_record import Sent, Submission
-from sierra.runners.schedulers.base import State, Task
+from sierra.runners.schedulers.base import NodeVariables, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
@@ -151,6 +151,7 @@ class Cluster:
             "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
             "requeue": list(self._scheduler.requeue),
+            "node": asdict(getattr(self._scheduler, "node", NodeVariables())),
         }
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:

@@ -108,8 +108,40 @@ class Request:
     """A job that must have ended successfully before. If it fails, this job may be cancelled or become STUCK."""
 
 
+@dataclass(frozen=True, slots=True)
+class NodeVariables:
+    """The variables of the environment by which a scheduler tells a task what the node gives it.
+
+    All are texts with names in braces, such as `{SLURM_JOB_ID}`. The first text counts whose variables are all set.
+    Variables that belong to no scheduler, such as CUDA_VISIBLE_DEVICES and TMPDIR, are tried after these.
+    """
+
+    task: tuple[str, ...] = ()
+    """The task's id, as `requeue` takes it."""
+    job: tuple[str, ...] = ()
+    """An id that no other task of the cluster has; empty: that of the task."""
+    restarts: tuple[str, ...] = ()
+    """How often the task was started again."""
+    host: tuple[str, ...] = ()
+    """The scheduler's name for the node."""
+    cores: tuple[str, ...] = ()
+    memory_mib: tuple[str, ...] = ()
+    """A number of MiB, or a product, such as `{SLURM_MEM_PER_CPU}*{SLURM_CPUS_ON_NODE}`."""
+    gpus: tuple[str, ...] = ()
+    """The indices of the devices."""
+    scratch: tuple[str, ...] = ()
+    """A folder on a disk of the node."""
+    end: tuple[str, ...] = ()
+    """When the task will be ended, in seconds since 1970."""
+    others: tuple[str, ...] = ()
+    """Further variables that are recorded with the allocation."""
+
+
 class Scheduler(Protocol):
-    """One way to execute elements on a cluster's nodes."""
+    """One way to execute elements on a cluster's nodes.
+
+    A class may also have an attribute `node`, its NodeVariables. Without it, nothing is known of what a node gives.
+    """
 
     name: str
     Options: ClassVar[type[ClusterTable]]

@@ -29,6 +29,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
@@ -38,9 +39,10 @@ from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners import schedulers
 from sierra.runners.schedulers import qstat, qsub
-from sierra.runners.schedulers.base import Bounds, Limit, Request, Scheduler, State, Task, least
+from sierra.runners.schedulers.base import Bounds, Limit, NodeVariables, Request, Scheduler, State, Task, least
 from sierra.runners.schedulers.qsub import Dialect
 from sierra.runners.schedulers.refusals import PBS, about
+from sierra.runners.schedulers.slurm import Slurm
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
@@ -85,6 +87,16 @@ class Pbs:
 
     name = "pbs"
     Options: ClassVar[type[ClusterTable]] = ClusterTable
+    node: ClassVar[NodeVariables] = replace(  # SLURM has commands like those of PBS
+        Slurm.node,
+        task=(*Slurm.node.task, "{PBS_JOBID}"),
+        job=(*Slurm.node.job, "{PBS_JOBID}"),
+        cores=(*Slurm.node.cores, "{NCPUS}", "{PBS_NP}", "{PBS_NUM_PPN}"),
+        others=(
+            *(*Slurm.node.others, "{PBS_ARRAY_ID}", "{PBS_ARRAY_INDEX}", "{PBS_ARRAYID}", "{PBS_JOBNAME}", "{PBS_QUEUE}"),
+            *("{PBS_SERVER}", "{PBS_NODENUM}", "{PBS_NUM_NODES}", "{PBS_WALLTIME}"),
+        ),
+    )
 
     def __init__(self, table: ClusterTable) -> None:
         self._table = table

@@ -30,7 +30,7 @@ from sierra.config import forbidden_directives
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import slurm_accounting_limits
-from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least
+from sierra.runners.schedulers.base import Bounds, Limit, NodeVariables, Request, State, Task, least
 from sierra.runners.schedulers.refusals import SLURM, about
 from sierra.runners.schedulers.slurm_accounting_limits import Partitions, seconds
 from sierra.util import open_files
@@ -86,6 +86,23 @@ class Slurm:
 
     name = "slurm"
     Options: ClassVar[type[ClusterTable]] = ClusterTable
+
+    node: ClassVar[NodeVariables] = NodeVariables(
+        task=("{SLURM_ARRAY_JOB_ID}_{SLURM_ARRAY_TASK_ID}", "{SLURM_JOB_ID}"),
+        job=("{SLURM_JOB_ID}",),
+        restarts=("{SLURM_RESTART_COUNT}",),
+        host=("{SLURMD_NODENAME}",),
+        cores=("{SLURM_CPUS_PER_TASK}", "{SLURM_CPUS_ON_NODE}"),
+        memory_mib=("{SLURM_MEM_PER_NODE}", "{SLURM_MEM_PER_CPU}*{SLURM_CPUS_ON_NODE}", "{SLURM_MEM_PER_CPU}"),
+        gpus=("{SLURM_JOB_GPUS}",),
+        scratch=("{SLURM_TMPDIR}",),
+        end=("{SLURM_JOB_END_TIME}",),
+        others=(
+            *("{SLURM_JOB_NAME}", "{SLURM_CLUSTER_NAME}", "{SLURM_JOB_PARTITION}", "{SLURM_JOB_ACCOUNT}", "{SLURM_JOB_QOS}"),
+            *("{SLURM_JOB_CONSTRAINTS}", "{SLURM_JOB_NODELIST}", "{SLURM_JOB_CPUS_PER_NODE}", "{SLURM_GPUS_ON_NODE}"),
+            "{SLURM_JOB_START_TIME}",
+        ),
+    )
 
     forgets = False
 

@@ -18,7 +18,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ from sierra.provenance import machine
 from sierra.runners import local
 from sierra.runners.cluster.result_log_reader import Ended, Pack
 from sierra.runners.cluster.shard import deal
+from sierra.runners.schedulers.base import NodeVariables
+from sierra.runners.schedulers.pbs import Pbs
 from sierra.store.layout import SessionPaths
 from sierra.worker import array_task, file_trace, worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
@@ -74,7 +76,8 @@ class Folder:
         self.set()
 
     def set(self, **settings: Any) -> None:
-        given = {"session": "5e55", "slots": 2, "scratch": str(self.scratch), "needs": [], "record": []}
+        node = asdict(Pbs.node)
+        given = {"session": "5e55", "slots": 2, "scratch": str(self.scratch), "needs": [], "record": [], "node": node}
         self.paths.element_settings.write_text(json.dumps(given | settings))
 
     def deal(self, jobs: Sequence[Job], elements: int = 1) -> tuple[int, ...]:
@@ -606,6 +609,24 @@ def test_an_array_task_of_pbs_is_identified_by_its_job_id(folder: Folder) -> Non
     assert attempt.job == "5[3].pbs1"
     assert attempt.attempt.startswith("5_3__pbs1.0.")
     assert attempt.attempt.count(".") == 3
+
+
+def test_a_scheduler_names_the_variables_of_its_nodes(folder: Folder, tmp_path: Path) -> None:
+    names = NodeVariables(
+        task=("{LSB_JOBID}[{LSB_JOBINDEX}]",), cores=("{LSB_DJOB_NUMPROC}",), memory_mib=("{LSF_MEM}*{LSB_DJOB_NUMPROC}",)
+    )
+    more = {"gpus": ["{LSF_GPUS}"], "scratch": ["{LSF_TMPDIR}"], "end": ["{LSF_END}"], "host": ["{LSF_HOST}"]}
+    folder.set(node={**asdict(names), **more}, scratch=None)
+    folder.deal(many(1, 'echo "$SIERRA_RUN_DIR"'))
+    (tmp_path / "disk").mkdir()
+    given = {"LSB_JOBID": "7", "LSB_JOBINDEX": "2", "LSB_DJOB_NUMPROC": "4", "LSF_MEM": "100", "LSF_GPUS": "3", "LSF_END": "99"}
+    assert folder.run(**given, LSF_TMPDIR=str(tmp_path / "disk"), LSF_HOST="n1", SLURM_JOB_ID="5")[0] == 0
+    (attempt,) = folder.events(Attempt)
+    assert (attempt.job, attempt.cpus, attempt.memory, attempt.gpus) == ("7[2]", 4, 400 << 20, "3")
+    assert (attempt.node, attempt.end, attempt.attempt.split(".")[0]) == ("n1", 99, "7_2_")
+    assert attempt.allocation == {**given, "LSF_TMPDIR": str(tmp_path / "disk"), "LSF_HOST": "n1"}
+    folder.packs()[0].extract(folder.ended()["run0"], tmp_path / "taken")
+    assert (tmp_path / "taken/stdout").read_text().startswith(f"{tmp_path}/disk/sierra-5e55-")
 
 
 def test_the_scratch_folder_may_use_variables_of_the_node(folder: Folder, tmp_path: Path) -> None:
