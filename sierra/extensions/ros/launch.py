@@ -150,7 +150,7 @@ class Robots:
         if count is None:
             if self.shared:
                 raise TemplateError(
-                    f"the robots share a {self.shared}, but no group is one robot; set group in [platforms.ros]"
+                    f"the robots share a {self.shared}, but no group of the template is one robot; set group in [platforms.ros]"
                 )
             return document
         if not count.isdecimal() or int(count) == 0:

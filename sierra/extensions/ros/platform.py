@@ -257,7 +257,7 @@ class Ros:
         words += ("--patience", repr(options.patience))
         words += () if options.barrier else ("--no-barrier",)
         words += ("--share-master",) if self._shared == "master" else ()
-        words += ("--fleet", "base" if self._has_base else "robots") if self._on_robots and options.ros == 2 else ()
+        words += ("--fleet", "base" if self._has_base else "robots") if self._shared == "domain" else ()
         words += ("--sim-time",) if options.use_sim_time else ()
         words += ("--may-lose",) if options.may_lose else ()
         words += (word for topic in options.record for word in ("--record", topic))
@@ -303,13 +303,15 @@ def _shared(robots: RobotsTable | None, options: RosOptions, *, has_base: bool) 
         return None
     if options.ros == 1:
         return "master" if has_base else None
+    if robots.count == 1 and not has_base:
+        return None
     for name, group in robots.groups.items():
         if group.command:
             raise ConfigError(
                 f"{TABLE}: the robots of a run share a domain of ROS 2, and wait for each other; remove the command of "
                 f"robots.groups.{name}"
             )
-    return "domain" if has_base or robots.count != 1 else None
+    return "domain"
 
 
 def _kind(options: RosOptions) -> RobotKind:

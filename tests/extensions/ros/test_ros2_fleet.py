@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-from types import ModuleType
+import json
+import sys
+from argparse import Namespace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,14 +23,88 @@ VARIABLES = {
 READY = {"programs": 2, "awaited": 1, "ready": True, "finished": True, "over": False, "closed": True}
 
 
-@pytest.fixture(scope="module")
-def parts() -> ModuleType:
-    specification = importlib.util.spec_from_file_location("ros2_fleet", DRIVERS / "ros2_fleet.py")
+GROUP = '<group><push_ros_namespace namespace="robot1"/><let name="robot" value="1"/><let name="index" value="1"/></group>'
+
+
+def imported(name: str) -> ModuleType:
+    specification = importlib.util.spec_from_file_location(name, DRIVERS / f"{name}.py")
     assert specification is not None
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def parts() -> ModuleType:
+    return imported("ros2_fleet")
+
+
+def launch_of(
+    parts: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+    launch: Path,
+    content: str,
+    place: int,
+    *,
+    has_base: bool = True,
+    bag: str = "",
+) -> Any:
+    """Return the driver's run of a part that sees two programs in each of three parts."""
+    for name, value in {**VARIABLES, "SIERRA_ROBOT": str(place)}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setitem(sys.modules, "ros2_fleet", parts)
+    launch.write_text(f"<launch>{content}</launch>")
+    given = Namespace(
+        setup=None,
+        launch=launch,
+        fleet="base" if has_base else "robots",
+        bag=bag,
+        barrier=True,
+        awaited=["walker"],
+        patience=9.0,
+    )
+    made = imported("ros_driver").Launch2(given)
+    made.watcher = SimpleNamespace(
+        participants=6, nodes=["/robot1/walker"], changed=0.0, pending=[], has_started=False, members=[]
+    )
+    made.watcher.send = lambda line: made.watcher.members.append(said(place, **json.loads(line)))
+    made.watcher.members += [said(other) for other in made.fleet.places]
+    return made
+
+
+def test_no_part_is_ready_before_it_has_started_a_node(
+    parts: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    robot = launch_of(parts, monkeypatch, tmp_path / "launch.xml", GROUP, 1)
+    robot.follow_others()
+    assert (robot.missing(), robot.fleet.state["ready"], robot.fleet.state["finished"]) == ("no node was started", False, False)
+    robot.watch.processes.add("walker-1")
+    robot.follow_others()
+    robot.follow_others()
+    assert (robot.missing(), robot.fleet.state["ready"]) == ("", True)
+    idle = launch_of(parts, monkeypatch, tmp_path / "launch.xml", '<let name="a" value="b"/>', 0)
+    idle.follow_others()
+    assert (idle.missing(), idle.starts_nothing) == ("", True)
+    busy = launch_of(parts, monkeypatch, tmp_path / "launch.xml", '<node pkg="a" exec="b"/>', 0)
+    busy.follow_others()
+    assert (busy.missing(), busy.starts_nothing) == ("no node was started", False)
+
+
+def test_a_robot_that_records_nothing_of_its_own_is_not_ready(
+    parts: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    robot = launch_of(parts, monkeypatch, tmp_path / "launch.xml", GROUP, 1, has_base=False, bag="run")
+    robot.watch.processes.add("walker-1")
+    robot.follow_others()
+    assert (robot.own, robot.missing()) == ("/robot1", "")
+    robot.watcher.nodes = ["/lab/robot1/walker"]
+    assert robot.missing() == "no node is in the namespace /robot1, whose topics are recorded here"
+
+
+def test_a_run_with_one_robot_has_no_other_part(parts: ModuleType) -> None:
+    assert parts.fleet({"SIERRA_ROBOTS": "1"}, has_base=False) is None
+    assert parts.fleet({**VARIABLES, "SIERRA_ROBOTS": "1"}, has_base=True).places == [0, 1]
 
 
 def said(place: int, run: str = "0123456789abcdef", **state: Any) -> dict[str, Any]:
@@ -52,9 +130,9 @@ def test_the_time_begins_when_all_are_ready_and_the_leader_ends_it(parts: Module
     fleet.hear([said(2, ready=False, finished=False, over=True, closed=False)])
     assert (fleet.absent(), fleet.unready(), fleet.unfinished()) == ("", "robot 2", ["robot 2"])
     assert (fleet.programs, fleet.awaited) == (6, 3)
-    assert (fleet.is_over, fleet.is_closed) == (False, False), "only the leader ends the run"
+    assert (fleet.is_over, fleet.unclosed()) == (False, "robot 2"), "only the leader ends the run"
     fleet.hear([said(0, over=True), said(2)])
-    assert (fleet.unready(), fleet.unfinished(), fleet.is_over, fleet.is_closed) == ("", [], True, True)
+    assert (fleet.unready(), fleet.unfinished(), fleet.is_over, fleet.unclosed()) == ("", [], True, "")
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,11 @@ def numeric(address: str) -> str:
         raise Unfit(f"{address} is no address of IPv4; give the robot another address in [runners.robots.fleet]") from error
 
 
+def fleet(variables: Mapping[str, str], *, has_base: bool) -> Fleet | None:
+    """Return the part of this robot in its run; None if the run has no other. Raises Unfit."""
+    return None if not has_base and variables.get("SIERRA_ROBOTS") == "1" else Fleet(variables, has_base=has_base)
+
+
 class Fleet:
     """The part of a robot, or of the base station, and what it knows of the others."""
 
@@ -138,10 +143,10 @@ class Fleet:
         """Return whether the leader has ended the run."""
         return bool(self.states.get(self.places[0], {}).get("over"))
 
-    @property
-    def is_closed(self) -> bool:
-        """Return whether all other parts have ended."""
-        return all(self.states.get(place, {}).get("closed") for place in self.places if place != self.place)
+    def unclosed(self) -> str:
+        """Return another part that has not ended its nodes, in words; nothing if all have."""
+        others = (place for place in self.places if place != self.place)
+        return next((self.name(place) for place in others if not self.states.get(place, {}).get("closed")), "")
 
     @staticmethod
     def name(place: int) -> str:

@@ -53,7 +53,7 @@ from std_msgs.msg import Bool, String
 NAME = "sierra_watcher"
 STARTED, MEMBERS = "/sierra/started", "/sierra/members"
 PREFIX = 12  # bytes of the identity of a publisher that are those of its participant
-HIDDEN = re.compile(rf"/(_|launch_ros_|{NAME}(_witness)?$)")  # no nodes of the launch file
+HIDDEN = re.compile(rf"/(_|launch_ros_|rosbag2_recorder$|{NAME}(_witness)?$)")  # no nodes of the launch file
 DEPTH = 5000  # messages of a topic that may wait
 PARTS = 1000  # of a run, at most
 TOLD_S = 5.0  # for all parts to have the last state of this one
@@ -224,6 +224,9 @@ class Watcher:
         self.members: dict[int, Any] = {}
         """What the parts of the run have told, by place."""
         self.told: Any = None
+        """The publisher by which this part tells its state; None in a run without other parts."""
+        self.part: dict[str, object] = {}
+        self.is_closed = False
         if clock:
             lossy = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.node.create_subscription(Clock, "/clock", self._tick, lossy)
@@ -236,25 +239,27 @@ class Watcher:
 
     def join(self, place: int, run: str) -> None:
         """Take part in a run on several robots, in this place."""
-        kept = {"reliability": ReliabilityPolicy.RELIABLE, "durability": DurabilityPolicy.TRANSIENT_LOCAL}
+        latched = {"reliability": ReliabilityPolicy.RELIABLE, "durability": DurabilityPolicy.TRANSIENT_LOCAL}
         self.part = {"run": run, "place": place}
-        self.told = self.node.create_publisher(String, MEMBERS, QoSProfile(depth=1, **kept))
-        self.node.create_subscription(String, MEMBERS, self._hear, QoSProfile(depth=PARTS, **kept))
-        self.node.create_subscription(Bool, STARTED, self._begin, QoSProfile(depth=1, **kept))
+        self.told = self.node.create_publisher(String, MEMBERS, QoSProfile(depth=1, **latched))
+        self.node.create_subscription(String, MEMBERS, self._hear, QoSProfile(depth=PARTS, **latched))
+        self.node.create_subscription(Bool, STARTED, self._begin, QoSProfile(depth=1, **latched))
 
     def _hear(self, message: String) -> None:
         try:
             member = json.loads(message.data)
-            self.members[member["place"]] = member
+            self.members[member["place"]] = {name: member[name] for name in ("run", "place", "state")}
         except (ValueError, LookupError, TypeError):
             self.failure = f"a node publishes on {MEMBERS}, which is for SIERRA alone"
 
     def _begin(self, message: Bool) -> None:
-        self._note_start()
+        if not self.has_started:
+            self._note_start()
         print(json.dumps({"started": True}), flush=True)
 
     def tell(self, state: Any) -> None:
         """Tell all parts the state of this one."""
+        self.is_closed = state["closed"]
         self.told.publish(String(data=json.dumps({**self.part, "state": state})))
 
     def start(self) -> None:
@@ -310,7 +315,10 @@ class Watcher:
             publishers = [publisher for publisher in known if not HIDDEN.search(f"/{publisher.node_name}")]
             self.programs |= {bytes(publisher.endpoint_gid[:PREFIX]) for publisher in publishers}
             count += len(publishers)
-            if self.bag is None or topic in (STARTED, MEMBERS) or not any(wanted.fullmatch(topic) for wanted in self.topics):
+            if topic in (STARTED, MEMBERS) or not any(wanted.fullmatch(topic) for wanted in self.topics):
+                continue
+            if self.bag is None:
+                pending += [topic] if self.told is not None and publishers and not self._is_heard(topic) else []
                 continue
             if topic not in self.recorded and not any(map(self._is_own, publishers)):
                 continue
@@ -322,6 +330,10 @@ class Watcher:
             if publishers and self.subscriptions[topic].get_publisher_count() < len(publishers):
                 pending.append(topic)
         return count, pending
+
+    def _is_heard(self, topic: str) -> bool:
+        """Return whether the part that records is known here as a subscriber of a topic."""
+        return any(subscriber.node_name == NAME for subscriber in self.node.get_subscriptions_info_by_topic(topic))
 
     def _is_own(self, publisher: Any) -> bool:
         """Return whether a publisher belongs to a node whose topics are recorded."""
@@ -374,7 +386,7 @@ class Watcher:
 
     def close(self) -> None:
         """Wait for messages that are on their way, close the bag, and tell what is in it."""
-        if self.told is not None:
+        if self.is_closed:
             self.told.wait_for_all_acked(Duration(seconds=TOLD_S))
         begin = self.latest = time.monotonic()
         while time.monotonic() - self.latest < QUIET_S and time.monotonic() - begin < REPAIRED_S:

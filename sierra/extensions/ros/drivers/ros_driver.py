@@ -60,6 +60,7 @@ from xml.etree import ElementTree
 
 PORTS = range(20000, 32768)  # below those that Linux gives to outgoing connections
 DOMAINS = range(1, 102)  # ROS_DOMAIN_ID: safe on Linux, without the default 0
+USUAL_DOMAIN = 30  # of the drivers of a TurtleBot3
 SYSTEM = "/usr/share"  # the packages of Debian; a setup script names others
 TICK_S = 0.1
 GONE_S = 3.0
@@ -81,6 +82,7 @@ find_spec("rclpy") or sys.exit(1)
 print(find_spec("mcap") is not None, sys.prefix)
 """
 PUSHED = ("push_ros_namespace", "push-ros-namespace")
+OF_ALL = ("arg", "let", "set_env", "unset_env", "set_parameter", "set_remap", *PUSHED)  # start nothing
 PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 WITHOUT_NUMBERS = ("foxy", "galactic", "humble")
 """Versions of ROS 2 whose messages have no numbers; `ros2 bag` records there."""
@@ -314,7 +316,7 @@ class Launch:
 
     def supervise(self, process: subprocess.Popen[bytes]) -> None:
         """Follow the launcher until it ends, or is to be ended. Raises Failure."""
-        while process.poll() is None or self.goes_on(process.returncode):
+        while process.poll() is None or self.goes_on(process):
             self.copy(process, TICK_S)
             self.watch.check_alive()
             if self.look():
@@ -323,8 +325,8 @@ class Launch:
         while self.copy(process, 0.0):
             pass
 
-    def goes_on(self, status: int) -> bool:
-        """Return whether the run goes on although the launcher has ended with a status."""
+    def goes_on(self, process: subprocess.Popen[bytes]) -> bool:
+        """Return whether the run goes on although the launcher has ended."""
         return False
 
     def copy(self, process: subprocess.Popen[bytes], seconds: float) -> bool:
@@ -588,10 +590,12 @@ class Launch2(Launch):
         """The parts of the run on other robots; None if all of it is here."""
         if given.fleet:
             try:
-                self.fleet = self.parts.Fleet(os.environ, has_base=given.fleet == "base")
+                self.fleet = self.parts.fleet(os.environ, has_base=given.fleet == "base")
             except self.parts.Unfit as error:
                 raise Failure(str(error)) from error
-            given.bag = given.bag if self.fleet.records else None
+        if self.fleet is not None and not self.fleet.records:
+            given.bag = None
+        self.own = self.own_namespace()
 
     def command(self) -> list[str]:
         given = self.given
@@ -610,7 +614,8 @@ class Launch2(Launch):
         """Return a domain that nobody on this machine uses: that of all parts, or any. Raises Failure."""
         if self.fleet is None:
             return self.reserve("domain", DOMAINS, is_free_domain)
-        domain = DOMAINS[self.fleet.number % len(DOMAINS)]
+        domains = [number for number in DOMAINS if number != USUAL_DOMAIN]
+        domain = domains[self.fleet.number % len(domains)]
         try:
             return self.reserve("domain", range(domain, domain + 1), is_free_domain)
         except Failure as error:
@@ -701,7 +706,8 @@ class Launch2(Launch):
         given = self.given
         bag = ["--bag", str(given.output.resolve() / given.bag)] if given.bag and has_recorder else []
         clock, limit = ["--clock"] if given.sim_time else [], time.monotonic() + WATCHER_S
-        part = ["--place", str(self.fleet.place), "--run", self.fleet.run, *self.own_namespace()] if self.fleet else []
+        part = ["--place", str(self.fleet.place), "--run", self.fleet.run] if self.fleet else []
+        part += ["--own", self.own] if self.own else []
         self.watcher = Watcher([python, beside("ros2_watcher.py"), *given.record, *bag, *clock, *part], self.environment)
         self.recorder = None if has_recorder or not given.bag else self.start_recorder()
         while not self.watcher.is_ready or (self.recorder is not None and not (given.output / given.bag).exists()):
@@ -711,20 +717,30 @@ class Launch2(Launch):
             time.sleep(TICK_S)
         self.deadline = time.monotonic() + given.patience
 
-    def own_namespace(self) -> list[str]:
-        """Return the option with the namespace of the robot here, whose topics it records; none if it records all."""
-        if self.fleet.has_base:
-            return []
-        for group in ElementTree.parse(self.given.launch).findall("group"):  # noqa: S314 - the run's own file
+    @property
+    def starts_nothing(self) -> bool:
+        """Return whether the launch file of a base station has nothing to start."""
+        return self.fleet is not None and self.fleet.place == 0 and all(child.tag in OF_ALL for child in self.document())
+
+    def document(self) -> ElementTree.Element:
+        return ElementTree.parse(self.given.launch).getroot()  # noqa: S314 - the run's own file
+
+    def own_namespace(self) -> str:
+        """Return the namespace of the robot here, whose topics it records; nothing if it records all."""
+        if self.fleet is None or self.fleet.has_base or not self.given.bag:
+            return ""
+        for group in self.document().findall("group"):
             names = {child.get("name") for child in group.findall("let")}
             spaces = [child.get("namespace", "") for child in group if child.tag in PUSHED]
             if {"robot", "index"} <= names and spaces:
-                return ["--own", f"/{spaces[0].strip('/')}"]
-        return []
+                return f"/{spaces[0].strip('/')}"
+        return ""
 
     def start_recorder(self) -> subprocess.Popen[bytes]:
         """Start the recorder of ROS 2, where the package mcap is missing. Raises Failure."""
         given = self.given
+        if self.own:
+            raise Failure("robots without a base station record only with ROS 2 Iron or newer, and the package mcap")
         topics = "|".join(f"({topic})" if "|" in topic else topic for topic in given.record)
         words = ["bag", "record", "-s", "mcap", "-o", str(given.output.resolve() / given.bag), "--regex", topics]
         program = shutil.which("ros2", path=self.environment.get("PATH"))
@@ -744,6 +760,8 @@ class Launch2(Launch):
                 self.begin_time()
             elif time.monotonic() > self.deadline:
                 raise Failure(f"after {self.given.patience:g} s, {missing}")
+            elif self.fleet is not None and self.fleet.is_over:
+                raise Failure("the run has ended before it began here")
             return False
         passed = self.passed()
         if self.fleet is not None and not self.fleet.leads:
@@ -792,12 +810,14 @@ class Launch2(Launch):
     def missing(self) -> str:
         """Return what is missing until the time can begin; nothing if all nodes are there."""
         programs = len(self.watch.processes - self.watch.ended)
+        if not self.watch.processes and not self.starts_nothing:
+            return "no node was started"
+        if self.own and not any(name.startswith(f"{self.own}/") for name in self.watcher.nodes):
+            return f"no node is in the namespace {self.own}, whose topics are recorded here"
         if self.fleet is not None:
             if absent := self.fleet.absent():
-                return f"nothing was heard of {absent}; can the robots reach each other by UDP?"
+                return f"nothing was heard of {absent}; can it be reached by UDP, or does it need more than patience?"
             programs = self.fleet.programs
-        if not programs and not self.watch.processes:
-            return "no node was started"
         known = self.watcher.participants
         if self.given.barrier and known < programs:
             names = ", ".join(self.watcher.nodes) or "none"
@@ -841,7 +861,7 @@ class Launch2(Launch):
         """Return whether the leader has ended the run. Raises Failure if it is late."""
         if self.fleet.is_over:
             return self.mark()
-        if self.is_late(passed):
+        if passed is not None and self.is_late(passed - CLOSED_S):
             raise Failure(f"{self.fleet.name(self.fleet.places[0])} has not ended the run")
         return False
 
@@ -851,11 +871,13 @@ class Launch2(Launch):
             return self.fleet.awaited > 0 and not self.fleet.unfinished()
         return not self.awaits() and any(is_named(node, self.given.awaited) for node in self.watch.nodes)
 
-    def goes_on(self, status: int) -> bool:
-        """Return whether nothing of a run on several robots is left to be started here. `ros2 launch` has ended then."""
-        if self.fleet is None or status or self.watch.is_over:
+    def goes_on(self, process: subprocess.Popen[bytes]) -> bool:
+        """Return whether only other parts of the run have something to do. `ros2 launch` has ended then."""
+        while self.copy(process, 0.0):
+            pass
+        if self.fleet is None or process.returncode or self.watch.is_over:
             return False
-        return not self.watch.processes or bool(self.given.awaited and not self.awaits())
+        return self.starts_nothing or bool(self.given.awaited and self.watch.processes and not self.awaits())
 
     def is_over(self) -> bool:
         """Return whether the whole time is over. `ros2 launch` ends by itself when all nodes have ended."""
@@ -863,9 +885,11 @@ class Launch2(Launch):
 
     def close(self) -> None:
         if self.watcher is not None:
-            if self.fleet is not None and self.is_over():
-                self.close_together()
-            self.watcher.end()
+            try:
+                if self.fleet is not None and self.is_over():
+                    self.close_together()
+            finally:
+                self.watcher.end()
         if self.recorder is not None:
             end(self.recorder)
 
@@ -879,10 +903,12 @@ class Launch2(Launch):
         return bag / "metadata.yaml"  # the folder and its files are there from the recorder's start
 
     def close_together(self) -> None:
-        """Tell that the nodes of this part have ended. The leader waits for the others, which end by themselves."""
+        """Tell that the nodes of this part have ended, and wait for those of the others. Raises Failure if they do not end."""
         self.tell(closed=True)
         limit = time.monotonic() + CLOSED_S
-        while self.fleet.leads and not self.fleet.is_closed and time.monotonic() < limit:
+        while (self.fleet.leads or self.given.bag) and (open_part := self.fleet.unclosed()):
+            if time.monotonic() > limit:
+                raise Failure(f"{open_part} has not ended its nodes within {CLOSED_S:g} s")
             self.watcher.look()
             self.hear()
             time.sleep(TICK_S)
