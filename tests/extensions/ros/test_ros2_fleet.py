@@ -66,7 +66,7 @@ def launch_of(
     )
     made = imported("ros_driver").Launch2(given)
     made.watcher = SimpleNamespace(
-        participants=6, nodes=["/robot1/walker"], changed=0.0, pending=[], has_started=False, members=[]
+        participants=6, nodes=["/robot1/walker"], changed=0.0, pending=[], unheard=0, has_started=False, members=[]
     )
     made.watcher.send = lambda line: made.watcher.members.append(said(place, **json.loads(line)))
     made.watcher.members += [said(other) for other in made.fleet.places]

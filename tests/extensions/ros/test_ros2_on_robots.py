@@ -162,7 +162,7 @@ def test_a_node_that_dies_on_one_robot_ends_the_run_on_all(robots: Fleet, tmp_pa
             SETTINGS,
             "node is outside the group of the",
         ),
-        ('<launch><let name="level" value="0"/></launch>', SETTINGS, "the robots share a domain, but no group is one robot"),
+        ('<launch><let name="level" value="0"/></launch>', SETTINGS, "the robots share a domain, but no group of the template"),
         (
             LAUNCH,
             SETTINGS + '[robots.groups.lead]\nplaces = [1]\ncommand = "true"\n',

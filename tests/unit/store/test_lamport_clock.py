@@ -163,8 +163,8 @@ def test_the_session_with_the_greater_id_is_later_if_numbers_are_equal(root: Pat
 
 @pytest.mark.nightly
 def test_a_column_that_older_segments_lack_is_null(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(LATER, "artifacts", ("counted_rows",))
-    rewrite(root, lambda name, table: table.drop_columns(["counted_rows"]), ["artifacts"])
+    monkeypatch.setitem(LATER, "artifacts", last := ("counted_rows", *LATER["artifacts"]))
+    rewrite(root, lambda name, table: table.drop_columns(list(last)), ["artifacts"])
     counted = "SELECT count(counted_rows) AS n FROM artifacts"
     assert projects.quick(root, "fsck").returncode == 0
     assert sierra.open(root).sql(counted).to_pylist() == [{"n": 0}]

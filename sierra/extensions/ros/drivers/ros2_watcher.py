@@ -7,9 +7,9 @@ It needs rclpy, and with `--bag` mcap. `TOPIC` are regular expressions. Its driv
 line:
 
 - `{"ready": true}`: it takes part, and what is published from now on can be recorded;
-- `{"nodes": [...], "participants": 2, "publishers": 3, "pending": [...], "clock": 1.5}`: the nodes, the numbers of programs and
-  of publishers, the topics that it does not receive yet from all who publish them, and the last time of `/clock`, whenever one
-  of them has changed;
+- `{"nodes": [...], "participants": 2, "publishers": 3, "pending": [...], "clock": 1.5, "unheard": 0}`: nodes, the numbers of
+  programs and of publishers, the topics that it does not receive yet from all who publish them, the last time of `/clock`, and
+  the number of subscribers of `/sierra/started` that it does not reach yet, whenever one of them has changed;
 - `{"messages": 6000, "lost": {...}, "late": {...}, "silent": [...], "dropped": 0}` at the end: the number of messages in the
   bag; by topic, how many are lost, and how many were published before the start and before it received them; topics with a
   publisher from which nothing came; and the packets that the kernel dropped in the last seconds: the last messages, perhaps;
@@ -279,12 +279,15 @@ class Watcher:
             nodes = sorted({f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()})
             self._count_drops()
             own = [name for name in nodes if not HIDDEN.search(name)]
+            seen = {"nodes": own, "participants": len(self.programs), "publishers": publishers, "pending": pending}
             members = {"members": list(self.members.values())} if self.told is not None else {}
-            self.say(
-                nodes=own, participants=len(self.programs), publishers=publishers, pending=pending, clock=self.time, **members
-            )
+            self.say(**seen, clock=self.time, unheard=self._unheard(), **members)
         if self.failure:
             raise Failure(self.failure)
+
+    def _unheard(self) -> int:
+        """Return the number of subscribers of `/sierra/started` that are known and not connected yet."""
+        return max(0, self.node.count_subscribers(STARTED) - self.started.get_subscription_count())
 
     def _has_to_look(self) -> bool:
         """Return whether it is time to look at the whole graph, which costs more when there are many topics."""

@@ -65,7 +65,7 @@ SYSTEM = "/usr/share"  # the packages of Debian; a setup script names others
 TICK_S = 0.1
 GONE_S = 3.0
 CLOSED_S = 60.0  # for other parts of a run to end
-SETTLED_S = 2.0  # without a new node, until all nodes of ROS 2 count as started
+SETTLED_S = 2.0  # without a new node, until all nodes of ROS 2 count as started, or those of several robots as complete
 GRAPH_S = 0.5  # without a new node or publisher, until all nodes of ROS 2 count as complete
 WATCHER_S = 60.0  # for the watcher to take part
 WATCHED_S = 20.0  # for the watcher to close its bag
@@ -822,8 +822,10 @@ class Launch2(Launch):
         if self.given.barrier and known < programs:
             names = ", ".join(self.watcher.nodes) or "none"
             return f"{known} of {programs} programs are nodes ({names}); for programs that are no nodes: barrier = false"
-        if time.monotonic() - self.watcher.changed < GRAPH_S:
-            return "nodes or topics were added in the last second"
+        if time.monotonic() - self.watcher.changed < (GRAPH_S if self.fleet is None else SETTLED_S):
+            return "nodes or topics were added just now"
+        if self.watcher.unheard:
+            return f"{self.watcher.unheard} subscribers of /sierra/started would not hear it yet"
         if self.watcher.pending:
             return f"the recorder does not receive {self.watcher.pending[0]} from all who publish it"
         return ""
@@ -933,6 +935,8 @@ class Watcher:
         self.participants = 0
         """The number of programs with nodes."""
         self.pending: list[str] = []
+        self.unheard = 0
+        """The number of subscribers that it does not reach yet."""
         self.clock: float | None = None
         self.publishers = 0
         self.has_started = False
@@ -960,7 +964,7 @@ class Watcher:
                 self.changed = time.monotonic()
             self.publishers = seen.get("publishers", self.publishers)
             self.nodes, self.pending = seen.get("nodes", self.nodes), seen.get("pending", self.pending)
-            self.clock = seen.get("clock", self.clock)
+            self.clock, self.unheard = seen.get("clock", self.clock), seen.get("unheard", self.unheard)
             self.has_started = seen.get("started", self.has_started)
             self.members = seen.get("members", self.members)
             self.participants = seen.get("participants", self.participants)
