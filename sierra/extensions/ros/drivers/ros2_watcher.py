@@ -287,7 +287,8 @@ class Watcher:
 
     def _unheard(self) -> int:
         """Return the number of subscribers of `/sierra/started` that are known and not connected yet."""
-        return max(0, self.node.count_subscribers(STARTED) - self.started.get_subscription_count())
+        known: int = self.node.count_subscribers(STARTED)
+        return max(0, known - int(self.started.get_subscription_count()))
 
     def _has_to_look(self) -> bool:
         """Return whether it is time to look at the whole graph, which costs more when there are many topics."""
