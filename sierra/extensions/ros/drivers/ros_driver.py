@@ -779,13 +779,12 @@ class Launch2(Launch):
         self.hear()
         if self.begin is None and self.watcher.has_started:
             self.begin_time()
-        running = [process for process in self.watch.processes if is_named(node_of(process), self.given.awaited)]
-        self.tell(
-            programs=len(self.watch.processes - self.watch.ended) if self.begin is None else self.fleet.state["programs"],
-            awaited=len(running),
-            ready=self.begin is not None or not self.missing(),
-            finished=self.begin is not None and not self.awaits() and time.monotonic() - self.watch.latest > SETTLED_S,
-        )
+        if self.begin is None:
+            self.tell(programs=len(self.watch.processes - self.watch.ended), ready=not self.missing())
+        else:
+            settled = time.monotonic() - self.watch.latest > SETTLED_S
+            awaited = [process for process in self.watch.processes if is_named(node_of(process), self.given.awaited)]
+            self.tell(awaited=len(awaited), finished=settled and not self.awaits())
 
     def hear(self) -> None:
         try:
@@ -825,7 +824,7 @@ class Launch2(Launch):
         if time.monotonic() - self.watcher.changed < (GRAPH_S if self.fleet is None else SETTLED_S):
             return "nodes or topics were added just now"
         if self.watcher.unheard:
-            return f"{self.watcher.unheard} subscribers of /sierra/started would not hear it yet"
+            return f"subscribers of /sierra/started that would not hear it yet: {self.watcher.unheard}"
         if self.watcher.pending:
             return f"the recorder does not receive {self.watcher.pending[0]} from all who publish it"
         return ""
@@ -886,14 +885,14 @@ class Launch2(Launch):
         return super().is_over() or (self.fleet is None and self.begin is not None and self.has_all_awaited())
 
     def close(self) -> None:
-        if self.watcher is not None:
-            try:
-                if self.fleet is not None and self.is_over():
-                    self.close_together()
-            finally:
+        try:
+            if self.fleet is not None and self.is_over():
+                self.close_together()
+        finally:
+            if self.watcher is not None:
                 self.watcher.end()
-        if self.recorder is not None:
-            end(self.recorder)
+            if self.recorder is not None:
+                end(self.recorder)
 
     def check_bag(self) -> None:
         if self.recorder is not None:
