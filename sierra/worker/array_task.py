@@ -950,7 +950,7 @@ class Execution:
                 self._handle(now, event)
             self._pack_due(now)
             self._pack.sync(now)
-            if not (over or self._stopping):
+            if not (over or self._stopping) and (self._feeder.is_alive() or self._ended < self._feeder.sent):
                 self._requeue.send_if_due()
             if over and not events and not self._held:
                 return
