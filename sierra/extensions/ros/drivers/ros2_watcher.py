@@ -51,9 +51,10 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, String
 
 NAME = "sierra_watcher"
+RECORDERS = (NAME, "rosbag2_recorder")
 STARTED, MEMBERS = "/sierra/started", "/sierra/members"
 PREFIX = 12  # bytes of the identity of a publisher that are those of its participant
-HIDDEN = re.compile(rf"/(_|launch_ros_|rosbag2_recorder$|{NAME}(_witness)?$)")  # no nodes of the launch file
+HIDDEN = re.compile(rf"/(_|launch_ros_|({'|'.join(RECORDERS)})$|{NAME}_witness$)")  # no nodes of the launch file
 DEPTH = 5000  # messages of a topic that may wait
 PARTS = 1000  # of a run, at most
 TOLD_S = 5.0  # for all parts to have the last state of this one
@@ -337,7 +338,7 @@ class Watcher:
 
     def _is_heard(self, topic: str) -> bool:
         """Return whether the part that records is known here as a subscriber of a topic."""
-        return any(subscriber.node_name == NAME for subscriber in self.node.get_subscriptions_info_by_topic(topic))
+        return any(subscriber.node_name in RECORDERS for subscriber in self.node.get_subscriptions_info_by_topic(topic))
 
     def _is_own(self, publisher: Any) -> bool:
         """Return whether a publisher belongs to a node whose topics are recorded."""
