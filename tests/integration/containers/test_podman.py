@@ -272,9 +272,8 @@ def test_what_runs_print_in_a_container_becomes_a_table(tmp_path: Path, python: 
 @pytest.mark.each_case
 @pytest.mark.parametrize(("isolation", "around"), [("worker", ""), ("run", 'after = "true"\n')])
 def test_processes_that_still_run_in_a_container_are_named(tmp_path: Path, python: Path, isolation: str, around: str) -> None:
-    folder = containers.make(
-        tmp_path / "project", python, f'isolation = "{isolation}"', simulator=containers.SIMULATOR + "setsid sleep 78 &\nsleep 0.5\n"
-    )
+    simulator = containers.SIMULATOR + "setsid sleep 78 &\nsleep 0.5\n"  # the process has its name when the program ends
+    folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=simulator)
     config = (folder / "sierra.toml").read_text()
     (folder / "sierra.toml").write_text(around + config)
     assert "in 4 of 4 runs processes were still running when the command ended, and were ended: sleep 78" in says(folder, *RUN)
