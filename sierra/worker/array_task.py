@@ -572,9 +572,11 @@ def contents(root: int, files: Iterable[File], check_stop: Callable[[], None]) -
             raise Changed("%s has changed since the run ended" % path)
 
 
-def first_record(settings: Settings, index: int, facts: "Dict[str, Fact]", slots: int, cores: int) -> Attempt:
+def first_record(
+    settings: Settings, given: "Allocation", index: int, facts: "Dict[str, Fact]", slots: int, cores: int
+) -> Attempt:
     """Return the first record, without the attempt's own name and clock."""
-    variables, given = os.environ, Allocation(settings.node, os.environ)
+    variables = os.environ
     return Attempt(
         attempt="",
         session=settings.session,
@@ -596,7 +598,7 @@ def first_record(settings: Settings, index: int, facts: "Dict[str, Fact]", slots
 
 
 class Allocation:
-    """What a scheduler gives to a task, as its variables say."""
+    """The resources that a scheduler gives to a task, as its variables say."""
 
     def __init__(self, forms: "Dict[str, List[str]]", environment: Mapping[str, str]) -> None:
         """`forms` name the variables: see `sierra.runners.schedulers.base.NodeVariables`."""
@@ -725,12 +727,12 @@ def hashed(path: Union[str, int]) -> Tuple[int, str]:
 
 
 @contextlib.contextmanager
-def scratch(settings: Settings, remove: Callable[[str], None]) -> Iterator[Tuple[str, int]]:
+def scratch(settings: Settings, given: Allocation, remove: Callable[[str], None]) -> Iterator[Tuple[str, int]]:
     """Yield a folder on the node for this attempt, and a lock that shows to other attempts that this one is alive.
 
     The worker holds the lock too, because it may outlive this process by the grace time of its runs.
     """
-    root = scratch_root(settings)
+    root = scratch_root(settings.scratch, given)
     prefix = "sierra-%s-" % settings.session
     for name in os.listdir(root):
         if name.startswith(prefix):
@@ -748,10 +750,8 @@ def scratch(settings: Settings, remove: Callable[[str], None]) -> Iterator[Tuple
         os.close(lock)
 
 
-def scratch_root(settings: Settings) -> str:
-    wanted = settings.scratch
+def scratch_root(wanted: Optional[str], given: Allocation) -> str:
     if wanted is None:
-        given = Allocation(settings.node, os.environ)
         named = [*given.texts("scratch"), os.environ.get("TMPDIR"), "/tmp"]  # noqa: S108 - the last resort
         writable = [path for path in named if path and os.path.isdir(path) and os.access(path, os.W_OK | os.X_OK)]
         if not writable:
@@ -1141,13 +1141,13 @@ def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float]
     cores = machine.usable_cores()
     slots = min(settings.slots, cores)
     results = os.path.join(folder, "results")
-    first = first_record(settings, index, machine.facts(), slots, cores)
     given = Allocation(settings.node, os.environ)
+    first = first_record(settings, given, index, machine.facts(), slots, cores)
     pack = new_pack(results, "probe" if probing else str(index), first, given)
     try:
         needs = Needs(settings.needs)
         needs.check()
-        with scratch(settings, worker.remove) as (own, lock):
+        with scratch(settings, given, worker.remove) as (own, lock):
             named = os.path.join(folder, "elements", str(index))
             done = executed(results, str(index), pack.path, stop.check)
             done |= {short(one) for one in read_lines(named + ".failed")}

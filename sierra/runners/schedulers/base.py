@@ -121,7 +121,7 @@ class NodeVariables:
     job: tuple[str, ...] = ()
     """An id that no other task of the cluster has; empty: that of the task."""
     restarts: tuple[str, ...] = ()
-    """How often the task was started again."""
+    """The number of times that the task was started again."""
     host: tuple[str, ...] = ()
     """The scheduler's name for the node."""
     cores: tuple[str, ...] = ()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -28,3 +30,13 @@ def find(monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]) -> None:
     there = any(PROGRAMS.parent.glob("lib/python3*/site-packages/rclpy"))
     require("ROS 2: `make .venv-ros2/installed`", there=there)
     monkeypatch.setenv("PATH", f"{PROGRAMS}{os.pathsep}{os.environ['PATH']}")
+
+
+def driver(name: str) -> ModuleType:
+    """Return a program that runs have beside their launch files, as a module."""
+    specification = importlib.util.spec_from_file_location(name, DRIVERS / f"{name}.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module

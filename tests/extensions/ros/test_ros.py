@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import math
 import re
 import subprocess
@@ -29,6 +28,7 @@ from sierra.model import Set
 from sierra.templates import several
 from sierra.testing import platforms
 from tests import projects
+from tests.extensions.ros import ros2
 from tests.simulator_inputs import SEED, inputs
 
 LAUNCH = """\
@@ -326,7 +326,7 @@ def test_robots_in_one_domain_leave_all_but_their_own_nodes_to_the_base_station(
 def test_robots_find_the_master_of_their_run_and_refuse_one_out_of_reach(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    driver = ros_driver()
+    driver = ros2.driver("ros_driver")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
     def part(place: int, base_address: str, execution: str = "e1") -> Any:
@@ -351,17 +351,6 @@ def test_robots_find_the_master_of_their_run_and_refuse_one_out_of_reach(
     monkeypatch.delenv("SIERRA_ADDRESS_0")
     with pytest.raises(driver.Failure, match="SIERRA_ADDRESS_0 is not set; give each robot its address"):
         driver.Robot(argparse.Namespace(setup=None))
-
-
-def ros_driver() -> Any:
-    """Return the program that runs have beside their launch files, as a module."""
-    path = Path(sierra.extensions.ros.__file__).parent / "drivers" / "ros_driver.py"
-    spec = importlib.util.spec_from_file_location("ros_driver", path)
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_groups_of_ros_2_are_copied_with_their_namespace(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from argparse import Namespace
@@ -12,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.extensions.ros.ros2 import DRIVERS
+from sierra.extensions.ros.launch import Launch2
+from tests.extensions.ros.ros2 import driver
 
 VARIABLES = {
     "SIERRA_EXECUTION": "0123456789abcdef",
@@ -26,18 +26,9 @@ READY = {"programs": 2, "awaited": 1, "ready": True, "finished": True, "over": F
 GROUP = '<group><push_ros_namespace namespace="robot1"/><let name="robot" value="1"/><let name="index" value="1"/></group>'
 
 
-def imported(name: str) -> ModuleType:
-    specification = importlib.util.spec_from_file_location(name, DRIVERS / f"{name}.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def parts() -> ModuleType:
-    return imported("ros2_fleet")
+    return driver("ros2_fleet")
 
 
 def launch_of(
@@ -64,7 +55,7 @@ def launch_of(
         awaited=["walker"],
         patience=9.0,
     )
-    made = imported("ros_driver").Launch2(given)
+    made = driver("ros_driver").Launch2(given)
     made.watcher = SimpleNamespace(
         participants=6, nodes=["/robot1/walker"], changed=0.0, pending=[], unheard=0, has_started=False, members=[]
     )
@@ -100,6 +91,11 @@ def test_a_robot_that_records_nothing_of_its_own_is_not_ready(
     assert (robot.own, robot.missing()) == ("/robot1", "")
     robot.watcher.nodes = ["/lab/robot1/walker"]
     assert robot.missing() == "no node is in the namespace /robot1, whose topics are recorded here"
+
+
+def test_the_driver_knows_the_elements_that_start_nothing() -> None:
+    program = driver("ros_driver")
+    assert (Launch2.of_all, Launch2.pushed) == (program.OF_ALL, program.PUSHED)
 
 
 def test_a_run_with_one_robot_has_no_other_part(parts: ModuleType) -> None:

@@ -223,7 +223,7 @@ class Watcher:
         self.own: str | None = None
         """The namespace of the nodes whose topics are recorded; None: those of all."""
         self.members: dict[int, Any] = {}
-        """What the parts of the run have told, by place."""
+        """The states that the parts of the run have told, by place."""
         self.told: Any = None
         """The publisher by which this part tells its state; None in a run without other parts."""
         self.part: dict[str, object] = {}

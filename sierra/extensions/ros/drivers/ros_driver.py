@@ -939,7 +939,7 @@ class Watcher:
         self.clock: float | None = None
         self.publishers = 0
         self.has_started = False
-        """Whether it has heard that the time begins."""
+        """True if it has heard that the time begins."""
         self.members: list[dict[str, Any]] = []
         """The states of the parts of a run on several robots."""
         self.recorded: dict[str, Any] = {}
