@@ -2,46 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
 from sierra.cli.arguments import AsJsonList
+from sierra.cli.lazy_commands import given
 from sierra.cli.output import print_json
 
+if TYPE_CHECKING:
+    from sierra.setup.doctor import Check
 
-def doctor(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="HOST", help="With --hosts: robots of the fleet, or hosts as in `ssh HOST`."),
-    ] = None,
-    hosts: Annotated[
-        bool, typer.Option("--hosts", help="Check hosts over SSH instead: those named, or the fleet of the runner robots.")
-    ] = False,
-    link: Annotated[
-        str | None, typer.Option("--link", metavar="NAME", help="With --hosts: the link to use, fabric or openssh.")
-    ] = None,
-    as_json: AsJsonList = False,
-) -> None:
+
+class OtherChecks(NamedTuple):
+    """The checks that an option of an extension makes instead."""
+
+    make: Callable[[], list[Check]]
+
+
+def doctor(as_json: AsJsonList = False) -> None:
     """Show what is installed, what is missing, and how to fix it.
 
     The exit code is 3 if something that is needed is missing.
-
-    \b
-    Example:
-      sierra doctor
-      sierra doctor --hosts robot1 robot2
     """
-    from sierra.errors import UsageError
-    from sierra.setup import doctor, host_checks
+    from sierra.setup import doctor
 
-    if not hosts and (names or link):
-        raise UsageError("hosts are checked with --hosts, for example: sierra doctor --hosts robot1")
-    found = host_checks.all_checks(names or (), link) if hosts else doctor.all_checks()
+    others = given(OtherChecks)
+    checks = others[0].make() if others else doctor.all_checks()
     if as_json:
-        print_json(found)
+        print_json(checks)
     else:
-        for check in found:
+        for check in checks:
             print(f"{check.state:8} {check.name}: {check.found}{f' -> {check.remedy}' if check.remedy else ''}")
-    if any(check.state == "missing" for check in found):
+    if any(check.state == "missing" for check in checks):
         raise typer.Exit(3)

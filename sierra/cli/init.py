@@ -47,7 +47,7 @@ def init(
             "--example",
             metavar="NAME",
             help="Copy a bundled example to FOLDER: "
-            + ", ".join(("swarm", "paper", "mesa", "netlogo", "ngspice", "ns3", "robots", "webots", *extensions.examples()))
+            + ", ".join(("swarm", "paper", "mesa", "netlogo", "ngspice", "ns3", "webots", *extensions.examples()))
             + ".",
         ),
     ] = None,

@@ -65,6 +65,16 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "variables": {"GZ_VERSION": ""},
         "examples": {"gazebo": "examples/gazebo"},
     },
+    "hosts": {
+        "links": {"fabric": "fabric:Fabric", "openssh": "openssh:OpenSsh"},
+        "options": {"doctor --hosts": "command:checked"},
+    },
+    "robots": {
+        "needs": {"hosts": ""},
+        "runners": {"robots": "runner:Robots"},
+        "fleets": {"robots": "fleet_checks:of_fleet"},
+        "examples": {"robots": "examples/robots"},
+    },
     "ros": {
         "platforms": {"ros": "platform:Ros"},
         "readers": {"bag": "bags.bag_topics:BagTopics"},
@@ -101,12 +111,12 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
 
 `former` are former names of commands. `pictures` are formats of outputs whose files have pictures for videos, each with the
-function that writes these. Seven kinds are data. `sections` are those of `sierra --help`, for commands. `inputs` are
-endings of input files, with the format of their templates. `starts` are endings of those whose platform starts the simulator
-itself, with its name. `variables` are recorded with the environment; `libraries` are search paths of libraries. `examples` are
-projects for `sierra init --example`, with their folders. `needs` names other extensions, without which this one is as if it
-were not there. `series` are formats of outputs, each with the column that tells series of rows apart which have times of their
-own.
+function that writes these. `fleets` are functions that return the hosts of a runner, for `sierra doctor --hosts`. Seven kinds
+are data. `sections` are those of `sierra --help`, for commands. `inputs` are endings of input files, with the format of their
+templates. `starts` are endings of those whose platform starts the simulator itself, with its name. `variables` are recorded
+with the environment; `libraries` are search paths of libraries. `examples` are projects for `sierra init --example`, with their
+folders. `needs` names other extensions, without which this one is as if it were not there. `series` are formats of outputs,
+each with the column that tells series of rows apart which have times of their own.
 """
 FOLDER = Path(__file__).parents[1] / "extensions"
 
@@ -158,13 +168,13 @@ def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str,
     """Return the settings of a package without those of extensions that do not exist here, and a note for each of these.
 
     No id depends on such settings, so the package can be read and executed without them: keys, figures of kinds of extensions,
-    and options of platforms that are not used.
+    options of platforms that are not used, of runners and of links.
     """
     kept: dict[str, Any] = {}
     ignored: dict[str, str] = {}
     for key, value in table.items():
-        if key in ("figures", "platforms") and isinstance(value, Mapping):
-            names = {name: name if key == "platforms" else _kind(name, table, ()) for name in value}
+        if key in ("figures", "platforms", "runners", "links") and isinstance(value, Mapping):
+            names = {name: _kind(name, table, ()) if key == "figures" else name for name in value}
             lost = {n: owner for n, used in names.items() if used != table.get("platform") and (owner := absent(key, used))}
             kept[key] = {name: inner for name, inner in value.items() if name not in lost}
             ignored |= {f"{key}.{name}": owner for name, owner in lost.items()}

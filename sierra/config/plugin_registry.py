@@ -249,7 +249,7 @@ TEMPLATES = Kind(
 RUNNERS = Kind(
     "runner",
     "sierra.runners.base:Runner",
-    {"local": "sierra.runners.local:Local", "robots": "sierra.runners.robots.runner:Robots"},
+    {"local": "sierra.runners.local:Local"},
 )
 SCHEDULERS = Kind(
     "scheduler",
@@ -337,7 +337,7 @@ CRITERIA = Kind(
 LINKS = Kind(
     "link",
     "sierra.runners.links.base:Link",
-    {"fabric": "sierra.runners.links.fabric:Fabric", "openssh": "sierra.runners.links.openssh:OpenSsh"},
+    {},
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 

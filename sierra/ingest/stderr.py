@@ -32,7 +32,7 @@ ESCAPES = regex(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[@-Z
 OF_CONDUCTOR = regex(r"== (?:before|after): |\[(?!info\]|warn|debug|error|fatal|crit|trace)[a-z][\w.-]*\] ")
 """Lines of services, and those before the output of other commands (see `sierra.worker.conductor`)."""
 OF_ROBOT = regex(r"==> .* <==")
-"""The line before the log of a robot (see `sierra.runners.robots.results`)."""
+"""The line before the log of a robot (see `sierra.extensions.robots.results`)."""
 PREFIX = regex(r"(?:\[[\d:.,TZ+/ -]*(?:ms)?\]|\d[\d:.,TZ+/-]*|\[(?=[A-Za-z]+\]))[ :]*")
 """A time, or the bracket of a level, before a message."""
 LEVEL = regex(r"\[?(?:info|debug|warn(?:ing)?|trace|notice)\b", re.I)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from sierra.config import extensions
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
 from sierra.errors import ConfigError
@@ -50,6 +51,8 @@ def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterT
     scheduler = str(requested or name)
     if scheduler in SCHEDULERS.names():
         return scheduler, schedulers.table(scheduler, table or {}, name)
+    if extensions.home("runners", name):
+        raise ConfigError(RUNNERS.unknown(name) if table is None else f"[runners.{name}]: {RUNNERS.unknown(name)}")
     if table is not None:
         raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(SCHEDULERS.names())}")
     known = dict.fromkeys((*RUNNERS.names(), *SCHEDULERS.names(), *(tables or {})))

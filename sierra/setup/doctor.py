@@ -241,7 +241,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         absent = required_packages.missing(config, contained=config.container is not None)
         found = f"not installed: {', '.join(absent)}" if absent else ", ".join(config.requires)
         yield _check(f"requires{of}", not absent, found, required_packages.remedy(absent))
-    clusters = [name for name in config.runners if name not in ("local", "robots")]
+    clusters = [name for name in config.runners if name not in plugin_registry.RUNNERS.names()]
     if clusters and config.observe != "none":
         found = f"{', '.join(clusters)}: checked on the node when a run is observed"
         yield Check(f"observation on clusters{of}", "ok", found)

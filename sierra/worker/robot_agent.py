@@ -1,7 +1,7 @@
 """The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
 
-It needs only the standard library (Python 3.8 or newer), and beside it the other files that `sierra.runners.robots.push` names.
-A driver starts it by SSH:
+It needs only the standard library (Python 3.8 or newer), and beside it the other files that `sierra.extensions.robots.push`
+names. A driver starts it by SSH:
 
     robot_agent.py FOLDER LOCK
 

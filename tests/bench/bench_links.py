@@ -21,12 +21,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from sierra.extensions.hosts.fabric import Fabric  # noqa: E402
+from sierra.extensions.hosts.openssh import OpenSsh, OpenSshOptions  # noqa: E402
+from sierra.extensions.robots import agent_start  # noqa: E402
+from sierra.extensions.robots.agent_link import AgentLink  # noqa: E402
+from sierra.extensions.robots.fleet_table import FleetTable  # noqa: E402
 from sierra.runners.links.base import Link, LinkOptions  # noqa: E402 - tests are found by the line above
-from sierra.runners.links.fabric import Fabric  # noqa: E402
-from sierra.runners.links.openssh import OpenSsh, OpenSshOptions  # noqa: E402
-from sierra.runners.robots import agent_start  # noqa: E402
-from sierra.runners.robots.agent_link import AgentLink  # noqa: E402
-from sierra.runners.robots.fleet_table import FleetTable  # noqa: E402
 from tests.support.robot_fleet import PROGRAMS, Fleet  # noqa: E402
 
 COMMANDS = 100

@@ -25,8 +25,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from sierra.extensions.hosts.fabric import Fabric  # noqa: E402
 from sierra.runners.links.base import LinkOptions  # noqa: E402 - tests are found by the line above
-from sierra.runners.links.fabric import Fabric  # noqa: E402
 from tests import containers, projects  # noqa: E402
 from tests.support.robot_fleet import PROGRAMS, UID, Fleet  # noqa: E402
 from tests.support.robot_runs import Runs, job  # noqa: E402

@@ -67,6 +67,12 @@ USES = {
         "[outputs.notes] format: 'sqlite'",
     ),
     "gazebo": Use(("[platforms.gazebo]",), "[platforms.gazebo]\nlength = 1.0\n", "[platforms.gazebo]: the platform 'gazebo'"),
+    "hosts": Use(("--hosts", "--link"), "[links.openssh]\nsessions = 4\n", "[links.openssh]: the link 'openssh'"),
+    "robots": Use(
+        ("[runners.robots]",),
+        '[runners.robots]\nstop = []\n[runners.robots.fleet.a]\nhost = "a"\n',
+        "[runners.robots]: the runner 'robots'",
+    ),
     "ros": Use(
         ("[platforms.ros]", "--recover"),
         '[outputs.goals]\nfile = "run.bag"\nformat = "bag"\ntopics = ["/goal"]\nrequired = false\n'
@@ -130,6 +136,7 @@ def test_an_extension_can_be_deleted(name: str, used: Path, tmp_path: Path) -> N
         name,
         tmp_path / "copy",
         (tmp_path, "--help"),
+        (tmp_path, "doctor", "--help"),
         (tmp_path, "init", "--help"),
         (tmp_path, "files", "--help"),
         (tmp_path, "schema", "sierra.toml"),

@@ -22,8 +22,8 @@ NAMES = ("run", "push", "channel", "hello", "check", "arm", "clock", "at", "pull
 
 def main(name: str, step: str, words: list[str]) -> None:
     from sierra.cli.main import program
-    from sierra.runners.links.fabric import Fabric
-    from sierra.runners.robots.agent_link import AgentLink
+    from sierra.extensions.hosts.fabric import Fabric
+    from sierra.extensions.robots.agent_link import AgentLink
     from sierra.store.store import Store
     from sierra.worker import worker
 

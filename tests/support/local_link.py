@@ -15,11 +15,11 @@ from pathlib import Path
 
 from sierra.config.field_types import Table
 from sierra.errors import Missing
+from sierra.extensions.robots.agent_link import LOCK
+from sierra.extensions.robots.push import content_name
 from sierra.runners.links.base import Ended, LinkOptions, Overdue, Unreachable
 from sierra.runners.links.commands import Commands, Lines
 from sierra.runners.links.process_stream import ProcessStream
-from sierra.runners.robots.agent_link import LOCK
-from sierra.runners.robots.push import content_name
 from sierra.worker import worker
 
 

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sierra.extensions.robots.fleet_table import FleetTable
+from sierra.extensions.robots.runner import MakeLink, Robots
 from sierra.model import ON_ROBOT, Job, Limits, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Look, Work
-from sierra.runners.robots.fleet_table import FleetTable
-from sierra.runners.robots.runner import MakeLink, Robots
 from sierra.store.layout import SessionPaths
 from tests.waiting import PATIENCE_S, until
 

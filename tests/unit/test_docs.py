@@ -23,7 +23,7 @@ EXTENSIONS = DOCS / "extensions"
 PLUGINS = DOCS / "how-to" / "plugins.md"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 ROBOTS = DOCS / "how-to" / "robots.md"
-"""The page that `tests/integration/robots/test_robots_page.py` executes, on a fleet."""
+"""The page that `tests/extensions/robots/test_robots_page.py` executes, on a fleet."""
 EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md")), *sorted(EXTENSIONS.glob("*.md"))]
 OVERVIEWS = (DOCS / "index.md", DOCS / "gallery.md")
 """The pages that list what extensions have."""

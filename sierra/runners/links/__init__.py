@@ -1,1 +1,1 @@
-"""Hosts that are reached over SSH: robots, and later clusters."""
+"""Links to hosts: the contract, and parts for classes that fulfil it. The shipped links are in `sierra.extensions.hosts`."""

@@ -86,7 +86,7 @@ def test_a_swarm_in_containers_finds_its_master_if_the_network_is_declared(
 def test_the_example_with_ros_2_has_the_same_controller_and_model(name: str) -> None:
     package = Path(sierra.__file__).parent
     here = package / "extensions" / "ros" / "examples" / "robots-ros1" / name
-    assert here.read_bytes() == (package / "setup" / "examples" / "robots" / name).read_bytes()
+    assert here.read_bytes() == (package / "extensions" / "robots" / "examples" / "robots" / name).read_bytes()
 
 
 def assert_sampled_in_the_same_way(demo: Path) -> None:

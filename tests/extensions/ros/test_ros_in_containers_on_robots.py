@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests import projects
+from tests.extensions.robots.test_containers_on_robots import left
 from tests.extensions.ros.test_ros_on_robots import MOVED, on_fleet
-from tests.integration.robots.test_containers_on_robots import left
 from tests.support import robot_fleet, ros_image
 from tests.support.robot_fleet import Fleet
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import Missing
+from sierra.extensions.hosts.fabric import Fabric
 from sierra.runners.links.base import Ended, LinkOptions
-from sierra.runners.links.fabric import Fabric
 from tests import projects
 from tests.support import robot_fleet, robot_project
 from tests.support.pages import DOCS

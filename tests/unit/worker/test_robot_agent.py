@@ -21,7 +21,7 @@ import pytest
 
 from sierra.containers import held_start
 from sierra.containers.engines import on_host
-from sierra.runners.robots.push import PROGRAMS
+from sierra.extensions.robots.push import PROGRAMS
 from sierra.worker import worker
 from tests.waiting import PATIENCE_S, soon, until
 

@@ -1,4 +1,4 @@
-"""Files and engines on other hosts, which are folders of this machine here. `tests/integration/robots` has real ones."""
+"""Files and engines on other hosts, which are folders of this machine here. `tests/extensions/robots` has real ones."""
 
 from __future__ import annotations
 

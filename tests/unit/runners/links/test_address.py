@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import NotInstalled, UsageError
+from sierra.extensions.hosts.fabric import Fabric
+from sierra.extensions.hosts.openssh import OpenSsh, OpenSshOptions
 from sierra.runners.links.address import parse
 from sierra.runners.links.base import LinkOptions
-from sierra.runners.links.fabric import Fabric
-from sierra.runners.links.openssh import OpenSsh, OpenSshOptions
 
 
 @pytest.mark.parametrize(

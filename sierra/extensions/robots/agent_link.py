@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing, SierraError
+from sierra.extensions.hosts.clock import Clock, measured
+from sierra.extensions.robots import agent_messages
+from sierra.extensions.robots.agent_messages import Record
 from sierra.runners.links import copy_folder
 from sierra.runners.links.base import Channel, Link, Overdue, Unreachable
-from sierra.runners.links.clock import Clock, measured
-from sierra.runners.robots import agent_messages
-from sierra.runners.robots.agent_messages import Record
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)

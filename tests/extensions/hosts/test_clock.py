@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from sierra.runners.links.clock import measured
+from sierra.extensions.hosts.clock import measured
 
 MS = 1_000_000
 AHEAD = 137_000 * MS

@@ -18,11 +18,11 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import Missing
+from sierra.extensions.hosts.fabric import Fabric
+from sierra.extensions.hosts.openssh import OpenSsh, OpenSshOptions
+from sierra.extensions.robots.trial import Trial
 from sierra.model import Limits
 from sierra.runners.links.base import LinkOptions
-from sierra.runners.links.fabric import Fabric
-from sierra.runners.links.openssh import OpenSsh, OpenSshOptions
-from sierra.runners.robots.trial import Trial
 from tests.support.robot_fleet import Fleet, Proxy
 from tests.support.robot_runs import Runs, job
 from tests.tiers import at_night
@@ -330,7 +330,7 @@ def test_a_clock_that_is_set_after_the_start_was_confirmed_changes_no_times(
     runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ):
     fleet.set_clock("rb2", 5)
-    monkeypatch.setattr("sierra.runners.robots.runner.LEADS_S", (1.0,))
+    monkeypatch.setattr("sierra.extensions.robots.runner.LEADS_S", (1.0,))
     monkeypatch.setattr(Trial, "_supervise", after(Trial._supervise, lambda: fleet.set_clock("rb2", -20)))
     began = time.time()
     [result] = runs.run(job(1))

@@ -1,4 +1,4 @@
-"""Tests of the runner on robots, which are folders of this machine here. `tests/integration/robots` has real ones."""
+"""Tests of the runner on robots, which are folders of this machine here. `tests/extensions/robots` has real ones."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ import pytest
 from sierra.config.validate import options
 from sierra.containers.engines.hosts import OtherHost
 from sierra.errors import ConfigError, Missing
+from sierra.extensions.robots.agent_link import AgentLink
+from sierra.extensions.robots.fleet_table import FleetTable, RobotTable
+from sierra.extensions.robots.runner import Robots
 from sierra.ingest.observations import observed
 from sierra.model import Job
 from sierra.provenance.environment import differing
 from sierra.runners.base import Look, Work
-from sierra.runners.robots.agent_link import AgentLink
-from sierra.runners.robots.fleet_table import FleetTable, RobotTable
-from sierra.runners.robots.runner import Robots
 from sierra.store.layout import SessionPaths
 from sierra.testing import robots as conformance
 from sierra.util.kept_log import kept_of

@@ -8,8 +8,8 @@ import pytest
 
 from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing
+from sierra.extensions.robots import fitting
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
-from sierra.runners.robots import fitting
 from tests.support import elf
 from tests.support.local_link import LocalLink
 

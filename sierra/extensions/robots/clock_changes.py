@@ -7,7 +7,7 @@ meanwhile (see `sierra.worker.clock_watch`).
 
 from __future__ import annotations
 
-from sierra.runners.robots.trial import Part
+from sierra.extensions.robots.trial import Part
 from sierra.worker.clock_watch import Course
 
 UNEVEN = 1e-6

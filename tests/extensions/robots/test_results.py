@@ -11,16 +11,16 @@ from typing import Any
 import pytest
 
 from sierra.config.output_tables import Success
+from sierra.extensions.hosts.clock import Clock
+from sierra.extensions.robots import results
+from sierra.extensions.robots.agent_link import AgentLink
+from sierra.extensions.robots.fleet_table import FleetTable
+from sierra.extensions.robots.runner import member_limits
+from sierra.extensions.robots.trial import STOPPED, Part, Trial
 from sierra.ingest.observations import observed
 from sierra.ingest.success import judge
 from sierra.model import Limits, Status
 from sierra.runners.journal_reader import result_of
-from sierra.runners.links.clock import Clock
-from sierra.runners.robots import results
-from sierra.runners.robots.agent_link import AgentLink
-from sierra.runners.robots.fleet_table import FleetTable
-from sierra.runners.robots.runner import member_limits
-from sierra.runners.robots.trial import STOPPED, Part, Trial
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
 

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sierra.runners.links.clock import Clock
-from sierra.runners.robots import clock_changes, observed_files
-from sierra.runners.robots.trial import OVER, STOPPED, Part, Trial
+from sierra.extensions.hosts.clock import Clock
+from sierra.extensions.robots import clock_changes, observed_files
+from sierra.extensions.robots.trial import OVER, STOPPED, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import KEPT, kept_of, shares

@@ -1,4 +1,4 @@
-"""Host keys that links of Fabric accept, without a connection. `tests/integration/robots` has real hosts."""
+"""Host keys that links of Fabric accept, without a connection. `tests/extensions/robots` has real hosts."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import paramiko
 import pytest
 
 from sierra.errors import SierraError
+from sierra.extensions.hosts.fabric import Fabric
 from sierra.runners.links.base import LinkOptions, UntrustedHost
-from sierra.runners.links.fabric import Fabric
 
 KEY = paramiko.ECDSAKey.generate()
 LINE = f"{KEY.get_name()} {KEY.get_base64()}"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing
+from sierra.extensions.robots.agent_messages import Record
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
 from sierra.runners.links.base import Link
-from sierra.runners.robots.agent_messages import Record
 from sierra.util.lazy_definitions import regex
 from sierra.util.processors import NAMES, can_execute
 from sierra.worker import worker

@@ -8,7 +8,7 @@ import pytest
 
 from sierra.config.validate import options
 from sierra.errors import ConfigError
-from sierra.runners.robots.fleet_table import FleetTable, allocate
+from sierra.extensions.robots.fleet_table import FleetTable, allocate
 
 TWO = {"a": {"host": "pi@a"}, "b": {"host": "pi@b", "group": "fast"}}
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from sierra.extensions.hosts.fabric import Fabric
+from sierra.extensions.hosts.openssh import OpenSsh, OpenSshOptions
 from sierra.runners.links.base import Link, LinkOptions, Unreachable, UntrustedHost
-from sierra.runners.links.fabric import Fabric
-from sierra.runners.links.openssh import OpenSsh, OpenSshOptions
 from sierra.testing import links
 from tests.support import robot_fleet
 from tests.support.robot_fleet import Fleet

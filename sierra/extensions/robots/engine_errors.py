@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 
 from sierra.containers.on_hosts import HostContainer
+from sierra.extensions.robots.trial import Part
 from sierra.runners.journal_reader import result_of
-from sierra.runners.robots.trial import Part
 from sierra.store.layout import RUN_STDERR
 
 SHOWN = 2000

@@ -14,10 +14,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, Field
 
+from sierra.extensions.robots.agent_messages import Text
+from sierra.extensions.robots.trial import Part
 from sierra.model import IN_PROJECT
 from sierra.runners.links import remote_folder
-from sierra.runners.robots.agent_messages import Text
-from sierra.runners.robots.trial import Part
 from sierra.util.regular_files import read_regular
 from sierra.worker.worker import OBSERVED
 

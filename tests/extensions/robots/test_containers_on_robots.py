@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.runners.robots import results
+from sierra.extensions.robots import results
 from tests import containers, images, projects, robots
 from tests.support.robot_fleet import SUB_IDS, USER, Fleet
 from tests.waiting import until

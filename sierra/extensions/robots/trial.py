@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
+from sierra.extensions.hosts.clock import Clock
+from sierra.extensions.robots.agent_link import AgentLink, Refused
+from sierra.extensions.robots.agent_messages import Record, as_report
+from sierra.extensions.robots.fleet_table import FleetTable
 from sierra.runners.links.base import Unreachable
-from sierra.runners.links.clock import Clock
-from sierra.runners.robots.agent_link import AgentLink, Refused
-from sierra.runners.robots.agent_messages import Record, as_report
-from sierra.runners.robots.fleet_table import FleetTable
 from sierra.worker import worker
 from sierra.worker.clock_watch import ClockWatch, Course
 

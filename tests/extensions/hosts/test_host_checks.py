@@ -1,24 +1,26 @@
-"""Tests of the checks of a host, which is a folder of this machine here. `tests/integration/robots` has real ones."""
+"""Tests of the checks of a host, which is a folder of this machine here. `tests/extensions/robots` has real ones."""
 
 from __future__ import annotations
 
 import hashlib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from sierra.extensions.hosts import host_checks
+from sierra.extensions.hosts.host_checks import HostToCheck
+from sierra.extensions.robots import fleet_checks
+from sierra.extensions.robots.fleet_table import FleetTable
 from sierra.runners.links.base import Ended
-from sierra.runners.robots.fleet_table import FleetTable
-from sierra.setup import host_checks
 from sierra.setup.doctor import Check
-from sierra.setup.host_checks import HostToCheck
 from tests.support.local_link import LocalLink
 
 
 def robot(**declared: Any) -> HostToCheck:
     fleet = FleetTable(stop=(), fleet={"tb1": {"host": "tb1", **declared}})
-    return HostToCheck("tb1", "tb1", robot=fleet.robot("tb1"), fleet=fleet)
+    return HostToCheck("tb1", "tb1", own=partial(fleet_checks.checks_of_robot, fleet.robot("tb1"), fleet))
 
 
 def checked(host: HostToCheck, home: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Check]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.runners.links.openssh import folder_of_sockets
+from sierra.extensions.hosts.openssh import folder_of_sockets
 from sierra.worker.worker import TEMPORARY_LENGTH
 
 

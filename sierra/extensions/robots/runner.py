@@ -25,19 +25,19 @@ from sierra.config.plugin_registry import LINKS
 from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
+from sierra.extensions.robots import agent_start, fitting, results
+from sierra.extensions.robots.agent_link import AgentLink
+from sierra.extensions.robots.agent_messages import Record, as_report
+from sierra.extensions.robots.engine_errors import classify
+from sierra.extensions.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
+from sierra.extensions.robots.push import content_name, push_content
+from sierra.extensions.robots.trial import STOPPED, Late, Part, Trial, each
 from sierra.model import Job, LateFiles, Limits, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.links.base import Link, NoSession, Unreachable
 from sierra.runners.local import record
-from sierra.runners.robots import agent_start, fitting, results
-from sierra.runners.robots.agent_link import AgentLink
-from sierra.runners.robots.agent_messages import Record, as_report
-from sierra.runners.robots.engine_errors import classify
-from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
-from sierra.runners.robots.push import content_name, push_content
-from sierra.runners.robots.trial import STOPPED, Late, Part, Trial, each
 from sierra.store.layout import SessionPaths
 from sierra.store.ownership_marks import SESSION
 from sierra.store.segments import disk_errors

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from sierra.extensions.robots import agent_messages
+from sierra.extensions.robots.agent_link import AgentLink
 from sierra.provenance import machine
-from sierra.runners.robots import agent_messages
-from sierra.runners.robots.agent_link import AgentLink
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
 from tests.waiting import PATIENCE_S

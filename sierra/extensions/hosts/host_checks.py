@@ -1,34 +1,24 @@
 """Checks of hosts that are reached over SSH: connection, key, Python, disk, clock, battery, and what is installed there.
 
-On a robot of the fleet, the agent is started as for a run. It executes the setup line, the stop command and a program, and
-reads battery, firmware and calibration: no run starts if one of them fails.
+Extensions whose runners use hosts name these: the kind `fleets` of `sierra.config.extensions` has functions that return them.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import queue
-import shlex
 import time
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from sierra.config import find_project, project_file
-from sierra.config.field_types import RawTable
-from sierra.config.plugin_registry import LINKS, RUNNERS
+from sierra.config import extensions, find_project, project_file
+from sierra.config.plugin_registry import LINKS
 from sierra.config.project_file import Project
 from sierra.errors import Missing, NotFound, UsageError
+from sierra.extensions.hosts.clock import measured
 from sierra.runners.links.base import Ended, Link, Unreachable, UntrustedHost
-from sierra.runners.links.clock import measured
-from sierra.runners.robots import agent_start
-from sierra.runners.robots.agent_link import AgentLink, Refused
-from sierra.runners.robots.fleet_table import FleetTable, RobotTable
-from sierra.runners.robots.trial import CHECK_S
 from sierra.setup.doctor import Check, State
-from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.worker.clock_watch import ClockWatch
 
@@ -63,14 +53,6 @@ print(json.dumps(found))
 CLOCK = "import sys, time\nfor line in sys.stdin:\n    print(time.time_ns(), flush=True)"
 
 
-REMEDIES = {
-    "stop": "stop the robot by hand, and correct stop in sierra.toml",
-    "setup": "correct setup in sierra.toml",
-    "lock": "try again when it is free",
-}
-"""The remedies for what an agent refuses, by the part of its first request that has failed."""
-
-
 class _NoPython(Exception):
     """A host on which Python has failed, with its last words."""
 
@@ -86,9 +68,8 @@ class HostToCheck:
     python: str = "python3"
     folder: str = "~"
     disk_min: int = 1
-    robot: RobotTable | None = None
-    """Declared as a robot of this fleet."""
-    fleet: FleetTable | None = None
+    own: Callable[[HostToCheck, Link], Iterator[Check]] | None = None
+    """Yields what else is checked: time zone and battery are then among these checks. May raise what a link raises."""
 
 
 def all_checks(names: Sequence[str], link: str | None = None) -> list[Check]:
@@ -117,34 +98,13 @@ def _project() -> Project | None:
 
 
 def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> list[HostToCheck]:
-    links = project.links if project else {}
-    fleet = _fleet(links, project.runner_tables if project else {}, link)
+    fleet: dict[str, HostToCheck] = {}
+    for name in extensions.added("fleets") if project else ():
+        fleet |= extensions.load("fleets", name)(project, link)
     if not names and not fleet:
         raise UsageError("there is no fleet in [runners.robots]; name hosts, for example: sierra doctor --hosts robot1 robot2")
-    chosen = link or "fabric"
+    chosen, links = link or "fabric", project.links if project else {}
     return [fleet.get(name) or HostToCheck(name, name, chosen, links.get(chosen, {})) for name in names or fleet]
-
-
-def _fleet(links: Mapping[str, RawTable], runners: Mapping[str, RawTable], link: str | None) -> dict[str, HostToCheck]:
-    """Return the robots that runs use, by name."""
-    table = RUNNERS.options("robots", runners["robots"]) if "robots" in runners else None
-    if not isinstance(table, FleetTable):  # there is none, or a plug-in has this name
-        return {}
-    chosen = link or table.link
-    return {
-        name: HostToCheck(
-            name,
-            robot.host,
-            chosen,
-            robot.link_options if chosen == table.link else links.get(chosen, {}),
-            python=table.python,
-            folder=table.folder,
-            disk_min=table.disk_min,
-            robot=robot,
-            fleet=table,
-        )
-        for name, robot in table.used().items()
-    }
 
 
 def _checks(host: HostToCheck) -> Iterator[Check]:
@@ -155,8 +115,8 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
         link.run(["true"])
         yield Check(f"{host.name}: connection", "ok", f"{host.link}, in {time.monotonic() - began:.2f} s; its key is known")
         fits = yield from _look(host, link)
-        if fits and host.robot and host.fleet:
-            yield from _as_robot(host, link, host.robot, host.fleet)
+        if fits and host.own:
+            yield from host.own(host, link)
     except UntrustedHost as error:
         yield Check(f"{host.name}: key", "missing", *_split(host, error))
     except Missing as error:
@@ -178,43 +138,19 @@ def _look(host: HostToCheck, link: Link) -> Generator[Check, None, bool]:
     found = json.loads(ended.stdout.splitlines()[-1])
     version = ".".join(map(str, found["python"]))
     fits = tuple(found["python"]) >= OLDEST
-    yield _check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
+    yield check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
     yield _disk(host, found)
     yield _clock(host, link)
-    if not host.robot:
-        yield _zone(host, found)
-        yield from _battery(host, found["battery"], 0.0)
+    if not host.own:
+        yield zone(host, found)
+        yield from battery(host, found["battery"], 0.0)
     yield Check(f"{host.name}: installed", "ok", ", ".join(found["programs"]) or "none of the programs that runs may need")
     return fits
 
 
-def _zone(host: HostToCheck, found: Mapping[str, Any]) -> Check:
+def zone(host: HostToCheck, found: Mapping[str, Any]) -> Check:
+    """Return the check of a host's time zone, `utc_offset` in seconds."""
     return Check(f"{host.name}: {ZONE}", "ok", f"UTC{found['utc_offset'] / 3600:+g} h now")
-
-
-def _as_robot(host: HostToCheck, link: Link, robot: RobotTable, fleet: FleetTable) -> Iterator[Check]:
-    """Start the agent as for a run, and yield what it has found."""
-    link.python = fleet.python
-    agent = AgentLink(host.name, link, fleet.lease, queue.SimpleQueue())
-    try:
-        own = robot.model_copy(update={"checks": (), "topic_rates": {}})
-        hello = agent_start.start(agent, own, fleet, f"doctor {os.getpid()}", "")
-        yield _zone(host, hello)
-        yield Check(f"{host.name}: stop", "ok", f"{shlex.join(robot.stop)}: succeeds" if robot.stop else "needs no command")
-        yield Check(f"{host.name}: runs", "ok", f"a program was executed in {hello['folder']}")
-        checked = agent.ask("check", CHECK_S)
-        for name, reason in checked["unread"].items():
-            yield _check(host, name, False, f"not readable: {reason}", f"correct {name} in sierra.toml")
-        yield from _battery(host, checked["battery"], fleet.battery_min)
-        if checked.get("firmware"):
-            yield Check(f"{host.name}: firmware", "ok", checked["firmware"])
-        if checked.get("calibration"):
-            yield Check(f"{host.name}: calibration", "ok", f"{robot.calibration} {short(checked['calibration'])}")
-    except Refused as error:
-        reason = str(error).removeprefix(f"{host.name}: ")
-        yield Check(f"{host.name}: {error.about or 'runs'}", "missing", reason, REMEDIES.get(error.about, ""))
-    finally:
-        agent.close()
 
 
 def _last_words(ended: Ended) -> str:
@@ -225,9 +161,9 @@ def _last_words(ended: Ended) -> str:
 def _disk(host: HostToCheck, found: Mapping[str, Any]) -> Check:
     free = f"{found['free'] / 1e6:.0f} MB free in {found['folder']}"
     if not found["writable"]:
-        return _check(host, "disk", False, f"{found['folder']} is not writable", "check the disk, and who owns the folder")
+        return check(host, "disk", False, f"{found['folder']} is not writable", "check the disk, and who owns the folder")
     fits = found["free"] >= host.disk_min
-    return _check(host, "disk", fits, free, f"free some space: {host.disk_min / 1e6:.0f} MB are needed")
+    return check(host, "disk", fits, free, f"free some space: {host.disk_min / 1e6:.0f} MB are needed")
 
 
 def _clock(host: HostToCheck, link: Link) -> Check:
@@ -247,16 +183,17 @@ def _clock(host: HostToCheck, link: Link) -> Check:
         channel.close()
     found = f"{clock.offset_ns / 1e9:+.3f} s from this machine's, ± {clock.rtt_ns / 2e9:.3f} s"
     remedy = "let the time service of the host (chrony, timesyncd) set it"
-    return _check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, found, remedy, "absent")
+    return check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, found, remedy, "absent")
 
 
-def _battery(host: HostToCheck, charge: float | None, least: float) -> Iterator[Check]:
+def battery(host: HostToCheck, charge: float | None, least: float) -> Iterator[Check]:
     """Yield the check of a battery, if its charge is known."""
     if charge is not None:
-        yield _check(host, "battery", charge >= least, f"{charge:g} %", f"charge it: {least:g} % are needed")
+        yield check(host, "battery", charge >= least, f"{charge:g} %", f"charge it: {least:g} % are needed")
 
 
-def _check(host: HostToCheck, name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:
+def check(host: HostToCheck, name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:
+    """Return a check of a host; one that does not fit has the state `otherwise`."""
     return Check(f"{host.name}: {name}", "ok" if fits else otherwise, found, "" if fits else remedy)
 
 

@@ -17,7 +17,7 @@ import pytest
 import sierra
 from sierra.config import project_file
 
-EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "robots"
+EXAMPLE = Path(sierra.__file__).parent / "extensions" / "robots" / "examples" / "robots"
 STARTS = project_file.load(EXAMPLE).config.platforms["ros"]["poses"]
 SPEED = 0.3
 MOVED = [[0.1, 0.0, 2.8], [0.4, -0.2, -2.0]]

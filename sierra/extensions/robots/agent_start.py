@@ -6,11 +6,11 @@ import getpass
 import os
 
 from sierra.errors import Missing
-from sierra.runners.robots.agent_link import LOCK, AgentLink
-from sierra.runners.robots.agent_messages import Record
-from sierra.runners.robots.fleet_table import FleetTable, RobotTable
-from sierra.runners.robots.push import push_programs
-from sierra.runners.robots.trial import SETTLE_S
+from sierra.extensions.robots.agent_link import LOCK, AgentLink
+from sierra.extensions.robots.agent_messages import Record
+from sierra.extensions.robots.fleet_table import FleetTable, RobotTable
+from sierra.extensions.robots.push import push_programs
+from sierra.extensions.robots.trial import SETTLE_S
 
 HELLO_S = 120.0
 """The seconds in which an agent that has the robot must have executed its setup line, the stop command and a first program."""

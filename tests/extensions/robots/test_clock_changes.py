@@ -6,10 +6,10 @@ import queue
 
 import pytest
 
-from sierra.runners.links.clock import Clock
-from sierra.runners.robots import clock_changes
-from sierra.runners.robots.agent_link import AgentLink
-from sierra.runners.robots.trial import Part
+from sierra.extensions.hosts.clock import Clock
+from sierra.extensions.robots import clock_changes
+from sierra.extensions.robots.agent_link import AgentLink
+from sierra.extensions.robots.trial import Part
 from sierra.worker import worker
 from sierra.worker.clock_watch import Course
 from tests.support.local_link import LocalLink
