@@ -49,6 +49,8 @@ class Use(NamedTuple):
     """The lines of sierra.toml that need it."""
     refused: str = ""
     """The beginning of the message without it."""
+    refuses: tuple[str, ...] = ("run", "-n", "population_size=5")
+    """The command that is refused without it."""
 
 
 USES = {
@@ -72,6 +74,7 @@ USES = {
         ("[runners.robots]",),
         '[runners.robots]\nstop = []\n[runners.robots.fleet.a]\nhost = "a"\n',
         "[runners.robots]: the runner 'robots'",
+        ("run", "--on", "robots", "population_size=5"),
     ),
     "ros": Use(
         ("[platforms.ros]", "--recover"),
@@ -140,7 +143,7 @@ def test_an_extension_can_be_deleted(name: str, used: Path, tmp_path: Path) -> N
         (tmp_path, "init", "--help"),
         (tmp_path, "files", "--help"),
         (tmp_path, "schema", "sierra.toml"),
-        (used, "run", "-n", "population_size=5"),
+        (used, *use.refuses),
         (plain, "ls"),
         (plain, "run", "population_size=5", "--runs", "1"),
         (plain, "open", "p.zip"),
