@@ -51,7 +51,7 @@ def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterT
     scheduler = str(requested or name)
     if scheduler in SCHEDULERS.names():
         return scheduler, schedulers.table(scheduler, table or {}, name)
-    if extensions.home("runners", name):
+    if extensions.absent("runners", name):
         raise ConfigError(RUNNERS.unknown(name) if table is None else f"[runners.{name}]: {RUNNERS.unknown(name)}")
     if table is not None:
         raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(SCHEDULERS.names())}")
