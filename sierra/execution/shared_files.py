@@ -27,7 +27,7 @@ from sierra.util.fs import inside
 from sierra.util.hashing import digest, sha256_file
 from sierra.util.regular_files import open_regular
 from sierra.util.text import one_line
-from sierra.worker import worker
+from sierra.worker.shared_files import BESIDE_NS
 
 LEFT_OUT = (STORE, ".git", "__pycache__")
 CHUNK = 1 << 20
@@ -133,7 +133,7 @@ def make(rows: Sequence[SharedFileRow], folder: Path, root: Path, store: Store) 
             except NotFound as error:
                 raise Damaged(f"{row.name}, a file beside the inputs of runs, is not in the store") from error
         path.chmod(0o555 if row.executable else 0o444)
-        os.utime(path, ns=(worker.BESIDE_NS, worker.BESIDE_NS))
+        os.utime(path, ns=(BESIDE_NS, BESIDE_NS))
     part.rename(folder)
 
 

@@ -50,7 +50,7 @@ class _Message(_Part):
 
 
 class Facts(_Part):
-    """See `sierra.provenance.machine.facts`."""
+    """See `sierra.worker.machine.facts`."""
 
     host: Text
     os: Text
