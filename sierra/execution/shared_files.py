@@ -3,7 +3,7 @@
 They have the same paths there as in the project. Their names, contents and executability are part of the run specification.
 The store has each content once. A session copies them to a folder of its own, from the project if they are unchanged there,
 and else from the store. The worker copies them from there to the folder of each run, so that no run can change those of
-another; see `sierra.worker.worker.place`.
+another; see `sierra.worker.shared_files`.
 """
 
 from __future__ import annotations

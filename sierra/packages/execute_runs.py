@@ -25,8 +25,8 @@ comparable, and 130 after Ctrl-C.
     patterns      the patterns of outputs whose names may differ, except those in `named`
 
 Each line of `jobs` is a run: `argv`, `environment` (the variables that differ from the shared ones; null removes one), `files`
-(inputs), `folders` (marks in inputs, see `worker.py`), `seconds` (its recorded duration), `ended` (its recorded exit status,
-negative for a signal, if it was no success), and `outputs` (the SHA-256 of each file). An input is a text in which each
+(inputs), `folders` (marks in inputs, see `sierra.worker.job`), `seconds` (its recorded duration), `ended` (its recorded exit
+status, negative for a signal, if it was no success), and `outputs` (the SHA-256 of each file). An input is a text in which each
 character stands for a byte, or an object with the lines that differ from the same input of the line before. PROJECT_MARK and
 PYTHON_MARK stand for paths of this machine, ARCH_MARK for its processor, and NUL for the folder of the run.
 """

@@ -71,8 +71,9 @@ from types import FrameType
 from typing import TYPE_CHECKING, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 from sierra.worker import machine, program
+from sierra.worker.errors import explain
 from sierra.worker.files import remove, write_all
-from sierra.worker.processes import Stops, end_orphans, stdin_of
+from sierra.worker.processes import Stops, adopt_orphans, end_orphans, stdin_of
 
 if TYPE_CHECKING:
     from typing import IO, BinaryIO, Deque, Literal, NotRequired, Sequence, TypedDict, final
@@ -1101,19 +1102,6 @@ def is_small(event: "End") -> bool:
     return sum(file["bytes"] for file in event["outputs"]) <= CHUNK
 
 
-def adopt_orphans() -> None:
-    """Become the parent of orphans if a worker is killed (Linux only).
-
-    (The worker's own function is not used: this process must not end with the thread that started it, which a scheduler may end
-    much earlier.)
-    """
-    with contextlib.suppress(ImportError, OSError, AttributeError):
-        import ctypes
-
-        set_child_subreaper = 36
-        ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
-
-
 def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float] = None, probing: bool) -> bool:
     """Execute the missing runs of an element, and return whether it is finished. Raises CannotContinue and OSError."""
     with open(os.path.join(folder, "element.json"), "rb") as file:
@@ -1163,12 +1151,7 @@ def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: C
 
 def reason_of(error: BaseException) -> str:
     """Return the reason of an error in one line, with the node's name."""
-    if isinstance(error, CannotContinue):
-        reason = str(error)
-    else:
-        name, why = getattr(error, "filename", None), getattr(error, "strerror", None)
-        reason = why or "%s: %s" % (type(error).__name__, error)
-        reason = "%s: %s" % (name, reason) if name else reason
+    reason = str(error) if isinstance(error, CannotContinue) else explain(error)
     return "%s: %s" % (os.uname().nodename, " ".join(reason.split()))
 
 

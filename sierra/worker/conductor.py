@@ -41,11 +41,19 @@ import signal
 import subprocess
 import time
 
-from sierra.worker.files import entries_of
+from sierra.worker.files import end_of, write_all
 from sierra.worker.free_ports import NoFreePort, Ports
 from sierra.worker.layout import REPORT, SHARED
 from sierra.worker.marker import LOOK_S, Marker
-from sierra.worker.processes import FIRST_LOOK_S, environment_of, is_alive, still_running
+from sierra.worker.processes import (
+    FIRST_LOOK_S,
+    all_processes,
+    environment_of,
+    has_ended,
+    is_alive,
+    signal_group,
+    still_running,
+)
 
 TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
@@ -95,7 +103,6 @@ PORT = re.compile("\2(\\w+)\2")
 LONGEST_S = 3600.0  # of one wait
 LAST_WORDS_S = 1.0  # for the output of a service that has ended
 CHUNK = 1 << 16
-LAST_BYTES = 1 << 12
 
 
 class Failed(Exception):
@@ -401,24 +408,14 @@ def is_running(process: subprocess.Popen[bytes]) -> bool:
     """Return whether a program has not ended yet. If it has, its id still belongs to it."""
     if process.returncode is not None or not hasattr(os, "waitid"):
         return process.poll() is None
-    return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None
-
-
-def end_of(path: str) -> bytes:
-    """Return the last lines of a file."""
-    try:
-        with open(path, "rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - LAST_BYTES))
-            return file.read()
-    except OSError:
-        return b""
+    return not has_ended(process.pid)
 
 
 def processes_of_command() -> Iterable[int]:
     """Yield the living processes that the command of this run has started."""
     own = {"SIERRA_EXECUTION": os.environ.get("SIERRA_EXECUTION", ""), **COMMAND}
     marks = {os.fsencode("%s=%s" % one) for one in own.items()}
-    for pid in sorted(int(name) for name in entries_of("/proc") if name.isdigit()):
+    for pid in sorted(all_processes()):
         if marks.issubset(environment_of(pid)) and is_alive(pid):
             yield pid
 
@@ -431,10 +428,9 @@ def close_group(process: subprocess.Popen[bytes]) -> int:
 
 
 def send(group: int, number: int) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(group, number)
-        if number == signal.SIGTERM:  # a stopped process reacts to SIGTERM only when it is continued
-            os.killpg(group, signal.SIGCONT)
+    signal_group(group, number)
+    if number == signal.SIGTERM:  # a stopped process reacts to SIGTERM only when it is continued
+        signal_group(group, signal.SIGCONT)
 
 
 def accepts(port: int) -> bool:
@@ -454,6 +450,12 @@ def words_of(words: Sequence[str]) -> list[str]:
     return [PORT.sub("{port}", word).replace("\0", "{run}") for word in words]
 
 
+def write(data: bytes) -> None:
+    """Write to standard error, as far as that is possible."""
+    with contextlib.suppress(OSError):
+        write_all(2, data)
+
+
 def described(status: int) -> str:
     return "ended by signal %d" % -status if status < 0 else "exit status %d" % status
 
@@ -461,13 +463,6 @@ def described(status: int) -> str:
 def explain(error: BaseException, argv: Sequence[str]) -> str:
     reason = getattr(error, "strerror", None) or "%s: %s" % (type(error).__name__, error)
     return "%s: %s" % (getattr(error, "filename", None) or argv[0], reason)
-
-
-def write(data: bytes) -> None:
-    """Write to standard error, as far as that is possible."""
-    with contextlib.suppress(OSError):
-        while data:
-            data = data[os.write(2, data) :]
 
 
 def report(folder: str, reason: str | None, conductor: Conductor) -> None:

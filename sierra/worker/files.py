@@ -32,11 +32,19 @@ def files_below(folder: str) -> Iterator[tuple[str, str]]:
             yield path, os.path.relpath(path, folder)
 
 
-def last_line_of(log: str) -> str:
-    """Return the last line of a log; empty if it has none."""
-    with open(log, "rb") as file:
-        file.seek(max(0, os.fstat(file.fileno()).st_size - HEAD_BYTES))
-        lines = file.read().decode("utf-8", "replace").strip().splitlines()
+def end_of(path: str, most: int = HEAD_BYTES) -> bytes:
+    """Return the last bytes of a file; empty if it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - most))
+            return file.read()
+    except OSError:
+        return b""
+
+
+def last_line_of(log: str, most: int = HEAD_BYTES) -> str:
+    """Return the last line of a log, of at most so many bytes; empty if it has none."""
+    lines = end_of(log, most).decode("utf-8", "replace").strip().splitlines()
     return lines[-1] if lines else ""
 
 

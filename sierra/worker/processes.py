@@ -80,7 +80,7 @@ def number_in(pid: int, field: bytes) -> int:
 def environment_of(pid: int) -> list[bytes]:
     """Return the environment with which a process was started, as NAME=value; nothing else if it cannot be read."""
     text = read_proc("%d/environ" % pid)
-    if not text and stat_of(pid)[:1] == [b"Z"]:  # its first thread has ended, but perhaps not the others
+    if not text and state_of(pid) == b"Z":  # its first thread has ended, but perhaps not the others
         threads = ("%d/task/%s/environ" % (pid, task) for task in entries_of("/proc/%d/task" % pid))
         text = next(filter(None, map(read_proc, threads)), b"")
     return text.split(b"\0")
@@ -96,7 +96,17 @@ def stdin_of(process: subprocess.Popen[bytes]) -> IO[bytes]:
 def marked(marks: Iterable[bytes]) -> set[int]:
     """Return this host's processes that were started with one of these NAME=value (Linux): no zombies, and only this user's."""
     found = set(marks)
-    return {int(pid) for pid in entries_of("/proc") if pid.isdigit() and not found.isdisjoint(environment_of(int(pid)))}
+    return {pid for pid in all_processes() if not found.isdisjoint(environment_of(pid))}
+
+
+def all_processes() -> list[int]:
+    """Return the ids of all processes of this host."""
+    return [int(name) for name in entries_of("/proc") if name.isdigit()]
+
+
+def state_of(pid: int) -> bytes | None:
+    """Return the state of a process: Z for one that has ended, and nobody has waited for. None if there is none."""
+    return next(iter(stat_of(pid)), None)
 
 
 def stat_of(pid: int) -> list[bytes]:
@@ -119,7 +129,7 @@ class Stops:
         """Look once more, at this time; return whether the process has been stopped for so long."""
         suspended = now - self._looked > STOP_S
         self._looked = now
-        if stat_of(pid)[:1] != [b"T"]:
+        if state_of(pid) != b"T":
             self._since = None
             return False
         if suspended or self._since is None:
@@ -142,7 +152,7 @@ ENDING_MASK = sum(1 << number - 1 for number in (signal.SIGHUP, signal.SIGINT, s
 
 def continue_ending(pid: int) -> None:
     """Continue a process that is stopped, if a signal waits that would end it: a run may stop the process of its session."""
-    if stat_of(pid)[:1] == [b"T"]:
+    if state_of(pid) == b"T":
         pending = [
             line.split()[1] for line in read_proc("%d/status" % pid).splitlines() if line[:7] in (b"SigPnd:", b"ShdPnd:")
         ]
@@ -226,7 +236,7 @@ def belongs_to(pid: int, execution: str, group: int | None) -> bool:
 
 def is_ending(pid: int) -> bool:
     """Return whether all threads of a process are ending, so that it has no environment any more."""
-    return stat_of(pid)[:1] == [b"Z"] and environment_of(pid) == [b""]
+    return state_of(pid) == b"Z" and environment_of(pid) == [b""]
 
 
 def has_ended(pid: int) -> bool:
@@ -242,6 +252,18 @@ def signal_group(pid: int, number: int) -> None:
 def signal_process(pid: int, number: int) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.kill(pid, number)
+
+
+def adopt_orphans() -> None:
+    """Become the parent of processes whose worker has died (Linux only).
+
+    Unlike `become_subreaper`, it lets this process outlive the thread that started it, which a scheduler may end much earlier.
+    """
+    with contextlib.suppress(ImportError, OSError, AttributeError):
+        import ctypes
+
+        set_child_subreaper = 36
+        ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
 
 
 def become_subreaper(*, secretive: bool) -> bool:
@@ -268,7 +290,7 @@ def become_subreaper(*, secretive: bool) -> bool:
 
 def is_alive(pid: int) -> bool:
     """Return whether a process that another one has started has not ended."""
-    return stat_of(pid)[:1] not in ([], [b"Z"], [b"X"])
+    return state_of(pid) not in (None, b"Z", b"X")
 
 
 def still_running(living: Callable[[], Iterable[int]]) -> list[str]:

@@ -69,10 +69,11 @@ from sierra.worker import machine, on_host, program, remote_folder
 from sierra.worker.clock_watch import ClockWatch
 from sierra.worker.containers import end_container
 from sierra.worker.errors import explain
-from sierra.worker.files import entries_of, remove, size_of, write_all
+from sierra.worker.files import entries_of, last_line_of, remove, size_of, write_all
 from sierra.worker.job import with_folder
 from sierra.worker.journal import BEGUN, ENDING, GONE, OVER, READY
 from sierra.worker.processes import (
+    adopt_orphans,
     birth,
     descendants,
     is_ending,
@@ -537,7 +538,8 @@ class Run:
         status = self.worker.process.returncode
         if status == FULL:
             return "its disk is full"
-        return "its worker ended with %s%s" % (ending(status or 0), last_line(os.path.join(self.folder, WORKER_LOG)))
+        line = last_line_of(os.path.join(self.folder, WORKER_LOG), TAIL_BYTES)
+        return "its worker ended with %s%s" % (ending(status or 0), ": " + line if line else "")
 
 
 class Agent:
@@ -1111,17 +1113,6 @@ def output_of(process: subprocess.Popen[bytes]) -> int:
     return process.stdout.fileno() if process.stdout else -1
 
 
-def last_line(path: str) -> str:
-    """Return `: ` and the last line of a log; empty if there is none."""
-    try:
-        with open(path, "rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
-            lines = file.read().decode("utf-8", "replace").strip().splitlines()
-    except OSError:
-        return ""
-    return ": " + lines[-1] if lines else ""
-
-
 def ending(status: int) -> str:
     return "signal %d" % -status if status < 0 else "status %d" % status
 
@@ -1154,19 +1145,11 @@ def boot_id() -> str:
     return read_proc("sys/kernel/random/boot_id").decode().strip()
 
 
-def become_subreaper() -> None:
-    """Become the parent of processes whose worker has died (Linux only)."""
-    import ctypes
-
-    ctypes.CDLL(None, use_errno=True).prctl(36, 1, 0, 0, 0)
-
-
 def main(arguments: list[str]) -> int:
     if arguments == [WORKER]:
         return become_worker()
     folder, lock = arguments
-    with contextlib.suppress(ImportError, OSError, AttributeError):
-        become_subreaper()
+    adopt_orphans()
     agent = Agent(os.path.abspath(os.path.expanduser(folder)), lock)
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
     for number in (signal.SIGHUP, signal.SIGINT):

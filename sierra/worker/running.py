@@ -50,7 +50,7 @@ from sierra.worker.processes import (
     peak_of,
     signal_group,
     signal_process,
-    stat_of,
+    state_of,
     still_running,
     usage_of,
 )
@@ -122,7 +122,7 @@ class Running:
                 self.kill_at = time.monotonic() + self.limits.get("grace_s", GRACE_S)
                 signal_group(self.pid, signal.SIGTERM)
                 for pid in self.pids():  # a stopped process reacts to SIGTERM only when it is continued
-                    if stat_of(pid)[:1] in ([b"T"], [b"t"]):  # t: under a tracer
+                    if state_of(pid) in (b"T", b"t"):  # t: under a tracer
                         signal_process(pid, signal.SIGCONT)
 
     def pids(self) -> list[int]:
@@ -159,7 +159,7 @@ class Running:
 
     def is_stopped(self) -> bool:
         """Return whether a signal has stopped all processes, and at least one exists. Call it at intervals."""
-        if not self.meter and not self.conducted and stat_of(self.pid)[:1] not in ([b"T"], [b"t"]):
+        if not self.meter and not self.conducted and state_of(self.pid) not in (b"T", b"t"):
             return False  # so that the others need not be searched
         states = {self.state_of(pid) for pid in self.pids() if pid != self.pid or not self.conducted}
         return b"T" in states and states <= {b"T", b"Z", None}
@@ -174,12 +174,12 @@ class Running:
 
     def state_of(self, pid: int) -> bytes | None:
         """Return the state of a process: T if a signal has stopped it, also under the tracer; None if there is no process."""
-        state = next(iter(stat_of(pid)), None)
+        state = state_of(pid)
         if state != b"t" or self.observation is None:
             return state
         tracer, switches = number_in(pid, b"TracerPid:"), number_in(pid, b"voluntary_ctxt_switches:")
         before, self.switches[pid] = self.switches.get(pid), switches
-        asleep = self.is_tracer(tracer) and stat_of(tracer)[:1] == [b"S"]
+        asleep = self.is_tracer(tracer) and state_of(tracer) == b"S"
         return b"T" if asleep and before == switches else state
 
     def skip_grace(self) -> None:

@@ -69,7 +69,7 @@ from sierra.worker.processes import (
     read_proc,
     reap,
     signal_process,
-    stat_of,
+    state_of,
 )
 from sierra.worker.run_folder import RunFolder, inputs_of, prepare
 from sierra.worker.running import MARKED, STALLED_S, Running, await_end, exceeded, start, used
@@ -547,7 +547,7 @@ class Worker:
         with self.lock:
             roots = [*self.running, *(container.pid for container in list(self.containers.values())), *orphans()]
         for pid in {pid for root in roots for pid in descendants(root)}:
-            if stat_of(pid)[:1] == [b"T"] and PROGRAM.search(read_proc("%d/cmdline" % pid)):
+            if state_of(pid) == b"T" and PROGRAM.search(read_proc("%d/cmdline" % pid)):
                 signal_process(pid, signal.SIGCONT)
 
     def watch(self) -> float:
