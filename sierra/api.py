@@ -1951,7 +1951,7 @@ def slots(jobs: int | None) -> int:
     Raises UsageError for less than 1.
     """
     from sierra.config import user
-    from sierra.provenance.machine import usable_cores
+    from sierra.worker.machine import usable_cores
 
     slots = (user.load().jobs or usable_cores()) if jobs is None else jobs
     if slots < 1:

@@ -10,8 +10,8 @@ from typing import Any
 import sierra
 from sierra.api import Project
 from sierra.runners.cluster.result_log_reader import Pack
-from sierra.worker import worker
 from sierra.worker.array_task import Started
+from sierra.worker.processes import marked
 from tests import projects
 from tests.clusters import Slurm
 from tests.waiting import until
@@ -129,4 +129,4 @@ def at_rest(slurm: Slurm, project: Project) -> None:
     """Wait until no jobs and no processes are running."""
     until(lambda: set(slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"} == set(), "no job is left")
     sessions = {row["session"] for row in rows(project, "SELECT DISTINCT session FROM executions")}
-    until(lambda: not worker.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")
+    until(lambda: not marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")

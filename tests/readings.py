@@ -13,7 +13,7 @@ from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.model import OutputFile
-from sierra.worker import worker
+from sierra.worker.outputs import describe
 from tests import samples
 
 
@@ -49,6 +49,6 @@ def read_files(
 def written(path: Path, place: int, content: bytes) -> Written:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
-    seen = OutputFile(**worker.describe(str(path), path.name))
+    seen = OutputFile(**describe(str(path), path.name))
     facts = (seen.path, seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
     return Written(str(path), f"r{place}", f"e{place}", *facts)

@@ -21,7 +21,7 @@ from sierra.runners.base import Look, Work
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, RUN_TMP, SessionPaths
 from sierra.store.row_types import RobotRow, TrialRow
 from sierra.util.processors import here
-from sierra.worker import worker
+from sierra.worker.outputs import describe
 from tests.waiting import PATIENCE_S
 
 NAMES = ("tb3-00", "tb3-01", "tb3-02", "tb3-03", "tb3-04")
@@ -204,4 +204,4 @@ def _row(job: Job, one: Member, code: int) -> RobotRow:
 def _outputs(folder: Path) -> Iterator[OutputFile]:
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            yield OutputFile(**worker.describe(str(path), str(path.relative_to(folder))))
+            yield OutputFile(**describe(str(path), str(path.relative_to(folder))))

@@ -52,7 +52,11 @@ from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files
 from sierra.util import processors
 from sierra.util.hashing import digest_plain
 from sierra.util.lazy_definitions import regex
-from sierra.worker import worker
+from sierra.worker import ports, program
+from sierra.worker.devices import ALLOTTED, DEVICES
+from sierra.worker.job import CONDUCTED
+from sierra.worker.layout import RUNS
+from sierra.worker.run_folder import SAFE
 
 if TYPE_CHECKING:
     from sierra.worker import conductor
@@ -92,9 +96,9 @@ ROBOT_PYTHON = "python3"
 KNOWN_ON_ROBOTS = (*OWN_PLACEHOLDERS, robots.VALUE)
 """Names in braces that have a meaning of their own in commands on robots."""
 _BESIDE = f"{INSIDE}/beside"
-CONDUCTOR = f"{INSIDE}/{worker.CONDUCTOR}"
-"""The conductor's path in a container. `CONDUCTING` are the words before its plan."""
-CONDUCTING = (PYTHON, "-I", "-S", CONDUCTOR, RUN)
+PROGRAM = f"{INSIDE}/{program.NAME}"
+"""The path in a container of the worker, and of the conductor. `CONDUCTING` are the words before its plan."""
+CONDUCTING = (PYTHON, "-I", "-S", PROGRAM, "conductor", RUN)
 PORT_MARK = "\2{}\2"
 """The text that stands for a service's port until the conductor fills it in."""
 READY_S = 30.0
@@ -380,7 +384,8 @@ class CommandBuilder:
         *,
         image: Image | None = None,
         box: ContainerSpec | None = None,
-        script: Path | None = None,
+        programs: Path = Path(program.NAME),
+        allots: bool = False,
         beside: Path | None = None,
         success: Sequence[int] = (0,),
         accept: Sequence[int] = (),
@@ -392,8 +397,8 @@ class CommandBuilder:
         """Prepare the variables and containers that all jobs share.
 
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
-        execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
-        scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
+        execute in containers. `programs` is the zip that containers need. `allots`: runs get the devices that the scheduler of
+        a cluster allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
         `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command,
         `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by name.
         `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch` that of
@@ -407,7 +412,7 @@ class CommandBuilder:
         self._engine = engine
         self._bounds = bounds
         self._box = box
-        self._script = script or Path(worker.__file__)
+        self._programs = programs
         self._here = RUN if box and not box.shared else HERE
         self._on_robots = spec.robots is not None
         self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
@@ -426,10 +431,10 @@ class CommandBuilder:
         self._unfilled = [name for name, text in spec.environment.items() if OF_ITSELF.search(text)]
         if not (box or self._on_robots):  # a robot has a PATH of its own
             self._environment["PATH"] = search_path(self._environment)
-        if script and (box is None or box.gpu):
-            wanted = (name for name in worker.DEVICES if name not in self._environment)
-            self._environment |= {name: worker.ALLOTTED + name for name in wanted}
-        self._search = self._environment["PATH"] if script and not box else None
+        if allots and (box is None or box.gpu):
+            wanted = (name for name in DEVICES if name not in self._environment)
+            self._environment |= {name: ALLOTTED + name for name in wanted}
+        self._search = self._environment["PATH"] if allots and not box else None
         self._beside = beside
         self._shared = self._container() if box and box.shared else None
         self._same: dict[str, tuple[str, ...]] = {}
@@ -484,14 +489,14 @@ class CommandBuilder:
 
     def _folders(self, files: Files) -> Mapping[str, str] | None:
         """Return the paths for the marks of folders in input files; None if there are no marks. Raises ConfigError."""
-        marks = (FOLDER.encode(), worker.PORT_MARK.encode())
+        marks = (FOLDER.encode(), ports.PORT_MARK.encode())
         if not any(mark in content for _, content in files for mark in marks):
             wide = (content.replace(b"\0", b"") for _, content in files if b"\0" in content)
             if any(mark in content for content in wide for mark in marks):
                 raise ConfigError("{project}, {output} and {port} can only be filled in in UTF-8; save the template as UTF-8")
             return None
         project, mark = self._placed["project"], FOLDERS["project"].encode()
-        if not (self._on_robots or worker.SAFE.fullmatch(project)) and any(mark in content for _, content in files):
+        if not (self._on_robots or SAFE.fullmatch(project)) and any(mark in content for _, content in files):
             raise ConfigError(
                 f"{{project}} in an input would be {project!r}, which some formats would read in another way; "
                 "move the project to a folder with a plain name"
@@ -562,7 +567,7 @@ class CommandBuilder:
         if self._bounds.after_marker_s is not None:
             bounds = self._bounds
             plan["marker"] = {"after_marker_s": bounds.after_marker_s, "marker": bounds.marker, "contains": bounds.contains}
-        return (worker.CONDUCTED, json.dumps(plan))
+        return (CONDUCTED, json.dumps(plan))
 
     def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
         marked = (PORT.sub(lambda match: PORT_MARK.format(match[1]), word) for word in words)
@@ -574,23 +579,22 @@ class CommandBuilder:
             return None
         more: tuple[Mount, ...] = ()
         if self._spec.around:
-            argv, more = (*CONDUCTING, *argv[1:]), (self._conductor(),)
+            argv, more = (*CONDUCTING, *argv[1:]), (self._mount(),)
         return self._engine.client(self._box, run_process(argv, variables, *more))
 
     def _container(self) -> Client:
         """Return the client that starts one container for all runs of a slot, with the worker in it."""
-        runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
+        runs = f"{INSIDE}/runs"
         more = (Mount(str(self._beside), _BESIDE),) if self._beside else ()
-        more = (*more, self._conductor())  # the worker uses it, too
-        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script), *more)
+        own = (Mount(f"{HERE}/{RUNS}", runs, writable=True), self._mount(), *more)
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
-        argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
+        argv = (PYTHON, "-I", "-S", PROGRAM, runs, "1", "-", *WRITABLE, INSIDE, runs)
         process = Process(argv, variables, own, runs, interactive=True)
         return self._engine.client(cast(ContainerSpec, self._box), process)
 
-    def _conductor(self) -> Mount:
-        """Return the mount of the program that executes what is around the command."""
-        return Mount(str(self._script.with_name(worker.CONDUCTOR)), CONDUCTOR)
+    def _mount(self) -> Mount:
+        """Return the mount of the programs that execute runs in a container, and what is around their commands."""
+        return Mount(str(self._programs), PROGRAM)
 
 
 def _in_project(word: str, root: Path, made: Sequence[str]) -> str:

@@ -33,7 +33,7 @@ from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.text import few
-from sierra.worker import worker
+from sierra.worker.files import remove
 
 SHOWN = 3
 IGNORE = "name the code in [source] paths, or, in a git repository, add such files to .gitignore"
@@ -223,5 +223,5 @@ def _put_back(root: Path, store: Store) -> bool:
             if not os.path.lexists(target):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.move(aside / name, target)
-    worker.remove(str(aside))
+    remove(str(aside))
     return True

@@ -39,6 +39,8 @@ from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
+from sierra.util import worker_zip
+from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass, replace
 
 
@@ -90,6 +92,8 @@ class Service:
             session=session.id,
             elsewhere=stays,
         )
+        if self.isolation.box:
+            write_whole(session.paths.worker, worker_zip.packed())
 
     def _on_hosts(self, store: StorePaths) -> HostContainers | None:
         """Return the containers of runs on robots; None for other runs, and without containers. Raises as `contain`."""
@@ -199,7 +203,8 @@ class Service:
             setup.project.root,
             image=self._image,
             box=self._hosts.box if self._hosts else self.isolation.box,
-            script=self._session.paths.worker if self._stays else None,
+            programs=self._session.paths.worker,
+            allots=self._stays,
             beside=self._session.paths.shared if self._beside else None,
             success=success,
             accept=accept,

@@ -38,7 +38,9 @@ from sierra.store.segments import disk_errors
 from sierra.util.lazy_logger import Log
 from sierra.util.regular_files import read_regular
 from sierra.util.version import __version__
-from sierra.worker import worker
+from sierra.worker.files import is_folder, remove
+from sierra.worker.processes import birth
+from sierra.worker.temporary_folders import abandoned_by
 
 log = Log(__name__)
 
@@ -203,8 +205,8 @@ def _remove_temporary(dead: Sequence[SessionPaths]) -> None:
     """Remove what killed workers of these sessions left in the system's temporary folder."""
     folders = {folder for paths in dead for folder in (paths.root, paths.runs)}
     if folders:
-        for path in worker.abandoned_by(lambda owner: not folders.isdisjoint((Path(owner), *Path(owner).parents))):
-            worker.remove(path)
+        for path in abandoned_by(lambda owner: not folders.isdisjoint((Path(owner), *Path(owner).parents))):
+            remove(path)
 
 
 def alive(store: StorePaths) -> list[SessionPaths]:
@@ -293,16 +295,16 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
     if not ownership_marks.is_session(paths.root):
         return
     if paths.elsewhere is not None:
-        worker.remove(str(paths.elsewhere))
+        remove(str(paths.elsewhere))
     with contextlib.suppress(OSError):
         paths.submission.unlink(missing_ok=True)  # first, so that no process continues half a submission
         for entry in paths.root.iterdir():
-            if worker.is_folder(str(entry)):
-                worker.remove(str(entry))
+            if is_folder(str(entry)):
+                remove(str(entry))
             elif entry not in (paths.lock, paths.owner(0)):  # these identify the folder as a session
                 entry.unlink()
     with exclusively(store):
-        worker.remove(str(paths.root))
+        remove(str(paths.root))
 
 
 def locked(path: Path, *, wait: bool = True) -> int | None:
@@ -399,7 +401,7 @@ def _process(pid: int) -> Process:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
         boot = None
-    return {"pid": pid, "born": worker.birth(pid) if boot else None, "boot": boot, "where": _where()}
+    return {"pid": pid, "born": birth(pid) if boot else None, "boot": boot, "where": _where()}
 
 
 def _where() -> list[str]:

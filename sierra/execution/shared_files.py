@@ -3,7 +3,7 @@
 They have the same paths there as in the project. Their names, contents and executability are part of the run specification.
 The store has each content once. A session copies them to a folder of its own, from the project if they are unchanged there,
 and else from the store. The worker copies them from there to the folder of each run, so that no run can change those of
-another; see `sierra.worker.worker.place`.
+another; see `sierra.worker.shared_files`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sierra.util.fs import inside
 from sierra.util.hashing import digest, sha256_file
 from sierra.util.regular_files import open_regular
 from sierra.util.text import one_line
-from sierra.worker import worker
+from sierra.worker.shared_files import BESIDE_NS
 
 LEFT_OUT = (STORE, ".git", "__pycache__")
 CHUNK = 1 << 20
@@ -133,7 +133,7 @@ def make(rows: Sequence[SharedFileRow], folder: Path, root: Path, store: Store) 
             except NotFound as error:
                 raise Damaged(f"{row.name}, a file beside the inputs of runs, is not in the store") from error
         path.chmod(0o555 if row.executable else 0o444)
-        os.utime(path, ns=(worker.BESIDE_NS, worker.BESIDE_NS))
+        os.utime(path, ns=(BESIDE_NS, BESIDE_NS))
     part.rename(folder)
 
 

@@ -41,7 +41,7 @@ from sierra.templates.base import Files
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass, field, replace
-from sierra.worker import worker
+from sierra.worker.files import is_folder, remove
 
 UNCHANGED = "montecarlo.C1"
 """The query for the template as it is, with a seed."""
@@ -241,7 +241,7 @@ def _place(project: StorePaths) -> Iterator[TrialPaths]:
 def _make(project: StorePaths, paths: TrialPaths) -> None:
     """Make the folder, with a mark; it is not part of git, even before there is a store."""
     if os.path.lexists(paths.root):
-        if not worker.is_folder(str(paths.root)) or not paths.mark.is_file() or paths.mark.read_text("utf-8") != MARK:
+        if not is_folder(str(paths.root)) or not paths.mark.is_file() or paths.mark.read_text("utf-8") != MARK:
             raise Missing(f"{paths.root} was not made by sierra try; move it away")
         return
     if not project.root.exists():
@@ -258,8 +258,8 @@ def _make(project: StorePaths, paths: TrialPaths) -> None:
 
 def _clear(*folders: Path) -> None:
     for folder in folders:
-        if worker.is_folder(str(folder)):
-            worker.remove(str(folder))
+        if is_folder(str(folder)):
+            remove(str(folder))
         elif os.path.lexists(folder):
             folder.unlink()
 

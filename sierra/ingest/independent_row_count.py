@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from sierra.ingest.model import Written
 from sierra.model import OutputFile
 from sierra.util.lazy_definitions import regex
-from sierra.worker import worker
+from sierra.worker.outputs import describe
 
 if TYPE_CHECKING:
     import _csv
@@ -28,7 +28,7 @@ FILLED = regex(rb"^[ \t\r\f\v]*[^\s][^\n]*", re.MULTILINE)
 
 def described(file: Written, path: Path) -> Written:
     """Return the file that a file became, at `path`, with the counts of its lines and quotes."""
-    seen = OutputFile(**worker.describe(str(path), file.name))
+    seen = OutputFile(**describe(str(path), file.name))
     counts = (seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
     return Written(str(path), file.run, file.execution, file.name, *counts, file.ticks, file.archive)
 

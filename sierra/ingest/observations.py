@@ -13,7 +13,7 @@ from sierra.store.row_types import ChannelRow, FileReadRow, FileWrittenRow, List
 from sierra.util.fs import read_record
 from sierra.util.hashing import digest
 from sierra.util.lazy_definitions import dataclass
-from sierra.worker.worker import OBSERVED
+from sierra.worker.layout import OBSERVED
 
 WRITTEN = "written"
 

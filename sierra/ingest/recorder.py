@@ -48,7 +48,8 @@ from sierra.util.fs import inside, write_whole
 from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import kept_of, with_cause
-from sierra.worker import worker
+from sierra.worker.files import remove
+from sierra.worker.outputs import described, list_files
 
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
@@ -497,8 +498,8 @@ def _late_artifacts(late: LateFiles, run: str, objects: Objects) -> Iterator[Art
     """Yield the rows of a lost robot's files, and store them. As logs, they are no part of the result, and of no table."""
     prefix = f"{LATE}/{late.place}/"
     yield from _logs(late.directory, late.execution, run, objects, prefix)
-    files, _ = worker.list_files(f"{late.directory}/{RUN_OUTPUT}")
-    for file in worker.described(files, lambda: None):
+    files, _ = list_files(f"{late.directory}/{RUN_OUTPUT}")
+    for file in described(files, lambda: None):
         objects.add_file(Path(late.directory, RUN_OUTPUT, file["path"]), file["sha256"], file["bytes"])
         path = f"{prefix}{RUN_OUTPUT}/{file['path']}"
         yield ArtifactRow(late.execution, run, path, "log", None, file["bytes"], file["sha256"], None, None, None)
@@ -512,7 +513,7 @@ def result_hash(outputs: Iterable[OutputFile]) -> str:
 def discard(folder: Path, session: SessionPaths) -> None:
     """Remove a run's folder once it is recorded. A run that could not begin has no folder of its own."""
     if folder.name.isdigit() and folder not in (session.root, session.runs):
-        worker.remove(str(folder))
+        remove(str(folder))
 
 
 def _moment(seconds: float) -> datetime:

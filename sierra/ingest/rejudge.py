@@ -54,7 +54,8 @@ from sierra.util.fs import inside
 from sierra.util.hashing import digest_plain
 from sierra.util.kept_log import KEPT
 from sierra.util.lazy_definitions import dataclass, field, replace
-from sierra.worker import worker
+from sierra.worker.files import remove
+from sierra.worker.outputs import describe
 
 AT_A_TIME = 4_000
 """The number of runs that are examined and evaluated at a time."""
@@ -364,7 +365,7 @@ def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iter
             try:
                 _Group(store, session, context, assigning, shapes, outcome).judge(some)
             finally:
-                worker.remove(str(session.reevaluation))
+                remove(str(session.reevaluation))
     outcome.notes += [*assigning.renamed.values(), *as_files(assigning.kept), *assigning.on_lines()]
     outcome.notes += [*TableWarnings(store, context, shapes).all()]
     return outcome
@@ -462,7 +463,7 @@ class _Group:
                     lost[execution] = f"{file.path}: {error}"
                     continue
                 if file.kind != "log":
-                    seen = OutputFile(**worker.describe(str(target), file.path))
+                    seen = OutputFile(**describe(str(target), file.path))
                     read.setdefault(execution, {})[file.path] = seen
         return read, lost
 

@@ -18,7 +18,8 @@ from sierra.errors import Missing
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDOUT
 from sierra.util.shortage import PASSING
-from sierra.worker import worker
+from sierra.worker.files import unlock
+from sierra.worker.outputs import describe
 
 DECLARED = f'[outputs] has file = "{RUN_STDOUT}"'
 OWN = f"wrote a file or folder {RUN_STDOUT!r}, but {DECLARED}, which is what the run prints; give it another name"
@@ -61,8 +62,8 @@ def added(result: Result, outputs: Mapping[str, Output]) -> Result:
 
 def _linked(log: Path, target: Path) -> OutputFile:
     """Give standard output its second name; return its description."""
-    worker.unlock(str(log), 0o400)
-    seen = OutputFile(**worker.describe(str(log), RUN_STDOUT))
+    unlock(str(log), 0o400)
+    seen = OutputFile(**describe(str(log), RUN_STDOUT))
     if seen.bytes:
         target.parent.mkdir(parents=True, exist_ok=True)
         target.unlink(missing_ok=True)  # of an earlier try to record the run

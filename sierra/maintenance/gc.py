@@ -33,7 +33,9 @@ from sierra.util import scratch
 from sierra.util.chunking import by_weight
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted
-from sierra.worker import worker
+from sierra.worker.files import remove
+from sierra.worker.processes import birth
+from sierra.worker.temporary_folders import abandoned_by
 
 MANY = 4
 """The smallest number of small segments of one batch that are merged."""
@@ -137,10 +139,10 @@ def collect(
     aside = _aside(paths) if damaged else []
     recovered = recover.finish_dead(store, observer or Observer())
     for path in list(_unfinished(paths, project)):
-        worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
+        remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
     elsewhere = [one.elsewhere for one in unrecorded.found(paths) if one.folder in aside and one.elsewhere is not None]
     for path in (*elsewhere, *aside):  # the folders in `aside` name the others
-        worker.remove(str(path))
+        remove(str(path))
     for path in _logs(store):
         path.unlink(missing_ok=True)
     left = 0
@@ -189,10 +191,10 @@ def _unfinished(paths: StorePaths, project: Path | None) -> Iterator[Path]:
     if project is not None:
         yield from unfinished_files.unfinished(project)
     yield from filter(scratch.is_abandoned, paths.extracted.glob("*"))
-    yield from map(Path, worker.abandoned_by(lambda owner: ownership_marks.executes_in(paths, Path(owner))))
+    yield from map(Path, abandoned_by(lambda owner: ownership_marks.executes_in(paths, Path(owner))))
     own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
     for path in (*own, *unfinished(paths), *index_files.unfinished(paths)):
-        if worker.birth(int(path.name.rpartition(".")[2])) is None:
+        if birth(int(path.name.rpartition(".")[2])) is None:
             yield path
     yield from index_files.useless(paths)
 

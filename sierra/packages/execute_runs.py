@@ -5,9 +5,9 @@ after it has verified all files:
 
     execute_runs.py PACKAGE WORK [--id ID] [--runs N | --seconds S] [--engine NAME] [--yes]
 
-It reaches level 2 of 3: `worker.py`, which lies beside it, executes runs on this machine or in containers without network, in a
-new folder of WORK. Then the SHA-256 of each output is compared with the recorded one. Nothing is executed before a question is
-answered. Values and claims are not evaluated. If the bytes of an output may differ legitimately (a clock, a tolerance),
+It reaches level 2 of 3: `worker.pyz`, which lies beside it, executes runs on this machine or in containers without network, in
+a new folder of WORK. Then the SHA-256 of each output is compared with the recorded one. Nothing is executed before a question
+is answered. Values and claims are not evaluated. If the bytes of an output may differ legitimately (a clock, a tolerance),
 different bytes are not comparable at this level. The exit status is 0 if all outputs are identical, 1 if an output differs or a
 run fails, 2 for wrong arguments, 3 if something that is needed is missing, if nothing was executed, or if outputs are not
 comparable, and 130 after Ctrl-C.
@@ -25,8 +25,8 @@ comparable, and 130 after Ctrl-C.
     patterns      the patterns of outputs whose names may differ, except those in `named`
 
 Each line of `jobs` is a run: `argv`, `environment` (the variables that differ from the shared ones; null removes one), `files`
-(inputs), `folders` (marks in inputs, see `worker.py`), `seconds` (its recorded duration), `ended` (its recorded exit status,
-negative for a signal, if it was no success), and `outputs` (the SHA-256 of each file). An input is a text in which each
+(inputs), `folders` (marks in inputs, see `sierra.worker.job`), `seconds` (its recorded duration), `ended` (its recorded exit
+status, negative for a signal, if it was no success), and `outputs` (the SHA-256 of each file). An input is a text in which each
 character stands for a byte, or an object with the lines that differ from the same input of the line before. PROJECT_MARK and
 PYTHON_MARK stand for paths of this machine, ARCH_MARK for its processor, and NUL for the folder of the run.
 """
@@ -59,7 +59,7 @@ PLAN = "plan.json"
 PROJECT_MARK = "/@sierra-project@"
 PYTHON_MARK = "@sierra-python@"
 ARCH_MARK = "@sierra-arch@"
-CONDUCTED = "\2"  # as in worker.py: the second word is a plan in JSON
+CONDUCTED = "\2"  # as in `sierra.worker.job`: the second word is a plan in JSON
 STORE = ".sierra"
 HASH = re.compile("[0-9a-f]{64}")
 STDOUT = "stdout"  # the standard output of a run, in its folder and among its recorded outputs
@@ -711,7 +711,7 @@ class Execution:
         prepare(self.batch, self.folder)
         runs = self.folder / "runs"
         runs.mkdir()
-        worker = str(self.batch.package / "execution" / "worker.py")
+        worker = str(self.batch.package / "execution" / "worker.pyz")
         words = [sys.executable, "-I", "-S", worker, str(runs), str(self.slots), str(self.folder / "journal.jsonl")]
         environment = {**os.environ, "SIERRA_SESSION": self.session}
         with (self.folder / "worker.log").open("wb") as log:

@@ -18,10 +18,10 @@ from pathlib import Path
 
 from sierra.config import extensions
 from sierra.provenance import dependency_model, pythons
-from sierra.provenance.machine import Fact, facts
 from sierra.util import open_files
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import JsonView, RecordValue, as_object, as_texts
+from sierra.worker.machine import Fact, facts
 
 VARIABLES = (
     *("LANG", "LANGUAGE", "LC_*", "TZ", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "GLIBC_TUNABLES", "MALLOC_*"),

@@ -17,7 +17,7 @@ from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import open_regular
 
 if TYPE_CHECKING:
-    from sierra.worker import worker
+    from sierra.worker.journal import Outcome
 
 AT_ONCE = 1 << 20
 
@@ -128,7 +128,7 @@ def made(kind: Callable[..., Made], record: Mapping[str, object], **more: object
     return kind(**{name: value for name, value in {**record, **more}.items() if name not in ("event", "files", "size")})
 
 
-def result_of(record: worker.Outcome, **more: object) -> Result:
+def result_of(record: Outcome, **more: object) -> Result:
     """Return the result that a record of the event `end` contains. Raises TypeError and KeyError for another record."""
     outputs = tuple(OutputFile(**file) for file in record["outputs"])
     elsewhere = tuple(f"{{run}}/{name}" for name in record.get("elsewhere", ()))

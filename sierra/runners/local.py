@@ -8,7 +8,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,7 +26,12 @@ from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
 from sierra.util import open_files, signals
 from sierra.util.lazy_logger import Log, shown
-from sierra.worker import worker
+from sierra.worker import program
+from sierra.worker.containers import CLEAN_S
+from sierra.worker.job import GRACE_S
+from sierra.worker.job import Job as JobRecord
+from sierra.worker.job import Limits as LimitsRecord
+from sierra.worker.processes import Stops, birth, marked, stdin_of
 
 log = Log(__name__)
 ORPHANS_S = 10.0
@@ -56,8 +60,8 @@ class Local:
         """When a worker that was told to end is killed, by the monotonic clock."""
         self._killed = False
         self._continued = False
-        self._stops = worker.Stops()
-        self._grace = worker.GRACE_S
+        self._stops = Stops()
+        self._grace = GRACE_S
         self._sent: dict[str, Job] = {}
         """The jobs without a result that the worker has got, by execution."""
         self._forget: Callable[[], None] = lambda: None
@@ -75,7 +79,7 @@ class Local:
     def _start(self, again: Sequence[Job]) -> None:
         """Start a worker for these jobs and all that no other has got."""
         session = self._session
-        argv = (sys.executable, "-I", "-S", worker.__file__, str(session.runs), str(self._slots), str(session.journal))
+        argv = program.words(str(session.runs), str(self._slots), str(session.journal))
         log.debug("worker: %s", shown(argv))
         self._process = subprocess.Popen(
             argv,
@@ -95,13 +99,13 @@ class Local:
 
     def _feed(self, jobs: Iterable[Job], process: subprocess.Popen[bytes]) -> None:
         """Send all jobs, and hold the pipe open until the worker has ended."""
-        pipe = worker.stdin_of(process)
+        pipe = stdin_of(process)
         try:
             for number, job in enumerate(jobs):
                 if number == 0:
                     log.debug("first run: %s", shown(job.client.argv if job.client else job.argv))
                 self._sent[job.execution] = job
-                self._grace = max(self._grace, job.limits.grace_s + (worker.CLEAN_S if job.client else 0.0))
+                self._grace = max(self._grace, job.limits.grace_s + (CLEAN_S if job.client else 0.0))
                 pipe.write(line(job))
             pipe.write(b'{"end": true}\n')
             pipe.flush()
@@ -247,7 +251,7 @@ def end_orphans(sessions: Sequence[SessionPaths]) -> None:
 def _orphans(sessions: Iterable[SessionPaths]) -> set[int]:
     marks = {f"SIERRA_SESSION={paths.root.name}".encode() for paths in sessions}
     started = {pid for paths in sessions for pid in _started(paths.journal)}
-    return (worker.marked(marks) | started) - {os.getpid()}
+    return (marked(marks) | started) - {os.getpid()}
 
 
 def _started(journal: Path) -> list[int]:
@@ -259,7 +263,7 @@ def _started(journal: Path) -> list[int]:
                 started[event.execution] = event
             case Result():
                 started.pop(event.execution, None)
-    return [one.pid for one in started.values() if one.born is not None and worker.birth(one.pid) == one.born]
+    return [one.pid for one in started.values() if one.born is not None and birth(one.pid) == one.born]
 
 
 def line(job: Job) -> bytes:
@@ -267,9 +271,9 @@ def line(job: Job) -> bytes:
     return json.dumps(record(job), separators=(",", ":")).encode() + b"\n"
 
 
-def record(job: Job) -> worker.Job:
+def record(job: Job) -> JobRecord:
     """Return a job as the record that the worker expects."""
-    record: worker.Job = {
+    record: JobRecord = {
         "run": job.run,
         "execution": job.execution,
         "argv": job.argv,
@@ -300,9 +304,9 @@ def record(job: Job) -> worker.Job:
 
 
 @lru_cache(maxsize=8)
-def limits(given: Limits) -> worker.Limits:
+def limits(given: Limits) -> LimitsRecord:
     """Return the limits that are set."""
-    return cast("worker.Limits", {name: value for name, value in asdict(given).items() if value is not None})
+    return cast("LimitsRecord", {name: value for name, value in asdict(given).items() if value is not None})
 
 
 def _ending(process: subprocess.Popen[bytes]) -> str:

@@ -16,11 +16,11 @@ from sierra.config.execution_tables import BuildTable
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
-from sierra.provenance.machine import usable_cores
 from sierra.store.layout import ProjectPaths, StorePaths, user_settings
 from sierra.util import processors
 from sierra.util.lazy_definitions import dataclass
-from sierra.worker import worker
+from sierra.worker.machine import usable_cores
+from sierra.worker.temporary_folders import TEMPORARY_LENGTH, temporary_folders
 
 State = Literal["ok", "absent", "missing"]
 
@@ -56,9 +56,9 @@ def _machine() -> Iterator[Check]:
     free = shutil.disk_usage(Path.cwd()).free
     yield _check("disk", free > 1 << 30, f"{free / 1e9:.1f} GB free here", "free some disk space")
     reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
-    temporary = next(iter(worker.temporary_folders()), None)
+    temporary = next(iter(temporary_folders()), None)
     found = f"those of runs are below {temporary}" if temporary else "those of runs are in their own folders"
-    cure = f"needed for Unix sockets: set TMPDIR to a folder whose path has at most {worker.TEMPORARY_LENGTH} characters"
+    cure = f"needed for Unix sockets: set TMPDIR to a folder whose path has at most {TEMPORARY_LENGTH} characters"
     yield _check("temporary files", temporary is not None, found, cure, "absent")
     found = f"processes that leave their process group are {'found and ended' if reaper else 'not found'}"
     yield _check("process supervision", reaper, found, "use a Linux kernel with CONFIG_PROC_CHILDREN", "absent")

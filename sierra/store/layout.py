@@ -21,8 +21,8 @@ PROJECT/.sierra/work/<session>/     the work of a session; removed once it is re
                                     `elsewhere` names
     anew/                           recorded files, while they are evaluated by changed rules
     source/                         the code, if it is not executed from the project itself
+    worker.pyz                      the programs for nodes and containers; see sierra.worker.__main__
     asking.json  submission.json  element.json  cancelled  engine/
-    worker.py  array_task.py  file_trace.py  conductor.py  machine.py
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
     results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: the submission and its results; see sierra.worker.array_task
@@ -239,8 +239,8 @@ class SessionPaths:
     """The folder with a file for each job, written before the job is submitted to a scheduler."""
     cancelled = _Below("cancelled")
     """The file that exists once the user has cancelled the submission."""
-    worker = _Below("worker.py")
-    """The program that executes runs, for hosts without SIERRA."""
+    worker = _Below("worker.pyz")
+    """The programs that execute runs, for hosts without SIERRA and for containers."""
     engine = _Below("engine")
     """The folder of files that an engine needs to start containers, for hosts without SIERRA."""
     element_settings = _Below("element.json")

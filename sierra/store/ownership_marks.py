@@ -25,7 +25,7 @@ from sierra.store.layout import SessionPaths, StorePaths
 from sierra.util.fs import write_once
 from sierra.util.hashing import sha256
 from sierra.util.lazy_definitions import regex
-from sierra.worker import worker
+from sierra.worker.files import is_folder
 
 ID = regex(rb"([0-9a-f]{32})\n")
 SESSION = regex(r"[0-9a-f]{16}")
@@ -92,7 +92,7 @@ def _others(folder: Path) -> list[str]:
 
 def is_session(folder: Path) -> bool:
     """Check that a folder is a session's, even if it is new or half removed. No file of a session is a symbolic link."""
-    if not SESSION.fullmatch(folder.name) or not worker.is_folder(str(folder)):
+    if not SESSION.fullmatch(folder.name) or not is_folder(str(folder)):
         return False
     paths = SessionPaths(folder)
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
@@ -154,7 +154,7 @@ def elsewhere(store: StorePaths, folder: Path, session: str) -> Path | None:
     runs = Path(os.fsdecode(said))
     own = id_in(store.identity)
     placed = own is not None and runs.is_absolute() and (runs.parent.name, runs.name) == (own, session)
-    marked = placed and worker.is_folder(str(runs)) and _is_marked(runs.parent, str(own)) and _is_marked(runs, session)
+    marked = placed and is_folder(str(runs)) and _is_marked(runs.parent, str(own)) and _is_marked(runs, session)
     return runs if marked else None
 
 

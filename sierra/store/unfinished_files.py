@@ -13,7 +13,7 @@ from pathlib import Path
 from sierra.store.layout import DRAWN, ProjectPaths
 from sierra.util import scratch
 from sierra.util.lazy_definitions import regex
-from sierra.worker import worker
+from sierra.worker.processes import birth
 
 WRITTEN = regex(r"\..+\.[0-9a-f]{8}\.(\d+)")
 """The names of files that are written whole: the process is their last part."""
@@ -46,4 +46,4 @@ def remove(path: Path) -> None:
 
 def _is_left(path: Path) -> bool:
     named = WRITTEN.fullmatch(path.name)
-    return bool(named and path.is_file() and not path.is_symlink() and worker.birth(int(named[1])) is None)
+    return bool(named and path.is_file() and not path.is_symlink() and birth(int(named[1])) is None)

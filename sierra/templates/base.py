@@ -19,7 +19,7 @@ from sierra.errors import Missing, TemplateError
 from sierra.model import FOLDER, Change, Value
 from sierra.util.regular_files import read_regular
 from sierra.util.text import one_line
-from sierra.worker.worker import PORT_MARK
+from sierra.worker.ports import PORT_MARK
 
 Files = tuple[tuple[str, bytes], ...]
 """Names and contents of files."""

@@ -30,7 +30,7 @@ from sierra.containers.images.image import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are, variable, wait
-from sierra.worker import worker
+from sierra.worker.processes import marked
 
 PATIENCE_S = 30.0
 SOON_S = 15.0
@@ -81,7 +81,7 @@ class Started:
 
     def left(self) -> list[int]:
         """Return the processes of the run that are still alive."""
-        return sorted(worker.marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
+        return sorted(marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
 
     def said(self) -> str:
         return (self.folder / "stdout").read_text(errors="replace")

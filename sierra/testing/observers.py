@@ -27,6 +27,7 @@ from sierra.testing.assertions import holds, is_one_line, wait
 from sierra.util.lazy_definitions import dataclass
 from sierra.worker import file_trace
 from sierra.worker.file_trace import LISTS, Contents, Observation, Trace, Way
+from sierra.worker.processes import all_processes, state_of
 
 PATIENCE_S = 30.0
 SOON_S = 5.0
@@ -329,12 +330,12 @@ def knows_its_tracer(trial: Trial) -> None:
 
     def look(observation: Observation, pid: int) -> None:
         holds(not observation.is_tracer(pid), "the program counts as the tracer")
-        tracers.extend(one for one in file_trace.processes() if observation.is_tracer(one))
+        tracers.extend(one for one in all_processes() if observation.is_tracer(one))
         for one in tracers:
             holds(os.getpgid(one) != pid, "the tracer is in the run's process group")
 
     trial.script(place, "pause()\n", meanwhile=look)
-    holds(not [pid for pid in tracers if file_trace.state_of(pid) not in (None, b"Z")], "the tracer is left")
+    holds(not [pid for pid in tracers if state_of(pid) not in (None, b"Z")], "the tracer is left")
 
 
 def is_never_complete_without_its_tracer(trial: Trial) -> None:
@@ -343,10 +344,10 @@ def is_never_complete_without_its_tracer(trial: Trial) -> None:
     killed: list[int] = []
 
     def kill(observation: Observation, pid: int) -> None:
-        killed.extend(one for one in file_trace.processes() if observation.is_tracer(one))
+        killed.extend(one for one in all_processes() if observation.is_tracer(one))
         for one in killed:
             os.kill(one, signal.SIGKILL)
-        wait(lambda: all(file_trace.state_of(one) in (None, b"Z") for one in killed), lambda: "it cannot be killed", SOON_S)
+        wait(lambda: all(state_of(one) in (None, b"Z") for one in killed), lambda: "it cannot be killed", SOON_S)
         os.killpg(pid, signal.SIGKILL)
 
     trace = trial.script(place, "pause()\n", meanwhile=kill).trace
@@ -361,7 +362,7 @@ def ends_a_tracer_that_hangs(trial: Trial) -> None:
     stopped: list[int] = []
 
     def stop(observation: Observation, pid: int) -> None:
-        stopped.extend(one for one in file_trace.processes() if observation.is_tracer(one))
+        stopped.extend(one for one in all_processes() if observation.is_tracer(one))
         for one in stopped:
             os.kill(one, signal.SIGSTOP)
         os.killpg(pid, signal.SIGKILL)

@@ -26,7 +26,7 @@ from sierra.ingest.model import PLAIN, Form, Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.model import OutputFile
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
-from sierra.worker import worker
+from sierra.worker.outputs import describe
 
 if TYPE_CHECKING:
     from sierra.store.connections import Database
@@ -181,7 +181,7 @@ def _are(rows: Sequence[Row], columns: Columns) -> None:
 
 def written(path: Path, number: int) -> Written:
     """Return a file as a worker describes it."""
-    seen = OutputFile(**worker.describe(str(path), path.name))
+    seen = OutputFile(**describe(str(path), path.name))
     facts = (seen.path, seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
     return Written(str(path), f"r{number}", f"e{number}", *facts)
 

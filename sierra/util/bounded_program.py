@@ -22,7 +22,7 @@ from typing import IO
 from sierra.util import open_files
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.signals import noted
-from sierra.worker import worker
+from sierra.worker.processes import marked, signal_group, signal_process
 
 MOST = 64 << 20
 """The largest number of bytes that a program may print, unless the caller sets another."""
@@ -123,13 +123,13 @@ def _followed(process: subprocess.Popen[bytes], end: float, most: int, *, to_eof
 def _end(process: subprocess.Popen[bytes], mark: bytes | None) -> None:
     """End what is left of a program's group: first it is asked. With a mark, kill it and all marked processes at once."""
     if mark is None and process.poll() is None:
-        worker.signal_group(process.pid, signal.SIGTERM)
+        signal_group(process.pid, signal.SIGTERM)
         _wait(process, GRACE_S)
-    worker.signal_group(process.pid, signal.SIGKILL)
+    signal_group(process.pid, signal.SIGKILL)
     give_up = time.monotonic() + GRACE_S
-    while mark and (left := worker.marked({mark})) and time.monotonic() < give_up:
+    while mark and (left := marked({mark})) and time.monotonic() < give_up:
         for pid in left:
-            worker.signal_process(pid, signal.SIGKILL)
+            signal_process(pid, signal.SIGKILL)
     for pipe in filter(None, (process.stdout, process.stderr)):
         pipe.close()
     _wait(process, GRACE_S)

@@ -1,10 +1,8 @@
 """The program of an array task on its node: it executes the runs of one element by the worker, and packs their results.
 
-    python3 -I -S FOLDER/array_task.py FOLDER [--wall=SECONDS] INDEX
+    python3 -I -S FOLDER/worker.pyz array_task FOLDER [--wall=SECONDS] INDEX
 
-Five files that need only the standard library (Python 3.8 or newer) are in the session's folder, FOLDER, on the file system
-that nodes and login nodes share: this one, `worker.py`, which executes runs, `file_trace.py` and `conductor.py`, which it uses,
-and `machine.py`, which describes a node. Beside them:
+FOLDER is the session's folder on the file system that nodes and login nodes share. It has `worker.pyz` (see `__main__`), and:
 
     element.json            settings that all elements of the session share: see `Settings`
     elements/INDEX.jobs     the element's jobs: gzip (possibly several members), lines of JSON; see `jobs`
@@ -42,7 +40,7 @@ and shortly before the end: by the command `requeue` of the settings, with its o
 that each attempt makes progress, and if nothing is cancelled. It submits no new jobs. If the request is refused, it continues
 as long as it may.
 
-    python3 -I -S FOLDER/array_task.py FOLDER --probe INDEX
+    python3 -I -S FOLDER/worker.pyz array_task FOLDER --probe INDEX
 
 does all of this without executing runs, and records it in results/probe.<attempt>.pack.
 """
@@ -54,7 +52,6 @@ import fcntl
 import fnmatch
 import gzip
 import hashlib
-import importlib.util
 import itertools
 import json
 import os
@@ -70,15 +67,19 @@ import threading
 import time
 from collections import deque
 from functools import partial, reduce
-from types import FrameType, ModuleType
+from types import FrameType
 from typing import TYPE_CHECKING, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
-# No `from __future__ import annotations`: a Python before 3.7 would fail on it without a line that names the needed version.
+from sierra.worker import machine, program
+from sierra.worker.errors import explain
+from sierra.worker.files import remove, write_all
+from sierra.worker.processes import Stops, adopt_orphans, end_orphans, stdin_of
 
 if TYPE_CHECKING:
     from typing import IO, BinaryIO, Deque, Literal, NotRequired, Sequence, TypedDict, final
 
-    from sierra.worker.worker import End, Event, Job, Limits, Outcome, Program
+    from sierra.worker.job import Job, Limits, Program
+    from sierra.worker.journal import End, Event, Outcome
 
     Fact = Union[int, str, List[str], Dict[str, List[Optional[int]]], None]
 
@@ -483,14 +484,12 @@ class Feeder(threading.Thread):
         ahead: int,
         more: "Observing",
         pipe: "IO[bytes]",
-        write: Callable[[int, bytes], None],
     ) -> None:
         super().__init__(daemon=True)
         self._path = path
         self._more = more
         self._wanted = wanted
         self._pipe = pipe
-        self._write = write
         self.permits = threading.Semaphore(ahead)
         self.spare: Deque[int] = deque()
         """The numbers of folders of packed runs, which other runs can reuse; see the worker."""
@@ -518,7 +517,7 @@ class Feeder(threading.Thread):
             self._pipe.close()  # closing the pipe ends the worker
 
     def _send(self, record: Mapping[str, object]) -> None:
-        self._write(self._pipe.fileno(), json.dumps(record, separators=(",", ":")).encode() + b"\n")
+        write_all(self._pipe.fileno(), json.dumps(record, separators=(",", ":")).encode() + b"\n")
 
 
 def opened(root: int, path: str) -> int:
@@ -727,7 +726,7 @@ def hashed(path: Union[str, int]) -> Tuple[int, str]:
 
 
 @contextlib.contextmanager
-def scratch(settings: Settings, given: Allocation, remove: Callable[[str], None]) -> Iterator[Tuple[str, int]]:
+def scratch(settings: Settings, given: Allocation) -> Iterator[Tuple[str, int]]:
     """Yield a folder on the node for this attempt, and a lock that shows to other attempts that this one is alive.
 
     The worker holds the lock too, because it may outlive this process by the grace time of its runs.
@@ -737,7 +736,7 @@ def scratch(settings: Settings, given: Allocation, remove: Callable[[str], None]
     for name in os.listdir(root):
         if name.startswith(prefix):
             with contextlib.suppress(OSError):
-                remove_dead(os.path.join(root, name), remove)
+                remove_dead(os.path.join(root, name))
     folder = tempfile.mkdtemp(prefix=prefix, dir=root)
     lock = os.open(os.path.join(folder, "owner"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
     try:
@@ -746,7 +745,7 @@ def scratch(settings: Settings, given: Allocation, remove: Callable[[str], None]
             os.write(lock, owner())
         yield folder, lock
     finally:
-        remove_own(folder, remove)
+        remove_own(folder)
         os.close(lock)
 
 
@@ -779,7 +778,7 @@ def owner() -> bytes:
     return os.uname().nodename.encode()
 
 
-def remove_dead(folder: str, remove: Callable[[str], None]) -> None:
+def remove_dead(folder: str) -> None:
     """Remove the folder of an attempt that died on this host."""
     found = os.lstat(folder)
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
@@ -788,12 +787,12 @@ def remove_dead(folder: str, remove: Callable[[str], None]) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.read(lock, 4096) == owner():
-            remove_own(folder, remove)
+            remove_own(folder)
     finally:
         os.close(lock)
 
 
-def remove_own(folder: str, remove: Callable[[str], None]) -> None:
+def remove_own(folder: str) -> None:
     """Remove an attempt's folder, the file `owner` last. If this process is killed meanwhile, the next attempt continues."""
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
@@ -890,7 +889,6 @@ class Execution:
         pack: Pack,
         stop: StopSignals,
         requeue: Requeue,
-        worker: ModuleType,
         needs: Needs,
         scratch: str,
     ) -> None:
@@ -899,12 +897,10 @@ class Execution:
         self._session = session
         self._lock = lock
         self._cancelled = os.path.join(folder, "cancelled")
-        self._program = os.path.join(folder, "worker.py")
         self._scratch = scratch
         self._pack = pack
         self._stop = stop
         self._requeue = requeue
-        self._worker = worker
         self._needs = needs
         self._journal = Journal(os.path.join(scratch, "journal.jsonl"))
         self._held: Deque[Tuple[float, End]] = deque()
@@ -912,13 +908,13 @@ class Execution:
         self._ended = 0
         self._stopping = False
         self._continued = self._killed = False
-        self._stops = worker.Stops()
+        self._stops = Stops()
         self._check_at = 0.0
 
     def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
         """Execute the wanted jobs of a file, and return whether all were executed. Raises CannotContinue, OSError."""
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-B", "-X", "utf8", self._program, self._scratch, str(slots)],
+            [sys.executable, "-I", "-S", "-B", "-X", "utf8", program.PROGRAM, self._scratch, str(slots)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -927,9 +923,9 @@ class Execution:
             pass_fds=(self._lock,),
             start_new_session=True,
         )
-        pipe = self._worker.stdin_of(self._process)
+        pipe = stdin_of(self._process)
         observing = Observing(os.path.dirname(self._scratch), max(0.0, self._pack.clock))
-        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, observing, pipe, self._worker.write_all)
+        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, observing, pipe)
         self._feeder.start()
         try:
             self._follow()
@@ -1034,7 +1030,7 @@ class Execution:
         return os.path.dirname(directory) == self._scratch and os.path.basename(directory).isdigit()
 
     def _remove(self, directory: str) -> None:
-        self._worker.remove(directory)
+        remove(directory)
         with contextlib.suppress(OSError):
             os.unlink(directory)  # a link in place of the folder
 
@@ -1080,7 +1076,7 @@ class Execution:
             if self._is_stopped():
                 self._continue()
             time.sleep(IDLE_S)
-        self._worker.end_orphans(None)
+        end_orphans(None)
         self._stderr = self._process.stderr.read() if self._process.stderr else b""
 
     def _is_finished(self) -> bool:
@@ -1106,35 +1102,10 @@ def is_small(event: "End") -> bool:
     return sum(file["bytes"] for file in event["outputs"]) <= CHUNK
 
 
-def adopt_orphans() -> None:
-    """Become the parent of orphans if a worker is killed (Linux only).
-
-    (The worker's own function is not used: this process must not end with the thread that started it, which a scheduler may end
-    much earlier.)
-    """
-    with contextlib.suppress(ImportError, OSError, AttributeError):
-        import ctypes
-
-        set_child_subreaper = 36
-        ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
-
-
-def module(folder: str, name: str) -> ModuleType:
-    """Return a file of the session as an imported module, without writing bytecode beside it."""
-    sys.dont_write_bytecode = True
-    spec = importlib.util.spec_from_file_location(name, os.path.join(folder, name + ".py"))
-    if spec is None or spec.loader is None:
-        raise CannotContinue("%s.py is missing in %s" % (name, folder))
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
-
-
 def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float] = None, probing: bool) -> bool:
     """Execute the missing runs of an element, and return whether it is finished. Raises CannotContinue and OSError."""
     with open(os.path.join(folder, "element.json"), "rb") as file:
         settings = Settings(**json.load(file))
-    worker, machine = module(folder, "worker"), module(folder, "machine")
     adopt_orphans()
     if os.path.exists(os.path.join(folder, "cancelled")):
         return False
@@ -1147,12 +1118,12 @@ def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float]
     try:
         needs = Needs(settings.needs)
         needs.check()
-        with scratch(settings, given, worker.remove) as (own, lock):
+        with scratch(settings, given) as (own, lock):
             named = os.path.join(folder, "elements", str(index))
             done = executed(results, str(index), pack.path, stop.check)
             done |= {short(one) for one in read_lines(named + ".failed")}
             requeue = Requeue(folder, pack, settings.requeue, wall, given.text("task"))
-            execution = partial(Execution, folder, settings.session, lock, pack, stop, requeue, worker, needs)
+            execution = partial(Execution, folder, settings.session, lock, pack, stop, requeue, needs)
             if not probing and not execute(named, done, slots, own, execution):
                 pack.sync(float("inf"))
                 return False
@@ -1180,12 +1151,7 @@ def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: C
 
 def reason_of(error: BaseException) -> str:
     """Return the reason of an error in one line, with the node's name."""
-    if isinstance(error, CannotContinue):
-        reason = str(error)
-    else:
-        name, why = getattr(error, "filename", None), getattr(error, "strerror", None)
-        reason = why or "%s: %s" % (type(error).__name__, error)
-        reason = "%s: %s" % (name, reason) if name else reason
+    reason = str(error) if isinstance(error, CannotContinue) else explain(error)
     return "%s: %s" % (os.uname().nodename, " ".join(reason.split()))
 
 
@@ -1195,9 +1161,6 @@ def print_error(text: str) -> None:
 
 
 def main(arguments: List[str]) -> int:
-    if sys.version_info < (3, 8):  # noqa: UP036 - this check reports it
-        print_error("Python %s on %s is too old; 3.8 or newer is needed" % (platform.python_version(), os.uname().nodename))
-        return 3
     stop = StopSignals()
     try:
         folder, index = os.path.abspath(arguments[0]), int(arguments[-1])
@@ -1211,7 +1174,3 @@ def main(arguments: List[str]) -> int:
     except Exception as error:
         print_error(reason_of(error))
         return 3
-
-
-if __name__ == "__main__":
-    os._exit(main(sys.argv[1:]))

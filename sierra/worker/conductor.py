@@ -1,8 +1,6 @@
 """The conductor: executes what is around a run's command: services, and commands before and after it.
 
-It is one file that needs only the standard library (Python 3.8 or newer), beside the worker on any host, or in a container:
-
-    conductor.py FOLDER PLAN [SHARED]
+    conductor FOLDER PLAN [SHARED]
 
 The worker starts it instead of the run's command, in the run's folder, environment and container. The run's limits,
 isolation and observation therefore apply to all that it starts. FOLDER is the run's folder, and PLAN a line of JSON (`Plan`).
@@ -18,7 +16,7 @@ a command with another exit status than 0. SIGTERM is passed on to the program t
 ended after it. What is still alive when the conductor has ended, the worker ends.
 
 Services that several runs share (`shared` in a plan) are started by a conductor of their own, whose plan has no command. It
-writes SHARED_FILE when they are ready, and ends when it is told to, or when one of them ends. The conductors of the runs get
+writes SHARED when they are ready, and ends when it is told to, or when one of them ends. The conductors of the runs get
 the content of this file as SHARED, and fail when one of these processes has ended.
 
 The output of services and of the commands before and after goes to the run's standard error: a line `== before: WORDS` precedes
@@ -35,22 +33,31 @@ too, because its exit status alone does not show that everything was executed.
 from __future__ import annotations
 
 import contextlib
-import errno
-import itertools
 import json
 import os
 import re
 import select
 import signal
-import stat
 import subprocess
-import sys
 import time
+
+from sierra.worker.files import end_of, write_all
+from sierra.worker.free_ports import NoFreePort, Ports
+from sierra.worker.layout import REPORT, SHARED
+from sierra.worker.marker import LOOK_S, Marker
+from sierra.worker.processes import (
+    FIRST_LOOK_S,
+    all_processes,
+    environment_of,
+    has_ended,
+    is_alive,
+    signal_group,
+    still_running,
+)
 
 TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
-    import socket
-    from typing import IO, Callable, Iterable, Mapping, NoReturn, NotRequired, Sequence, TypedDict
+    from typing import Callable, Iterable, Mapping, NoReturn, NotRequired, Sequence, TypedDict
 
     class Service(TypedDict):
         """A service: see `sierra.model.Service`."""
@@ -92,22 +99,10 @@ if TYPE_CHECKING:
 
 
 COMMAND = {"SIERRA_COMMAND": "1"}  # a variable of the run's command, which services and the tracer do not have
-REPORT = os.path.join("home", ".sierra-conductor")  # in the run's folder, removed with `home`
-SHARED_FILE = "shared"  # in the folder of shared services
 PORT = re.compile("\2(\\w+)\2")
-PORTS = range(20000, 32760)  # below those that Linux gives to outgoing connections
-BLOCK = 10
-TRIES = 1000
-FIRST_LOOK_S, LOOK_S = 0.01, 0.25
 LONGEST_S = 3600.0  # of one wait
 LAST_WORDS_S = 1.0  # for the output of a service that has ended
 CHUNK = 1 << 16
-LAST_BYTES = 1 << 12
-LOGS = ("stdout", "stderr")
-WHOLE = 1 << 20  # a marker up to this size is read as a whole, because it may have been written again
-LINGER_S = 0.25  # for processes to end after the command that has started them
-NAMED = 3  # processes that are reported
-NAME_LENGTH = 80
 
 
 class Failed(Exception):
@@ -167,55 +162,6 @@ class Started:
             self.read()
 
 
-class Marker:
-    """The file by which a run shows that its results are complete: it exists, or it contains a text."""
-
-    def __init__(self, folder: str, limits: Mapping[str, object]) -> None:
-        """`folder` is the run's folder. The limits `marker`, `contains` and `after_marker_s` say what is awaited."""
-        name = str(limits["marker"])
-        self.seconds = float(str(limits["after_marker_s"]))
-        self._log = name in LOGS
-        self._path = os.path.join(folder, name if self._log else os.path.join("output", name))
-        self._text = str(limits.get("contains") or "").encode()
-        self._read = 0
-        self._end = b""
-        self._met: float | None = None
-
-    def due(self, now: float) -> float:
-        """Look at the file, at the time `now`; return when the run is over, or when to look again."""
-        if self._met is None and self._is_met():
-            self._met = now
-        return now + LOOK_S if self._met is None else self._met + self.seconds
-
-    def is_over(self, now: float) -> bool:
-        """Return whether the marker was met so many seconds ago."""
-        return self.due(now) <= now
-
-    def _is_met(self) -> bool:
-        try:
-            descriptor = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
-        except OSError:
-            return False
-        with open(descriptor, "rb") as file:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                return False
-            return not self._text or self._has_text(file, status.st_size)
-
-    def _has_text(self, file: IO[bytes], size: int) -> bool:
-        """Return whether the file has the text. Of a log, and of a large file, only what is new is read."""
-        if size < self._read or (not self._log and size <= WHOLE):
-            self._read, self._end = 0, b""
-        file.seek(self._read)
-        for chunk in iter(lambda: file.read(CHUNK), b""):
-            self._read += len(chunk)
-            self._end += chunk
-            if self._text in self._end:
-                return True
-            self._end = self._end[-len(self._text) :]
-        return False
-
-
 class Conductor:
     """The programs of one run."""
 
@@ -273,7 +219,7 @@ class Conductor:
 
     def _hold(self) -> NoReturn:
         """Tell that the shared services are ready. Wait until one of them ends, or this conductor is told to end."""
-        path = os.path.join(self._folder, SHARED_FILE)
+        path = os.path.join(self._folder, SHARED)
         pids = {started.name: started.process.pid for started in self._services}
         with open(path + ".new", "w", encoding="ascii") as file:
             json.dump({"ports": self._ports, "pids": pids, "log": os.path.join(self._folder, "stderr"), "error": None}, file)
@@ -289,7 +235,10 @@ class Conductor:
     def _choose_ports(self) -> None:
         """Choose a free port for each service, and put the ports into the variables."""
         for name in self._ports:
-            self._ports[name] = self._taken.take()
+            try:
+                self._ports[name] = self._taken.take()
+            except NoFreePort as error:
+                raise Failed(str(error)) from error
         self._ports.update(self._shared["ports"] if self._shared else {})
         for variable, value in os.environ.items():
             if "\2" in value:
@@ -459,73 +408,16 @@ def is_running(process: subprocess.Popen[bytes]) -> bool:
     """Return whether a program has not ended yet. If it has, its id still belongs to it."""
     if process.returncode is not None or not hasattr(os, "waitid"):
         return process.poll() is None
-    return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None
-
-
-def end_of(path: str) -> bytes:
-    """Return the last lines of a file."""
-    try:
-        with open(path, "rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - LAST_BYTES))
-            return file.read()
-    except OSError:
-        return b""
-
-
-def is_alive(pid: int) -> bool:
-    """Return whether a process that another one has started has not ended."""
-    try:
-        with open("/proc/%d/stat" % pid, "rb") as file:
-            return file.read().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
-    except (OSError, IndexError):
-        return False
+    return not has_ended(process.pid)
 
 
 def processes_of_command() -> Iterable[int]:
     """Yield the living processes that the command of this run has started."""
     own = {"SIERRA_EXECUTION": os.environ.get("SIERRA_EXECUTION", ""), **COMMAND}
     marks = {os.fsencode("%s=%s" % one) for one in own.items()}
-    for pid in sorted(int(name) for name in entries_of("/proc") if name.isdigit()):
-        if marks.issubset(read(pid, "environ").split(b"\0")) and is_alive(pid):
+    for pid in sorted(all_processes()):
+        if marks.issubset(environment_of(pid)) and is_alive(pid):
             yield pid
-
-
-def entries_of(folder: str) -> Sequence[str]:
-    try:
-        return os.listdir(folder)
-    except OSError:
-        return ()
-
-
-def read(pid: int, name: str) -> bytes:
-    """Return the content of a file in /proc/PID; nothing if there is none."""
-    try:
-        with open("/proc/%d/%s" % (pid, name), "rb") as file:
-            return file.read()
-    except OSError:
-        return b""
-
-
-def still_running(living: Callable[[], Iterable[int]]) -> list[str]:
-    """Return the names of the processes that `living` yields, after a moment in which they may end by themselves."""
-    give_up = time.monotonic() + LINGER_S
-    while True:
-        pids = list(living())
-        if not pids or time.monotonic() >= give_up:
-            names = [name for name in map(program_of, pids) if name]
-            return list(dict.fromkeys(names))[:NAMED]
-        time.sleep(FIRST_LOOK_S)
-
-
-def program_of(pid: int) -> str:
-    """Return the name of a process's program, with its words up to the first that is no option: `python3 sim.py`.
-
-    Folders are left out, because those of each run are different.
-    """
-    words = read(pid, "cmdline").decode("utf-8", "replace").split("\0")[:-1]
-    end = next((place for place, word in enumerate(words) if place and not word.startswith("-")), len(words))
-    shown = " ".join(" ".join(os.path.basename(word) or word for word in words[: end + 1]).split())
-    return shown if len(shown) <= NAME_LENGTH else shown[: NAME_LENGTH - 1] + "…"
 
 
 def close_group(process: subprocess.Popen[bytes]) -> int:
@@ -536,10 +428,9 @@ def close_group(process: subprocess.Popen[bytes]) -> int:
 
 
 def send(group: int, number: int) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(group, number)
-        if number == signal.SIGTERM:  # a stopped process reacts to SIGTERM only when it is continued
-            os.killpg(group, signal.SIGCONT)
+    signal_group(group, number)
+    if number == signal.SIGTERM:  # a stopped process reacts to SIGTERM only when it is continued
+        signal_group(group, signal.SIGCONT)
 
 
 def accepts(port: int) -> bool:
@@ -554,61 +445,15 @@ def accepts(port: int) -> bool:
     return False
 
 
-class Ports:
-    """Ports that no other program uses, and that no other run on this host gets until they are given back.
-
-    A port is chosen at random, as the first of a block of BLOCK free ones, because some programs use those that follow, too.
-    The block is taken by an abstract Unix socket. Like a port, it belongs to a network namespace, and the kernel removes it
-    with the process, whatever ends that.
-    """
-
-    def __init__(self) -> None:
-        self._held: list[socket.socket] = []
-
-    def take(self) -> int:
-        """Return a port. Raises Failed if none is free."""
-        import socket
-
-        blocks = len(PORTS) // BLOCK
-        for _ in range(TRIES):
-            port = PORTS[0] + BLOCK * (int.from_bytes(os.urandom(4), "big") % blocks)
-            mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            try:
-                if sys.platform == "linux":  # no other system has such names
-                    mark.bind("\0sierra-port-%d" % port)
-                if all(map(is_free, range(port, port + BLOCK))):
-                    self._held.append(mark)
-                    return port
-            except OSError:  # another run has it
-                pass
-            mark.close()
-        raise Failed("no port between %d and %d is free" % (PORTS[0], PORTS[-1]))
-
-    def give_back(self) -> None:
-        """Let other runs have the ports."""
-        while self._held:
-            self._held.pop().close()
-
-
-def is_free(port: int) -> bool:
-    """Return whether no program uses a port, for TCP or UDP."""
-    import socket
-
-    for family, kind in itertools.product((socket.AF_INET, socket.AF_INET6), (socket.SOCK_STREAM, socket.SOCK_DGRAM)):
-        try:
-            with socket.socket(family, kind) as server:
-                if family == socket.AF_INET6:
-                    server.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                server.bind(("", port))
-        except OSError as error:
-            if error.errno in (errno.EADDRINUSE, errno.EACCES):  # else there is no IPv6 here
-                return False
-    return True
-
-
 def words_of(words: Sequence[str]) -> list[str]:
     """Return words for a message, without characters that stand for something."""
     return [PORT.sub("{port}", word).replace("\0", "{run}") for word in words]
+
+
+def write(data: bytes) -> None:
+    """Write to standard error, as far as that is possible."""
+    with contextlib.suppress(OSError):
+        write_all(2, data)
 
 
 def described(status: int) -> str:
@@ -618,13 +463,6 @@ def described(status: int) -> str:
 def explain(error: BaseException, argv: Sequence[str]) -> str:
     reason = getattr(error, "strerror", None) or "%s: %s" % (type(error).__name__, error)
     return "%s: %s" % (getattr(error, "filename", None) or argv[0], reason)
-
-
-def write(data: bytes) -> None:
-    """Write to standard error, as far as that is possible."""
-    with contextlib.suppress(OSError):
-        while data:
-            data = data[os.write(2, data) :]
 
 
 def report(folder: str, reason: str | None, conductor: Conductor) -> None:
@@ -668,7 +506,3 @@ def main(arguments: Sequence[str]) -> NoReturn:
     except OSError as error:
         write(os.fsencode("the report cannot be written: %s\n" % error))
     end_like(status)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -105,6 +105,9 @@ import tempfile
 import time
 from typing import IO, Callable, Iterable, Iterator, Mapping, NamedTuple, Protocol, Sequence
 
+from sierra.worker.files import entries_of, is_full
+from sierra.worker.processes import all_processes, read_proc, state_of
+
 OLDEST = (5, 3)  # the first version of strace with --seccomp-bpf
 FILES = (
     "execve",
@@ -409,7 +412,7 @@ class Traced:
         give_up = time.monotonic() + seconds
         pause = 0.001
         while True:
-            tracers = [pid for pid in (candidates or processes)() if self.is_tracer(pid)]
+            tracers = [pid for pid in (candidates or all_processes)() if self.is_tracer(pid)]
             if not tracers:
                 return
             if time.monotonic() >= give_up:
@@ -1806,33 +1809,6 @@ def gentle() -> tuple[Way | None, tuple[str, ...]]:
     return usable(WAYS[-1:])
 
 
-def read_proc(path: str) -> bytes:
-    """Return the content of a file in /proc; empty if it cannot be read."""
-    try:
-        with open("/proc/" + path, "rb") as file:
-            return file.read()
-    except OSError:
-        return b""
-
-
-def state_of(pid: int) -> bytes | None:
-    """Return the state of a process: Z for one that has ended, and nobody has waited for. None if there is none."""
-    fields = read_proc("%d/stat" % pid).rpartition(b")")[2].split()
-    return fields[0] if fields else None
-
-
-def processes() -> Iterator[int]:
-    """Yield the ids of all processes of this host."""
-    with contextlib.suppress(OSError):
-        yield from (int(name) for name in os.listdir("/proc") if name.isdigit())
-
-
-def is_full(path: str) -> bool:
-    """Return whether the file system of a path has no space left."""
-    space = os.statvfs(path)
-    return bool(space.f_blocks) and space.f_bavail == 0
-
-
 class File(NamedTuple):
     """The content of a file after the run, and values that differ if it is changed (inode, size, times in ns)."""
 
@@ -2282,10 +2258,10 @@ def graphics(root: str = "/") -> list[str]:
     """Return the graphics processors, each with its driver, as the kernel describes them below a folder."""
     found = ["driver " + line for line in lines_of(os.path.join(root, "proc/driver/nvidia/version")) if line]
     cards = os.path.join(root, "proc/driver/nvidia/gpus")
-    for name in sorted(entries(cards)):
+    for name in sorted(entries_of(cards)):
         found += [line for line in lines_of(os.path.join(cards, name, "information")) if line.startswith("Model:")]
     devices = os.path.join(root, "sys/class/drm")
-    for name in sorted(entries(devices)):
+    for name in sorted(entries_of(devices)):
         if re.fullmatch(r"card\d+", name):
             device = os.path.join(devices, name, "device")
             ids = [line for key in ("vendor", "device") for line in lines_of(os.path.join(device, key))]
@@ -2436,7 +2412,7 @@ def owners(folder: str) -> dict[str, list[str]]:
     Modules of a distribution without a RECORD are there by their names, after `=`.
     """
     found: dict[str, list[str]] = {}
-    for entry in sorted(entries(folder)):
+    for entry in sorted(entries_of(folder)):
         name, _, kind = entry.rpartition(".")
         if kind not in ("dist-info", "egg-info"):
             continue
@@ -2453,14 +2429,6 @@ def recorded(folder: str, distribution: str) -> Iterator[str]:
     """Yield the files that a distribution has installed in a folder."""
     for line in os.fsdecode(content_of(os.path.join(folder, distribution + ".dist-info", "RECORD"))).splitlines():
         yield line[1:].partition('"')[0] if line.startswith('"') else line.partition(",")[0]
-
-
-def entries(folder: str) -> list[str]:
-    """Return the names in a folder; none if it cannot be read."""
-    try:
-        return os.listdir(folder)
-    except OSError:
-        return []
 
 
 def content_of(path: str) -> bytes:

@@ -1,9 +1,8 @@
 """The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
 
-It needs only the standard library (Python 3.8 or newer), and beside it the other files that `sierra.extensions.robots.push`
-names. A driver starts it by SSH:
+A driver starts it by SSH, from the file that `sierra.extensions.robots.push` has copied to the robot:
 
-    robot_agent.py FOLDER LOCK
+    worker.pyz robot_agent FOLDER LOCK
 
 Both sides exchange lines of JSON: the driver sends requests (`do`), the agent answers with events (`event`).
 
@@ -55,7 +54,6 @@ import base64
 import collections
 import contextlib
 import errno
-import functools
 import io
 import json
 import os
@@ -65,10 +63,32 @@ import socket
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Callable, Collection, Dict, Mapping, Sequence
+from typing import Any, Callable, Collection, Dict, Mapping, Sequence
 
-if TYPE_CHECKING:
-    from types import ModuleType
+from sierra.worker import machine, on_host, program, remote_folder
+from sierra.worker.clock_watch import ClockWatch
+from sierra.worker.containers import end_container
+from sierra.worker.errors import explain
+from sierra.worker.files import entries_of, last_line_of, remove, size_of, write_all
+from sierra.worker.job import with_folder
+from sierra.worker.journal import BEGUN, ENDING, GONE, OVER, READY
+from sierra.worker.processes import (
+    adopt_orphans,
+    birth,
+    descendants,
+    is_ending,
+    marked,
+    orphans,
+    read_proc,
+    release,
+    signal_group,
+    signal_process,
+    stat_of,
+    stdin_of,
+)
+from sierra.worker.robot_condition import Condition
+from sierra.worker.robot_software import Looker
+from sierra.worker.worker import FULL, execute
 
 Record = Dict[str, Any]
 
@@ -170,7 +190,7 @@ class Standstill:
             if getattr(error, "errno", None) in PASSING and time.monotonic() < self.retry_until:
                 return  # it is tried again
             self.demanded = False
-            self.note("cannot be started: " + the_worker().explain(error))
+            self.note("cannot be started: " + explain(error))
             return
         self.demanded, self.said, self.kill_at = False, b"", time.monotonic() + self.limit
         os.set_blocking(output_of(self.process), False)
@@ -220,7 +240,7 @@ class Guard:
 
     def tell(self, run: Record | None) -> None:
         with contextlib.suppress(OSError):  # it is gone; there is a new one with the next run
-            the_worker().write_all(self.pipe, (json.dumps(run) if run else "").encode() + b"\n")
+            write_all(self.pipe, (json.dumps(run) if run else "").encode() + b"\n")
 
     def close(self) -> None:
         """End the process. The agent must not have a run."""
@@ -255,7 +275,7 @@ def end_run(run: Record, standstill: Standstill) -> None:
     end_processes_of(run)
     if run["client"]:
         standstill.execute()  # the engine may take long
-        the_worker().end_container(run["client"])
+        end_container(run["client"])
 
 
 class Sending:
@@ -270,7 +290,7 @@ class Sending:
                 signal.set_wakeup_fd(-1)
                 keep_open(out)
                 with open(out, "wb") as file:
-                    load("remote_folder").serve("pull", io.BytesIO(line.encode() + b"\n"), file)
+                    remote_folder.serve("pull", io.BytesIO(line.encode() + b"\n"), file)
             os._exit(0)
         os.close(out)
 
@@ -301,7 +321,7 @@ class Serving:
     def __init__(self, environment: Mapping[str, str]) -> None:
         """Start it; it waits for the folder of a run (see `become_worker`). Raises OSError."""
         self.process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-B", os.path.abspath(__file__), WORKER],
+            [sys.executable, "-I", "-S", "-B", program.PROGRAM, "robot_agent", WORKER],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -376,12 +396,10 @@ class Run:
         standstill.problems = []
         os.makedirs(os.path.dirname(folder), exist_ok=True)
         os.mkdir(folder)
-        self.client = (
-            the_worker().with_folder(self.job["client"], os.path.join(folder, FIRST)) if "client" in self.job else None
-        )
+        self.client = with_folder(self.job["client"], os.path.join(folder, FIRST)) if "client" in self.job else None
         self.known: Record = {
             "pid": worker.pid,
-            "born": the_worker().birth(worker.pid),
+            "born": birth(worker.pid),
             "boot": boot_id(),
             "executions": [self.job["execution"]],
             "client": self.client,
@@ -402,12 +420,12 @@ class Run:
 
     def tell_worker(self, *records: Record) -> None:
         try:
-            pipe = the_worker().stdin_of(self.worker.process)
+            pipe = stdin_of(self.worker.process)
             for record in records:
                 pipe.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
             pipe.flush()
         except OSError as error:
-            self.problems.append("its worker is gone: " + the_worker().explain(error))
+            self.problems.append("its worker is gone: " + explain(error))
 
     def end(self, why: str) -> None:
         """Tell the run to end. The first reason counts."""
@@ -435,7 +453,7 @@ class Run:
         self.hear()
         if not self.over and self.kill_at is not None and now >= self.kill_at:
             self.kill()
-        if not self.over and (gone or the_worker().OVER in self.states):
+        if not self.over and (gone or OVER in self.states):
             self.over = True
             self.give_up = self.give_up or now + HANG_S
         if not self.over or self.end_remains():
@@ -464,16 +482,16 @@ class Run:
         if self.give_up is None:
             self.owed = True
             if self.client:  # which the worker did not do
-                the_worker().end_container(self.client)
+                end_container(self.client)
             self.give_up = time.monotonic() + HANG_S
 
     def hear(self) -> None:
         """Take what the worker announces, and react to the first sign of an end, and to the last process being gone."""
         announced = self.worker.announced()
         self.states.update(announced)
-        if the_worker().ENDING in announced:
+        if ENDING in announced:
             self.begin_end()
-        if the_worker().GONE in announced:
+        if GONE in announced:
             self.owed = False
             self.demand_standstill()
 
@@ -481,7 +499,7 @@ class Run:
         """Kill the processes that the run has left; return whether one was alive."""
         alive = end_children({self.standstill.pid, self.worker.pid, *self.spared})
         if self.worker.is_alive():  # it says that none is left
-            for pid in the_worker().descendants(self.worker.pid):
+            for pid in descendants(self.worker.pid):
                 if pid != self.worker.pid and is_running(pid):
                     alive = True
                     kill_all(pid)
@@ -493,7 +511,7 @@ class Run:
 
     def has_begun(self) -> bool:
         """Return whether its program was started."""
-        return the_worker().BEGUN in self.states or has_begun(self.events())
+        return BEGUN in self.states or has_begun(self.events())
 
     def record(self) -> Record | None:
         """Return the worker's report on the run's end; None without one."""
@@ -518,9 +536,10 @@ class Run:
     def failure_of_worker(self) -> str:
         """Return why the worker has left no report."""
         status = self.worker.process.returncode
-        if status == the_worker().FULL:
+        if status == FULL:
             return "its disk is full"
-        return "its worker ended with %s%s" % (ending(status or 0), last_line(os.path.join(self.folder, WORKER_LOG)))
+        line = last_line_of(os.path.join(self.folder, WORKER_LOG), TAIL_BYTES)
+        return "its worker ended with %s%s" % (ending(status or 0), ": " + line if line else "")
 
 
 class Agent:
@@ -535,10 +554,10 @@ class Agent:
         self.grace = GRACE_S
         self.standstill = Standstill()
         self.guard: Guard | None = None
-        self.condition = condition({}, {})
+        self.condition = Condition({}, {})
         self.environment: dict[str, str] = {}
-        self.looker = load("robot_software").Looker()
-        self.watch = load("clock_watch").ClockWatch()
+        self.looker = Looker()
+        self.watch = ClockWatch()
         self.run: Run | None = None
         self.spare: Serving | None = None
         self.sending: tuple[int, Sending] | None = None
@@ -614,7 +633,7 @@ class Agent:
         except Refused as error:
             answer = {"event": "refused", "reason": str(error), "about": error.about}
         except (OSError, ValueError) as error:
-            answer = {"event": "refused", "reason": the_worker().explain(error)}
+            answer = {"event": "refused", "reason": explain(error)}
         if answer is not None:
             self.tell({**answer, "id": request.get("id")})
 
@@ -657,9 +676,9 @@ class Agent:
             raise refusal
         for left in leftovers:
             if left["client"]:
-                the_worker().end_container(left["client"])
+                end_container(left["client"])
         os.makedirs(self.folder, exist_ok=True)
-        self.condition = condition(request, self.environment)
+        self.condition = Condition(request, self.environment)
         self.prepare_worker()
         self.probe()
         changed = [name for name, value in self.environment.items() if before.get(name) != value]
@@ -672,7 +691,7 @@ class Agent:
             "address": own_address(),
             "python": "%d.%d.%d" % sys.version_info[:3],
             "executable": sys.executable,
-            "facts": load("machine").facts(),
+            "facts": machine.facts(),
             "utc_offset": utc_offset(self.environment.get("TZ")),
             "software": self.looker.news(self.environment),
             "home": os.path.expanduser("~"),
@@ -692,7 +711,7 @@ class Agent:
     def probe(self) -> None:
         """Execute a program in the folder, as runs do. Raises Refused."""
         folder, program = (os.path.join(self.folder, name) for name in (PROBE, PROBE + ".sh"))
-        the_worker().remove(folder)
+        remove(folder)
         with open(program, "w", encoding="ascii") as file:
             file.write("#!/bin/sh\n")
         os.chmod(program, 0o700)
@@ -706,7 +725,7 @@ class Agent:
             select.select([run.worker.pipe], [], [], LOOK_S / 20)
         self.keep_worker(run.worker)
         report = run.ended()
-        the_worker().remove(folder)
+        remove(folder)
         os.unlink(program)
         end = report["end"]
         if end is None:
@@ -762,7 +781,7 @@ class Agent:
         """End what earlier agents left running; return a description of each of their runs, whose folders stay."""
         root = os.path.join(self.folder, RUNS)
         found = []
-        for attempt in sorted(the_worker().entries_of(root)):
+        for attempt in sorted(entries_of(root)):
             folder = os.path.join(root, attempt)
             record = read_record(os.path.join(folder, PROCESS)) or {}
             await_guard(record)
@@ -781,12 +800,12 @@ class Agent:
             found = {**found, **described, "unread": {**found["unread"], **described["unread"]}}
             found["software"] = self.looker.news(self.environment)
         for path, state in request.get("unchanged", {}).items():
-            if load("on_host").state(path)[1:] != state:
+            if on_host.state(path)[1:] != state:
                 found["failed"].append("%s has changed since it was verified" % path)
         return found
 
     def begin_watch(self, _: Record) -> Record:
-        self.watch = load("clock_watch").ClockWatch()
+        self.watch = ClockWatch()
         return {"event": "watching"}
 
     def arm(self, order: Record) -> Record | None:
@@ -808,7 +827,7 @@ class Agent:
             self.run = Run(folder, order, worker, self.standstill, self.grace, self.spared(), self.guard.pid)
         except OSError:
             worker.end()
-            the_worker().remove(folder)
+            remove(folder)
             raise
         self.guard.tell(self.run.known)
         return None  # `attend` answers
@@ -862,7 +881,7 @@ class Agent:
         """Begin to send a folder. Raises Refused if another one is sent, or if it is large."""
         if self.sending is not None:
             raise Refused("it sends another folder")
-        if the_worker().size_of(json.loads(request["line"])[0]) > LARGE:
+        if size_of(json.loads(request["line"])[0]) > LARGE:
             raise Refused("the folder is large", "large")
         self.sending = request["id"], Sending(request["line"])
 
@@ -879,7 +898,7 @@ class Agent:
         """Remove the folder of an ended run."""
         if self.run is not None and self.run.attempt == request["attempt"]:
             raise Refused("run %s is not over" % self.run.attempt)
-        the_worker().remove(os.path.join(self.folder, RUNS, os.path.basename(request["attempt"])))
+        remove(os.path.join(self.folder, RUNS, os.path.basename(request["attempt"])))
         return {"event": "removed"}
 
     def leave(self, why: str) -> None:
@@ -894,9 +913,9 @@ class Agent:
         if run is None:
             return
         over = run.look(now)
-        if run.armed and the_worker().READY in run.states:
+        if run.armed and READY in run.states:
             self.answer_order(run)
-        if run.gated and not run.reported and the_worker().BEGUN in run.states:
+        if run.gated and not run.reported and BEGUN in run.states:
             run.reported = True
             self.tell({"event": "started", "attempt": run.attempt})
         if over:
@@ -938,24 +957,11 @@ class Agent:
                 self.unsent.clear()
 
 
-def condition(declared: Record, environment: Mapping[str, str]) -> Any:
-    """Return the `Condition` of this robot, by what a `hello` declares."""
-    worker = the_worker()
-    return load("robot_condition").Condition(
-        declared,
-        environment,
-        explain=worker.explain,
-        hash_of=lambda path: worker.describe(path, path)["sha256"],
-        shortfall=lambda *rate: load("topic_rates").shortfall(*rate),
-    )
-
-
 def become_worker() -> int:
     """Execute runs one after the other, until one of them has to be ended.
 
     Each is a line with its folder on standard input, and the lines of a worker. Its states are announced on standard output.
     """
-    worker = the_worker()
     told, null = os.dup(1), os.dup(2)
     os.dup2(null, 1)
 
@@ -967,7 +973,7 @@ def become_worker() -> int:
         folder = json.loads(line)["folder"]
         with open(os.path.join(folder, WORKER_LOG), "wb") as log:
             os.dup2(log.fileno(), 2)
-        done = worker.execute([folder, "1"], announce)
+        done = execute([folder, "1"], announce)
         done.report_failure()
         if done.status:
             return int(done.status)
@@ -975,7 +981,7 @@ def become_worker() -> int:
             signal.signal(number, signal.SIG_DFL)
         done.close()
         os.dup2(null, 2)  # nothing of the run stays open
-        announce(worker.OVER)
+        announce(OVER)
     return 0
 
 
@@ -1027,22 +1033,20 @@ def await_guard(record: Record) -> None:
 
 def is_guard(pid: int | None) -> bool:
     """Return whether a process is an agent, as guards are."""
-    name = os.path.basename(__file__).encode()
-    return pid is not None and is_running(pid) and name in the_worker().read_proc("%d/cmdline" % pid)
+    return pid is not None and is_running(pid) and b"robot_agent" in read_proc("%d/cmdline" % pid)
 
 
 def end_processes_of(record: Record) -> int:
     """Kill the processes of an earlier agent's run that are alive; return how many were. After a reboot there are none."""
     if record.get("boot") != boot_id():
         return 0
-    worker = the_worker()
     pid = record.get("pid", 0)
     marks = [b"SIERRA_EXECUTION=" + one.encode() for one in record.get("executions", ())]
     ended: set[int] = set()
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
         alive = {pid} if record.get("born") is not None and is_running(pid, record["born"]) else set()
-        alive |= {one for one in worker.marked(marks) if is_running(one)}
+        alive |= {one for one in marked(marks) if is_running(one)}
         if not alive:
             break
         ended |= alive
@@ -1054,30 +1058,27 @@ def end_processes_of(record: Record) -> int:
 
 def is_running(pid: int, born: int | None = None) -> bool:
     """Return whether a process, or one of its threads, is alive; `born`: it must have been born then."""
-    worker = the_worker()
-    return bool(worker.stat_of(pid)) and not worker.is_ending(pid) and born in (None, worker.birth(pid))
+    return bool(stat_of(pid)) and not is_ending(pid) and born in (None, birth(pid))
 
 
 def kill_all(pid: int) -> None:
     """Kill a process, its descendants and its group."""
-    worker = the_worker()
-    for one in worker.descendants(pid):
-        worker.signal_process(one, signal.SIGKILL)
-    worker.signal_group(pid, signal.SIGKILL)
+    for one in descendants(pid):
+        signal_process(one, signal.SIGKILL)
+    signal_group(pid, signal.SIGKILL)
 
 
 def end_children(spared: Collection[int]) -> bool:
     """Kill the processes that have lost their worker; return whether one was alive."""
-    worker = the_worker()
     living = 0
-    for pid in worker.orphans():
-        fields = worker.stat_of(pid)
+    for pid in orphans():
+        fields = stat_of(pid)
         if pid in spared or not fields:
             continue
-        if fields[0] != b"Z" or not worker.release(pid):
+        if fields[0] != b"Z" or not release(pid):
             living += 1
             kill_all(pid)
-            worker.release(pid)
+            release(pid)
     return living > 0
 
 
@@ -1112,17 +1113,6 @@ def output_of(process: subprocess.Popen[bytes]) -> int:
     return process.stdout.fileno() if process.stdout else -1
 
 
-def last_line(path: str) -> str:
-    """Return `: ` and the last line of a log; empty if there is none."""
-    try:
-        with open(path, "rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
-            lines = file.read().decode("utf-8", "replace").strip().splitlines()
-    except OSError:
-        return ""
-    return ": " + lines[-1] if lines else ""
-
-
 def ending(status: int) -> str:
     return "signal %d" % -status if status < 0 else "status %d" % status
 
@@ -1152,47 +1142,14 @@ def set_zone(zone: str | None) -> None:
 
 def boot_id() -> str:
     """Return the name that the kernel has given to this boot."""
-    return the_worker().read_proc("sys/kernel/random/boot_id").decode().strip()  # type: ignore[no-any-return]
-
-
-def beside(name: str) -> str:
-    """Return the path of a file in the folder of this one."""
-    return os.path.join(os.path.dirname(os.path.abspath(__file__)), name)
-
-
-def the_worker() -> ModuleType:
-    """Return the module of the worker."""
-    return load("worker")
-
-
-@functools.lru_cache(maxsize=None)
-def load(name: str) -> ModuleType:
-    """Load a module that lies beside this file."""
-    import importlib.util
-
-    path = beside(name + ".py")
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise FileNotFoundError(path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def become_subreaper() -> None:
-    """Become the parent of processes whose worker has died (Linux only)."""
-    import ctypes
-
-    ctypes.CDLL(None, use_errno=True).prctl(36, 1, 0, 0, 0)
+    return read_proc("sys/kernel/random/boot_id").decode().strip()
 
 
 def main(arguments: list[str]) -> int:
     if arguments == [WORKER]:
         return become_worker()
     folder, lock = arguments
-    with contextlib.suppress(ImportError, OSError, AttributeError):
-        become_subreaper()
+    adopt_orphans()
     agent = Agent(os.path.abspath(os.path.expanduser(folder)), lock)
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
     for number in (signal.SIGHUP, signal.SIGINT):
@@ -1200,7 +1157,3 @@ def main(arguments: list[str]) -> int:
     signal.signal(signal.SIGTERM, lambda number, frame: setattr(agent, "terminated", True))
     agent.serve()
     return 0
-
-
-if __name__ == "__main__":
-    os._exit(main(sys.argv[1:]))

@@ -1,6 +1,6 @@
 """The condition of a robot before a run: battery, disk, firmware, calibration, and the checks that its fleet declares.
 
-`robot_agent` loads it. A value that cannot be measured is reported with the reason.
+A value that cannot be measured is reported with the reason.
 """
 
 from __future__ import annotations
@@ -9,6 +9,10 @@ import os
 import shutil
 import subprocess
 from typing import Any, Callable, Dict, Mapping, Sequence
+
+from sierra.worker.errors import explain
+from sierra.worker.outputs import describe
+from sierra.worker.topic_rates import shortfall
 
 Record = Dict[str, Any]
 
@@ -23,16 +27,8 @@ class Condition:
         self,
         declared: Record,
         environment: Mapping[str, str],
-        *,
-        explain: Callable[[Exception], str],
-        hash_of: Callable[[str], str],
-        shortfall: Callable[[str, float, Mapping[str, str]], object],
     ) -> None:
-        """`declared` has the keys of a `hello` (see `robot_agent`). `environment`: the variables of all commands.
-
-        `explain` turns an error into a line, `hash_of` returns the SHA-256 of a file, and `shortfall` is that of `topic_rates`.
-        """
-        self.explain, self.hash_of, self.shortfall = explain, hash_of, shortfall
+        """`declared` has the keys of a `hello` (see `robot_agent`). `environment`: the variables of all commands."""
         self.battery: Sequence[str] | str | None = declared.get("battery")
         self.firmware: Sequence[str] | None = declared.get("firmware")
         self.calibration: str | None = declared.get("calibration")
@@ -56,7 +52,7 @@ class Condition:
             try:
                 found[name] = source()
             except OSError as error:
-                found[name], found["unread"][name] = None, self.explain(error)
+                found[name], found["unread"][name] = None, explain(error)
             except ValueError as error:
                 found[name], found["unread"][name] = None, str(error)
         return found
@@ -79,8 +75,7 @@ class Condition:
 
     def slow_topic(self, topic: str) -> str | None:
         """Return why a topic has too few messages a second; None if it has enough."""
-        shortfall = self.shortfall(topic, self.topic_rates[topic], self.environment)
-        return None if shortfall is None else str(shortfall)
+        return shortfall(topic, self.topic_rates[topic], self.environment)
 
     def firmware_version(self) -> str | None:
         """Return what the command prints that knows the version; None without a command. Raises ValueError."""
@@ -93,7 +88,10 @@ class Condition:
 
     def calibration_hash(self) -> str | None:
         """Return the SHA-256 of the calibration file; None without one. Raises OSError."""
-        return self.hash_of(os.path.expanduser(self.calibration)) if self.calibration else None
+        if not self.calibration:
+            return None
+        path = os.path.expanduser(self.calibration)
+        return describe(path, path)["sha256"]
 
     def battery_level(self) -> float | None:
         """Return the first number that the battery's file or command gives; None without one. Raises OSError, ValueError."""
@@ -129,5 +127,5 @@ class Condition:
         except subprocess.TimeoutExpired:
             return None, "did not end within %g s" % CHECK_S
         except (OSError, ValueError) as error:
-            return None, self.explain(error)
+            return None, explain(error)
         return ended.returncode, " ".join(ended.stdout.decode("utf-8", "replace").split())[-TAIL_BYTES:]

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from sierra.worker import worker
 from sierra.worker.array_task import Finished, Requeued
+from sierra.worker.processes import marked
 from tests import clusters, projects
 from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
@@ -396,7 +396,7 @@ def test_removing_a_session_folder_by_hand_ends_its_processes_and_jobs(gate: Cal
     gated.until_begun(3)
     [folder] = (path for path in gated.root.glob(".sierra/work/*") if path.is_dir())
     shutil.rmtree(folder)
-    until(lambda: not worker.marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
+    until(lambda: not marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
     told = ended(asking, 3)
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
     until(lambda: not set(gated.slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"}, "no job is left")

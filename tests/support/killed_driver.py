@@ -25,7 +25,7 @@ def main(name: str, step: str, words: list[str]) -> None:
     from sierra.extensions.hosts.fabric import Fabric
     from sierra.extensions.robots.agent_link import AgentLink
     from sierra.store.store import Store
-    from sierra.worker import worker
+    from sierra.worker.journal import Journal
 
     counts: Counter[str] = Counter()
     lock = threading.Lock()
@@ -48,7 +48,7 @@ def main(name: str, step: str, words: list[str]) -> None:
     for owner, method in ((Fabric, "run"), (Fabric, "push"), (Fabric, "channel"), (AgentLink, "pull")):
         watch(owner, method, lambda *_, method=method: method)
     watch(AgentLink, "ask", lambda _, do, *more: do)
-    watch(worker.Journal, "write", lambda *_: "journal")
+    watch(Journal, "write", lambda *_: "journal")
     watch(Store, "publish", lambda *_: "publish")
     sys.argv = ["sierra", *words]
     program()

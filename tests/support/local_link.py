@@ -20,7 +20,7 @@ from sierra.extensions.robots.push import content_name
 from sierra.runners.links.base import Ended, LinkOptions, Overdue, Unreachable
 from sierra.runners.links.commands import Commands, Lines
 from sierra.runners.links.process_stream import ProcessStream
-from sierra.worker import worker
+from sierra.worker.processes import descendants, signal_process
 
 
 class LocalChannel:
@@ -181,11 +181,11 @@ class LocalLink:
         """Kill all processes of the robot, as a robot without power."""
         self.off = True
         for channel in self.channels:
-            running = worker.descendants(channel.process.pid) if channel.process.poll() is None else []
+            running = descendants(channel.process.pid) if channel.process.poll() is None else []
             for pid in running:  # none tells of another's end
-                worker.signal_process(pid, signal.SIGSTOP)
+                signal_process(pid, signal.SIGSTOP)
             for pid in reversed(running):  # the guard before its agent
-                worker.signal_process(pid, signal.SIGKILL)
+                signal_process(pid, signal.SIGKILL)
             channel.process.wait()
             channel.close()
 

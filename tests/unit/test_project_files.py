@@ -20,10 +20,6 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 LOCK = (ROOT / "requirements.lock").read_text("utf-8")
 ROS2_LOCK = (ROOT / "tests" / "system" / "ros2.lock").read_text("utf-8")
 DEMO_LOCK = (ROOT / "requirements-demo.lock").read_text("utf-8")
-WORKER = (ROOT / "sierra" / "worker" / "worker.py").read_text("utf-8")
-AGENT = (ROOT / "sierra" / "worker" / "robot_agent.py").read_text("utf-8")
-CLOCK_WATCH = (ROOT / "sierra" / "worker" / "clock_watch.py").read_text("utf-8")
-ON_HOST = (ROOT / "sierra" / "containers" / "engines" / "on_host.py").read_text("utf-8")
 
 NEWER_THAN_3_8 = {"annotationlib", "compression", "graphlib", "string.templatelib", "tomllib", "zoneinfo"}
 """Modules of the standard library that Python 3.8 does not have."""
@@ -164,18 +160,12 @@ def test_wheel_contains_the_whole_package() -> None:
     assert Path("sierra/py.typed") in shipped
 
 
-@pytest.mark.parametrize(
-    "text", [WORKER, AGENT, CLOCK_WATCH, ON_HOST], ids=["worker", "robot agent", "clock watch", "engines on a host"]
-)
-def test_worker_imports_only_the_standard_library_of_python_3_8(text: str) -> None:
-    found = imports(text) - {"sierra", "sierra.worker", "sierra.worker.conductor", "sierra.worker.file_trace"}  # only for types
+@pytest.mark.parametrize("path", sorted((ROOT / "sierra" / "worker").glob("*.py")), ids=lambda path: path.stem)
+def test_programs_of_nodes_import_only_each_other_and_the_standard_library_of_python_3_8(path: Path) -> None:
+    text = path.read_text("utf-8")
+    found = {name for name in imports(text) if name != "sierra.worker" and not name.startswith("sierra.worker.")} - {"sierra"}
     top = {name.partition(".")[0] for name in found}
     assert top <= sys.stdlib_module_names
     assert not (top | found) & NEWER_THAN_3_8
-
-
-def test_worker_has_only_python_3_8_syntax() -> None:
-    ast.parse(WORKER, feature_version=(3, 8))
-    ast.parse(AGENT, feature_version=(3, 8))
-    ast.parse(CLOCK_WATCH, feature_version=(3, 8))
-    ast.parse(ON_HOST, feature_version=(3, 8))
+    ast.parse(text, feature_version=(3, 8))
+    assert path.stem not in sys.stdlib_module_names

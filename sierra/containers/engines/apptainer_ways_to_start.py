@@ -21,8 +21,8 @@ from sierra.containers.engines.base import HOSTNAME, Capabilities, Mount
 from sierra.containers.engines.capabilities import CPUS, PIDS, Dependencies, Found
 from sierra.containers.engines.client_errors import mounted
 from sierra.containers.engines.hosts import HERE, Host, handed_on, run
-from sierra.containers.engines.on_host import ROOT
 from sierra.util.lazy_definitions import dataclass, regex, replace
+from sierra.worker.on_host import ROOT
 
 NAMES = ("apptainer", "singularity")
 MIN_VERSIONS = {"apptainer": (1, 1), "singularity-ce": (3, 10)}

@@ -26,7 +26,7 @@ from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
 from sierra.util.lazy_definitions import dataclass, field
 
 INSIDE = "/run/sierra"
-"""The folder in a container with SIERRA's files: `run`, `project` and, if runs share the container, `runs` and `worker.py`."""
+"""The folder in a container with SIERRA's files: `run`, `project` and, if it needs them, `runs` and `worker.pyz`."""
 RUN = f"{INSIDE}/run"
 PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"

@@ -12,11 +12,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from sierra.containers.engines import on_host
 from sierra.errors import Missing
 from sierra.store.layout import user_apptainer
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.lazy_logger import Log
+from sierra.worker import on_host
 
 log = Log(__name__)
 LOADER = "import json, sys; exec(json.loads(sys.stdin.buffer.readline()))"

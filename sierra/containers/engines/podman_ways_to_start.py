@@ -19,7 +19,7 @@ from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import Capabilities
 from sierra.containers.engines.capabilities import CPUS, MEMORY, PIDS, Dependencies, Found
 from sierra.containers.engines.hosts import HERE, Host, run
-from sierra.containers.engines.on_host import ROOT
+from sierra.worker.on_host import ROOT
 
 KEYS = ("volumes", "mounts", "devices")
 NAME = "containers.conf"

@@ -30,7 +30,7 @@ from sierra.util.json_types import Json, JsonView, as_object, as_texts
 from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
 from sierra.util.signals import noted
-from sierra.worker import worker
+from sierra.worker.processes import birth, marked, signal_group, stat_of
 
 log = Log(__name__)
 
@@ -241,11 +241,11 @@ def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
     with process:
         if builds and _end(started, process.pid):
             _wait(process)
-        worker.signal_group(process.pid, signal.SIGTERM)
+        signal_group(process.pid, signal.SIGTERM)
         _wait(process)
-        worker.signal_group(process.pid, signal.SIGKILL)
+        signal_group(process.pid, signal.SIGKILL)
     give_up = time.monotonic() + TIMEOUT_S
-    while _end(started | _births(worker.marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
+    while _end(started | _births(marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
         time.sleep(0.01)
 
 
@@ -259,7 +259,7 @@ def _end(started: Mapping[int, int | None], group: int) -> bool:
     found = False
     for pid, born in started.items():
         with contextlib.suppress(ProcessLookupError):
-            lives = born is not None and worker.birth(pid) == born and worker.stat_of(pid)[:1] not in ([], [b"Z"])
+            lives = born is not None and birth(pid) == born and stat_of(pid)[:1] not in ([], [b"Z"])
             if lives and os.getpgid(pid) != group:
                 found = True
                 os.kill(pid, signal.SIGKILL)
@@ -267,7 +267,7 @@ def _end(started: Mapping[int, int | None], group: int) -> bool:
 
 
 def _births(pids: Iterable[int]) -> dict[int, int | None]:
-    return {pid: worker.birth(pid) for pid in pids}
+    return {pid: birth(pid) for pid in pids}
 
 
 def _below(pid: int) -> Iterator[int]:

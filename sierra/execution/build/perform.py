@@ -37,7 +37,10 @@ from sierra.util.kept_log import kept_of
 from sierra.util.lazy_definitions import dataclass, regex, replace
 from sierra.util.lazy_logger import Log
 from sierra.util.text import one_line
-from sierra.worker import worker
+from sierra.worker.containers import end_container
+from sierra.worker.files import check_room
+from sierra.worker.job import with_folder
+from sierra.worker.temporary_folders import Temporary
 
 log = Log(__name__)
 
@@ -85,7 +88,7 @@ def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> End
     isolation = _isolated(recipe, place, store, session)
     log.info("build %s begins", recipe.id)
     started = datetime.now(UTC)
-    temporary = worker.Temporary(str(folder))
+    temporary = Temporary(str(folder))
     try:
         exit_code, reason = _execute_all(recipe, place, session, isolation, temporary.make(str(folder)))
     finally:
@@ -217,9 +220,7 @@ def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation
     )
     process = Process(argv, variables, own, os.path.normpath(f"{PROJECT}/{recipe.folder}"))
     made = place.engine.client(box, process)
-    filled = worker.with_folder(
-        {"argv": list(made.argv), "environment": dict(made.environment), "stop": list(made.stop)}, folder
-    )
+    filled = with_folder({"argv": list(made.argv), "environment": dict(made.environment), "stop": list(made.stop)}, folder)
     return Client(tuple(filled["argv"]), filled["environment"], tuple(filled.get("stop", ())))
 
 
@@ -250,7 +251,7 @@ def _execute_all(
             exit_code, reason = _execute(client, place.root / recipe.folder, output, recipe.wall)
         finally:
             if client.stop:
-                worker.end_container({"argv": [], "environment": dict(client.environment), "stop": list(client.stop)})
+                end_container({"argv": [], "environment": dict(client.environment), "stop": list(client.stop)})
             local.end_orphans([session.paths])
         if reason is not None:
             break
@@ -277,7 +278,7 @@ def _check_disk(root: Path, folder: Path, output: Path) -> None:
     """Raise Missing if a full disk is why a build failed: it is full now, or the build said so and then removed files."""
     for place in (root, folder):
         try:
-            worker.check_room(str(place))
+            check_room(str(place))
         except OSError as error:
             raise Missing(f"cannot write to {place}: {error.strerror}") from error
     content, _ = kept_of(str(output))

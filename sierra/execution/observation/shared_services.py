@@ -8,7 +8,7 @@ from __future__ import annotations
 from sierra.execution.plan import Plan
 from sierra.store.store import Store
 from sierra.util.text import few
-from sierra.worker.worker import UNOBSERVED
+from sierra.worker.shared_services import UNOBSERVED
 
 UNKNOWN = """
 SELECT count(DISTINCT e.session) FROM effective f JOIN executions e USING (execution)

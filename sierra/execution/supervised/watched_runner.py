@@ -16,7 +16,7 @@ from sierra.execution.supervised.supervisor import Attendant, Start
 from sierra.model import OutputFile, Result, Status
 from sierra.runners.base import Holds, Look, Runner, Work
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
-from sierra.worker import worker
+from sierra.worker.outputs import MOST_NAMED, described, list_files
 
 
 class WatchedRunner:
@@ -116,8 +116,8 @@ class WatchedRunner:
 def _with_outputs(result: Result) -> Result:
     """Return a result with the files in its output folder, or with the reason why these cannot be read."""
     try:
-        files, others = worker.list_files(f"{result.directory}/{RUN_OUTPUT}")
-        outputs = tuple(OutputFile(**one) for one in worker.described(files, lambda: None))
+        files, others = list_files(f"{result.directory}/{RUN_OUTPUT}")
+        outputs = tuple(OutputFile(**one) for one in described(files, lambda: None))
     except OSError as error:
         return replace(result, error=f"its outputs cannot be read: {error.strerror}")
-    return replace(result, outputs=outputs, left_out=tuple(others[: worker.MOST_NAMED]))
+    return replace(result, outputs=outputs, left_out=tuple(others[:MOST_NAMED]))

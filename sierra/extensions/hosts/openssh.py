@@ -29,7 +29,7 @@ from sierra.runners.links.base import Interrupted, LinkOptions, Unreachable, Unt
 from sierra.runners.links.commands import PAUSE_S, Commands, Stream, no_session
 from sierra.runners.links.process_stream import ProcessStream
 from sierra.util import terminal
-from sierra.worker import worker
+from sierra.worker.temporary_folders import temporary_folders
 
 PATIENCE = 3
 """The time for a connection without questions to the user, as a multiple of the option `connect`."""
@@ -41,7 +41,7 @@ REFUSED = "refused by peer"
 def folder_of_sockets() -> str | None:
     """Return an existing folder for sockets: the user's, or a temporary folder with a short path; None if there is none."""
     own = os.environ.get("XDG_RUNTIME_DIR", "")
-    return own if own and Path(own).is_dir() else next(iter(worker.temporary_folders()), None)
+    return own if own and Path(own).is_dir() else next(iter(temporary_folders()), None)
 
 
 class OpenSshOptions(LinkOptions):

@@ -50,7 +50,7 @@ class _Message(_Part):
 
 
 class Facts(_Part):
-    """See `sierra.provenance.machine.facts`."""
+    """See `sierra.worker.machine.facts`."""
 
     host: Text
     os: Text
@@ -119,7 +119,7 @@ class _Watched(_Message):
 
 
 class OutputFile(_Part):
-    """See `sierra.worker.worker.OutputFile`."""
+    """See `sierra.worker.journal.OutputFile`."""
 
     path: Raw
     sha256: Text
@@ -133,7 +133,7 @@ class OutputFile(_Part):
 
 
 class End(_Part):
-    """See `sierra.worker.worker.End`."""
+    """See `sierra.worker.journal.End`."""
 
     run: Text
     execution: Text

@@ -11,6 +11,7 @@ from sierra.extensions.robots.agent_messages import Record
 from sierra.extensions.robots.fleet_table import FleetTable, RobotTable
 from sierra.extensions.robots.push import push_programs
 from sierra.extensions.robots.trial import SETTLE_S
+from sierra.worker import program
 
 HELLO_S = 120.0
 """The seconds in which an agent that has the robot must have executed its setup line, the stop command and a first program."""
@@ -26,7 +27,7 @@ def start(agent: AgentLink, robot: RobotTable, table: FleetTable, session: str, 
     if agent.link.run((python, "-c", OLD_PYTHON)).status != 0:
         raise Missing(f"{agent.name}: needs Python 3.8 or newer as {python!r}; set python in [runners.robots]")
     programs = push_programs(agent.link, root)
-    agent.start((python, "-I", "-S", "-B", f"{programs}/robot_agent.py", root, LOCK))
+    agent.start((python, "-I", "-S", "-B", f"{programs}/{program.NAME}", "robot_agent", root, LOCK))
     text = f"{getpass.getuser()} on {os.uname().nodename} (session {session})"
     who = {"session": session, "robot": agent.name, "text": text, "store": store}
     declared = _declared(robot, table)

@@ -13,7 +13,7 @@ from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
 from sierra.runners.links.base import Link
 from sierra.util.lazy_definitions import regex
 from sierra.util.processors import NAMES, can_execute
-from sierra.worker import worker
+from sierra.worker.errors import processor_of
 
 IN_CODE = regex(f"(?:{ON_ROBOT}|{PROJECT})/([^:;,=]+)")
 """A path in the code: on a robot, or in a container there."""
@@ -35,7 +35,7 @@ def check_programs(robot: str, arch: str, member: Member, code: Path, link: Link
     if program is None:
         return
     name = program[1].replace(ARCH_ON_ROBOT, arch)
-    other = worker.processor_of(str(code / name))
+    other = processor_of(str(code / name))
     if other and not can_execute(arch, other) and not _emulates(link, other):
         raise Missing(
             f"{robot} is {arch}, but {name} is a program for {other}; build it for {arch}, and use {{arch}} in its path"

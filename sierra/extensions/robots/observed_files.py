@@ -17,9 +17,9 @@ from pydantic import AfterValidator, BaseModel, Field
 from sierra.extensions.robots.agent_messages import Text
 from sierra.extensions.robots.trial import Part
 from sierra.model import IN_PROJECT
-from sierra.runners.links import remote_folder
 from sierra.util.regular_files import read_regular
-from sierra.worker.worker import OBSERVED
+from sierra.worker import remote_folder
+from sierra.worker.layout import OBSERVED
 
 MOST_BYTES = 64 << 20
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]

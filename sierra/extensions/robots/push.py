@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import tempfile
 from pathlib import Path
 
-from sierra.containers.engines import on_host
 from sierra.errors import Missing
-from sierra.provenance import machine
-from sierra.runners.links import remote_folder
 from sierra.runners.links.base import Link, Unreachable
-from sierra.worker import clock_watch, robot_agent, robot_condition, robot_software, topic_rates, worker
+from sierra.util import worker_zip
+from sierra.worker import program
 
-PROGRAMS = (
-    *(
-        Path(str(one.__file__))
-        for one in (robot_agent, clock_watch, robot_condition, robot_software, topic_rates, worker, machine, on_host)
-    ),
-    *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
-    Path(remote_folder.__file__),
-)
 LENGTH = 24
 """The number of characters of a hash in a folder's name."""
 
@@ -66,6 +55,5 @@ def push_content(link: Link, folder: Path, root: str, kind: str, name: str | Non
 def push_programs(link: Link, root: str) -> str:
     """Copy the programs that execute runs to a robot; return their folder there."""
     with tempfile.TemporaryDirectory(prefix="sierra-") as made:
-        for path in PROGRAMS:
-            shutil.copyfile(path, Path(made, path.name))
+        Path(made, program.NAME).write_bytes(worker_zip.packed())
         return push_content(link, Path(made), root, "programs")

@@ -20,7 +20,10 @@ from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import KEPT, kept_of, shares
 from sierra.util.lazy_definitions import dataclass
-from sierra.worker import worker
+from sierra.worker.job import Job
+from sierra.worker.journal import End, OutputFile
+from sierra.worker.layout import LOGS
+from sierra.worker.outputs import MOST_NAMED, describe, described, list_files
 
 INTERRUPTED = "interrupted"
 LATE_S = 1.0
@@ -37,7 +40,7 @@ class Times:
     ended: float
 
 
-def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
+def result(trial: Trial, job: Job, folder: Path) -> End:
     """Return the result of a trial whose files are in `folder`/PLACE, and are moved to one folder of a run there.
 
     The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots: see `join_logs`.
@@ -54,7 +57,7 @@ def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
     stopped = INTERRUPTED if trial.stopped == STOPPED else next(limits, None)
     bad = _first_failed(started) if trial.stopped != OVER else None
     whole = bool(ends) and len(ends) == len(trial.parts)
-    record: worker.End = {
+    record: End = {
         "event": "end",
         "run": job["run"],
         "execution": job["execution"],
@@ -75,9 +78,9 @@ def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
     if observed:
         record["observed"] = True
     if left_out:
-        record["left_out"] = left_out[: worker.MOST_NAMED]
+        record["left_out"] = left_out[:MOST_NAMED]
     if left := list(dict.fromkeys(name for end in ends for name in end.get("left_running", ()))):
-        record["left_running"] = left[: worker.MOST_NAMED]
+        record["left_running"] = left[:MOST_NAMED]
     if ports := [port for end in ends for port in end.get("ports", ())]:
         record["ports"] = ports
     if after := [seconds for end in ends if (seconds := end.get("after_marker")) is not None]:
@@ -85,7 +88,7 @@ def result(trial: Trial, job: worker.Job, folder: Path) -> worker.End:
     return record
 
 
-def _first_failed(parts: Iterable[Part]) -> worker.End | None:
+def _first_failed(parts: Iterable[Part]) -> End | None:
     """Return the end of the program that has failed; that of one that was only stopped if none has."""
     ends = [(part.failure is None, part.place, end) for part in parts if (end := part.end) is not None]
     bad = [one for one in ends if one[2]["exit_code"] or one[2]["signal"] is not None]
@@ -136,15 +139,15 @@ def _changed(part: Part) -> str | None:
     end = part.end
     if end is None or part.files is None:
         return None
-    there = {name: path for path, name in worker.list_files(str(part.files / RUN_OUTPUT))[0]}
+    there = {name: path for path, name in list_files(str(part.files / RUN_OUTPUT))[0]}
     for file in end["outputs"]:
         name = file["path"]
-        if name not in there or worker.describe(there[name], name)["sha256"] != file["sha256"]:
+        if name not in there or describe(there[name], name)["sha256"] != file["sha256"]:
             return f"has changed {name!r} after its end"
     return None
 
 
-def _moved(parts: Iterable[Part], folder: Path) -> tuple[list[worker.OutputFile], list[str]]:
+def _moved(parts: Iterable[Part], folder: Path) -> tuple[list[OutputFile], list[str]]:
     """Move the outputs and logs of all parts to one folder; return the outputs, and the entries that are no files."""
     output = folder / RUN_OUTPUT
     output.mkdir(parents=True)
@@ -155,11 +158,11 @@ def _moved(parts: Iterable[Part], folder: Path) -> tuple[list[worker.OutputFile]
         if source.is_dir():
             source.rename(output / str(part.place))
         shutil.rmtree(str(part.files), ignore_errors=True)
-    files, others = worker.list_files(str(output))
+    files, others = list_files(str(output))
     reported = itertools.chain.from_iterable(
         (f"{part.place}/{name}" for name in part.end.get("left_out", ())) for part in several if part.end
     )
-    return list(worker.described(files, lambda: None)), [*others, *reported]
+    return list(described(files, lambda: None)), [*others, *reported]
 
 
 def times_of(part: Part) -> Times | None:
@@ -171,7 +174,7 @@ def times_of(part: Part) -> Times | None:
     return Times(end["started"] - offset, end["ended"] - offset)
 
 
-def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
+def rows(trial: Trial, job: Job, table: Iterable[str] = ()) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
     """Yield the rows of `robots` of a trial."""
     for part in trial.parts:
         facts = part.hello.get("facts", {})
@@ -280,7 +283,7 @@ def _sum(values: Iterable[float | None]) -> float | None:
 def join_logs(parts: Iterable[Part], folder: Path) -> None:
     """Write `stdout` and `stderr` of all parts whose files were pulled into a folder, each part below the robot's name."""
     pulled = sorted((part for part in parts if part.files is not None), key=lambda part: part.failure is not None)
-    for name in worker.LOGS:
+    for name in LOGS:
         logs = [(f"==> {part.name} <==\n".encode(), str(part.files / name)) for part in pulled if part.files]
         (folder / name).write_bytes(b"".join(_joined(logs)))
 

@@ -44,7 +44,9 @@ from sierra.store.segments import disk_errors
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_logger import Log
 from sierra.util.processors import name_of
-from sierra.worker import worker
+from sierra.worker import journal
+from sierra.worker.job import Job as JobRecord
+from sierra.worker.journal import Event
 from sierra.worker.robot_software import Software
 
 log = Log(__name__)
@@ -105,7 +107,7 @@ class Robots:
         session.runs.mkdir(parents=True, exist_ok=True)
         used = [int(path.name) for path in session.runs.iterdir() if path.name.isdigit() and int(path.name) < LATE]
         self._numbers = itertools.count(max(used, default=0) + 1)
-        self._writer = worker.Journal(str(session.journal))
+        self._writer = journal.Journal(str(session.journal))
         self._code = content_name(work.code) if work.code else None
         beside = next((job.beside for job in jobs if job.beside), None)
         self._beside = content_name(Path(beside)) if beside else None
@@ -271,11 +273,11 @@ class Robots:
         for text in results.notes(trial):
             self._notes.put(text)
         for table, row in self._rows(trial, own):
-            self._writer.write(cast(worker.Event, {"event": "row", "table": table, "row": as_json(row)}))
+            self._writer.write(cast(Event, {"event": "row", "table": table, "row": as_json(row)}))
         first = trial.parts[0]
         isolated = {"isolation": first.hello["isolation"]} if "isolation" in first.hello else {}
         more = {"environment": first.hello.get("environment"), "robots": {str(p.place): p.name for p in trial.parts}}
-        self._writer.write(cast(worker.Event, {**end, **more, **isolated}))
+        self._writer.write(cast(Event, {**end, **more, **isolated}))
 
     def _rejoin(self, part: Part, attempt: str) -> Record:
         """Connect to a lost robot again, if it comes back within the time of a lease. Raises Unreachable."""
@@ -290,7 +292,7 @@ class Robots:
                     raise
                 time.sleep(REJOIN_S)
 
-    def _rows(self, trial: Trial, job: worker.Job) -> list[tuple[str, Mapping[str, RecordValue]]]:
+    def _rows(self, trial: Trial, job: JobRecord) -> list[tuple[str, Mapping[str, RecordValue]]]:
         robots = [self._robots[part.name] for part in trial.parts]
         isolations = [row for robot in robots if robot.container and (row := robot.container.isolation.row)]
         return [
@@ -304,7 +306,7 @@ class Robots:
         folder = self._session.runs / str(LATE + secrets.randbits(62))  # not one that the journal names already
         robot.agent.pull(f"{robot.hello['folder']}/runs/{left['attempt']}/1", folder)
         late = {"execution": left["execution"], "place": left["place"], "robot": robot.name, "directory": str(folder)}
-        self._writer.write(cast(worker.Event, {"event": "late", **late}))
+        self._writer.write(cast(Event, {"event": "late", **late}))
 
     def _next_folder(self) -> Path:
         return self._session.runs / str(next(self._numbers))

@@ -25,10 +25,12 @@ from sierra.extensions.robots.agent_link import AgentLink, Refused
 from sierra.extensions.robots.agent_messages import Record, as_report
 from sierra.extensions.robots.fleet_table import FleetTable
 from sierra.runners.links.base import Unreachable
-from sierra.worker import worker
 from sierra.worker.clock_watch import ClockWatch, Course
+from sierra.worker.job import Job
+from sierra.worker.journal import End
+from sierra.worker.running import START_S
 
-ARM_S = worker.START_S + 30.0
+ARM_S = START_S + 30.0
 """The seconds in which a robot must have its input files, and must have started its container."""
 CHECK_S = 30.0
 CANCEL_S = 0.1
@@ -59,7 +61,7 @@ class Part:
     agent: AgentLink
     hello: Record
     """The agent's description of its robot."""
-    job: worker.Job
+    job: Job
     unchanged: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     """Files on the robot that must not have changed since they were verified, with the kernel's data about them then."""
     before: Record = field(default_factory=dict)
@@ -93,7 +95,7 @@ class Part:
         return self.ended is None and self.lost is None
 
     @property
-    def end(self) -> worker.End | None:
+    def end(self) -> End | None:
         """Return the worker's report; None if there is none."""
         return (self.ended or {}).get("end")
 

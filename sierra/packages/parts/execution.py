@@ -31,10 +31,11 @@ from sierra.provenance.dependency_model import Kind
 from sierra.provenance.source.manifest import LINK, parts, read
 from sierra.runners import local
 from sierra.store.store import Store
+from sierra.util import worker_zip
 from sierra.util.fs import inside
 from sierra.util.hashing import short
 from sierra.util.text import counted
-from sierra.worker import conductor, worker
+from sierra.worker import program
 
 IN_PROJECT = "{project}/"
 FILES = (Kind.PROGRAM, Kind.LIBRARY, Kind.FILE)
@@ -52,8 +53,8 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
 
 def _programs() -> list[Member]:
     about = "program that executes the runs and compares their outputs; it needs only Python"
-    paths = [*(Path(str(module.__file__)) for module in (worker, conductor)), SCRIPT]
-    return [Member(EXECUTOR, Path(execute_runs.__file__), about), *(Member(EXECUTION + one.name, one, about) for one in paths)]
+    members = [Member(EXECUTOR, Path(execute_runs.__file__), about), Member(EXECUTION + SCRIPT.name, SCRIPT, about)]
+    return [*members, Member(EXECUTION + program.NAME, worker_zip.packed(), about)]
 
 
 class _Batch:
@@ -205,7 +206,7 @@ def _clients(recalled: Recalled, image: Image) -> dict[str, dict[str, Any]]:
     """Return the commands by which engines start a container for a run, with the marks of `execute_runs`."""
     conducting = commands.CONDUCTING if recalled.spec.around else ()
     mounts = [Mount(execute_runs.SOURCE, PROJECT_INSIDE)]
-    mounts += [Mount(f"{execute_runs.HERE}/{worker.CONDUCTOR}", commands.CONDUCTOR)] if conducting else []
+    mounts += [Mount(f"{execute_runs.HERE}/{program.NAME}", commands.PROGRAM)] if conducting else []
     process = run_process((*conducting, execute_runs.COMMAND), {execute_runs.VARIABLE: execute_runs.VALUE}, *mounts)
     box = ContainerSpec(image, execute_runs.IMAGE, session="package")
     way = apptainer_ways_to_start.Way(Apptainer.name, "", mapped=False, squashfs=True)

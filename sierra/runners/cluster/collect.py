@@ -28,8 +28,8 @@ from sierra.util.fs import write_whole
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted
-from sierra.worker import worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
+from sierra.worker.files import remove
 
 AT_ONCE = 256
 """Largest number of runs that one look reports."""
@@ -133,14 +133,14 @@ class Collector:
         self._recorded = {bytes.fromhex(execution): attempt for execution, attempt in recorded.items()}
         prefix = f"sierra-taken-{session.root.name}-"
         for left in Path(tempfile.gettempdir()).glob(f"{glob.escape(prefix)}*"):  # of an earlier process that was killed
-            worker.remove(str(left))
+            remove(str(left))
         self._folder = Path(tempfile.mkdtemp(prefix=prefix))
         """A folder on this host for the files of runs until they are recorded."""
         self._number = 0
         self._due = 0.0
 
     def close(self) -> None:
-        worker.remove(str(self._folder))
+        remove(str(self._folder))
 
     def is_due(self) -> bool:
         """Return False if result logs were read just now and had nothing new."""

@@ -20,7 +20,7 @@ from sierra.store.segments import disk_errors
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.regular_files import open_regular
 from sierra.worker import array_task
-from sierra.worker.worker import OBSERVED
+from sierra.worker.layout import OBSERVED
 
 if TYPE_CHECKING:
     from sierra.worker.array_task import Other, Packed

@@ -23,19 +23,16 @@ import contextlib
 import json
 import math
 import re
-import shutil
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import ClassVar
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import Table
 from sierra.errors import Full, Missing, SierraError
 from sierra.model import Result, Times
-from sierra.provenance import machine
 from sierra.runners import schedulers
 from sierra.runners.base import Look, Work
 from sierra.runners.cluster import submission_record
@@ -48,11 +45,12 @@ from sierra.runners.cluster.submission_record import Sent, Submission
 from sierra.runners.schedulers.base import NodeVariables, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
+from sierra.util import worker_zip
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
 from sierra.util.text import counted, few, verb
-from sierra.worker import array_task, worker
+from sierra.worker.files import remove
 
 log = Log(__name__)
 FIRST_POLL_S, LAST_POLL_S = 1.0, 15.0
@@ -74,11 +72,6 @@ ASKED = regex(r"asked to end after (\d+) s$")
 """Matches an element's own message that it was asked to end; the number is the time that it had lasted."""
 MISHAP = regex(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
 """Matches a scheduler's end reason that means that nobody ended the element on purpose."""
-PROGRAMS = (
-    *(Path(str(one.__file__)) for one in (worker, array_task, machine)),
-    *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
-)
-"""The programs that nodes execute: each is one file without SIERRA."""
 RELAUNCHED = "launch failed"
 """Text in the scheduler's reason for a job that could not be started, though it can. Such a job is submitted again."""
 
@@ -109,8 +102,7 @@ class Cluster:
             session.results.mkdir()
             session.logs.mkdir()
             counts, rest = self._deal(work, sized, session)
-            for program in PROGRAMS:
-                shutil.copyfile(program, session.root / program.name)
+            write_whole(session.worker, worker_zip.packed())
             write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
         probed = Preflight(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
@@ -684,4 +676,4 @@ def forget(session: SessionPaths) -> None:
     session.submission.unlink(missing_ok=True)
     session.cancelled.unlink(missing_ok=True)
     for folder in (session.results, session.logs, session.sent, session.jobs(0).parent):
-        worker.remove(str(folder))
+        remove(str(folder))

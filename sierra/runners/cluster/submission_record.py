@@ -115,8 +115,8 @@ def elements_request(session: SessionPaths, name: str, elements: tuple[int, ...]
 
 
 def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str, *options: str) -> Request:
-    """Return the request for an array job that calls `array_task.py` for these elements."""
-    command = (python, "-I", "-S", str(session.root / "array_task.py"), str(session.root), *options)
+    """Return the request for an array job that calls `sierra.worker.array_task` for these elements."""
+    command = (python, "-I", "-S", str(session.worker), "array_task", str(session.root), *options)
     return Request(name, f"sierra {session.root.name}", elements, session.root, session.logs, command)
 
 

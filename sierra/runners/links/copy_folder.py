@@ -1,4 +1,4 @@
-"""Copies of folders to and from a host: the part on this machine; `runners.links.remote_folder` is the part on the host."""
+"""Copies of folders to and from a host: the part on this machine; `sierra.worker.remote_folder` is the part on the host."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sierra.errors import Missing
-from sierra.runners.links import remote_folder
 from sierra.runners.links.base import Folder, Overdue, Unreachable
+from sierra.worker import remote_folder
 
 
 class Conversation(Protocol):
@@ -25,7 +25,7 @@ class Conversation(Protocol):
 
 
 Entry = list[Any]
-"""See `sierra.runners.links.remote_folder`."""
+"""See `sierra.worker.remote_folder`."""
 LONGEST = 1 << 28
 """The greatest size in bytes of the list of a folder that a host may send."""
 LOADER = "import json, sys; exec(json.loads(sys.stdin.buffer.readline()))"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sierra.extensions.hosts.openssh import folder_of_sockets
-from sierra.worker.worker import TEMPORARY_LENGTH
+from sierra.worker.temporary_folders import TEMPORARY_LENGTH
 
 
 def test_sockets_have_a_short_path_although_tmpdir_is_long(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

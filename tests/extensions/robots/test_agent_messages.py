@@ -10,8 +10,8 @@ import pytest
 
 from sierra.extensions.robots import agent_messages
 from sierra.extensions.robots.agent_link import AgentLink
-from sierra.provenance import machine
-from sierra.worker import worker
+from sierra.worker import machine
+from sierra.worker.journal import End, OutputFile
 from tests.support.local_link import LocalLink
 from tests.waiting import PATIENCE_S
 
@@ -30,9 +30,9 @@ def with_end(**changes: Any) -> dict[str, Any]:
 
 def test_everything_is_known_that_robots_report_of_themselves_and_of_ends():
     assert agent_messages.Facts.model_fields.keys() == machine.facts().keys()
-    assert agent_messages.OutputFile.model_fields.keys() == worker.OutputFile.__annotations__.keys()
+    assert agent_messages.OutputFile.model_fields.keys() == OutputFile.__annotations__.keys()
     without_robots = {"event", "elsewhere", "spare"}
-    assert agent_messages.End.model_fields.keys() == worker.End.__annotations__.keys() - without_robots
+    assert agent_messages.End.model_fields.keys() == End.__annotations__.keys() - without_robots
 
 
 def test_a_report_is_passed_on_without_what_nobody_knows():

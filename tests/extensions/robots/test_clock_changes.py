@@ -10,8 +10,8 @@ from sierra.extensions.hosts.clock import Clock
 from sierra.extensions.robots import clock_changes
 from sierra.extensions.robots.agent_link import AgentLink
 from sierra.extensions.robots.trial import Part
-from sierra.worker import worker
 from sierra.worker.clock_watch import Course
+from sierra.worker.job import Job
 from tests.support.local_link import LocalLink
 
 SECOND, MS = 10**9, 10**6
@@ -20,7 +20,7 @@ EVEN = Course(0, 0)
 
 def part(shift_s: float, seconds: float, uneven_s: float = 0, moved_s: float = 0) -> Part:
     """Return a part whose offset has changed in some seconds, and whose agent has seen how even its clock was."""
-    job: worker.Job = {}  # type: ignore[typeddict-item]
+    job: Job = {}  # type: ignore[typeddict-item]
     agent = AgentLink("ada", LocalLink.__new__(LocalLink), 1.0, queue.SimpleQueue())
     first, last = Clock(0, 1000, 0), Clock(round(shift_s * SECOND), 1000, round(seconds * SECOND))
     course = Course(round(uneven_s * SECOND), round(moved_s * SECOND))

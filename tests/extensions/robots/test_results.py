@@ -21,7 +21,8 @@ from sierra.ingest.observations import observed
 from sierra.ingest.success import judge
 from sierra.model import Limits, Status
 from sierra.runners.journal_reader import result_of
-from sierra.worker import worker
+from sierra.worker.layout import LOGS, OBSERVED
+from sierra.worker.outputs import describe
 from tests.support.local_link import LocalLink
 
 JOB: Any = {"run": "ab" * 32, "execution": "cd" * 32}
@@ -45,7 +46,7 @@ def trial_of(folder: Path) -> Trial:
     parts = []
     for place, name in enumerate(("ada", "bob"), 1):
         (folder / str(place) / "output").mkdir(parents=True)
-        for log in worker.LOGS:
+        for log in LOGS:
             (folder / str(place) / log).touch()
         agent = AgentLink(name, LocalLink(name, folder / "home"), 1.0, queue.SimpleQueue())
         ended = {"started": True, "why": STOPPED, "end": dict(END), "problems": []}
@@ -105,7 +106,7 @@ def test_reports_name_only_files_that_were_copied(tmp_path: Path, path: str):
     trial = trial_of(tmp_path)
     report = trial.parts[1].end
     assert report is not None
-    report["outputs"] = [worker.describe("/dev/null", path)]
+    report["outputs"] = [describe("/dev/null", path)]
     assert results.failure(trial) == f"bob has changed {path!r} after its end"
 
 
@@ -136,7 +137,7 @@ def test_a_record_of_used_files_counts_only_if_its_names_are_names_of_files(tmp_
         assert part.end is not None
         assert part.files is not None
         part.end["observed"] = True
-        (part.files / worker.OBSERVED).write_text(json.dumps(record))
+        (part.files / OBSERVED).write_text(json.dumps(record))
     end = results.result(trial, JOB, tmp_path)
     assert end.get("observed", False) == known
     found = observed(result_of(end))

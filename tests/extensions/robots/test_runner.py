@@ -26,7 +26,7 @@ from sierra.runners.base import Look, Work
 from sierra.store.layout import SessionPaths
 from sierra.testing import robots as conformance
 from sierra.util.kept_log import kept_of
-from sierra.worker import worker
+from sierra.worker.processes import marked
 from tests.pythons import python_of
 from tests.support.local_link import LocalChannel, LocalLink, ProcessLink
 from tests.support.robot_runs import GO, Runs, execution_of, job
@@ -62,7 +62,7 @@ def soon_over(fleet: Fleet) -> None:
 
 def is_alone(number: int) -> bool:
     """Return whether no process of a run is alive."""
-    return not worker.marked([b"SIERRA_EXECUTION=" + execution_of(number).encode()])
+    return not marked([b"SIERRA_EXECUTION=" + execution_of(number).encode()])
 
 
 @pytest.mark.integration

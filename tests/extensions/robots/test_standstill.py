@@ -24,7 +24,7 @@ FOR_EVER = 6000
 """Ticks of a program that does not end by itself."""
 LONGEST_S = 120.0
 """Limit on the seconds that a driver takes to end."""
-AGENT = "^python3 .*robot_agent.py"
+AGENT = "^python3 .*worker.pyz robot_agent"
 SETTLED_S = 1.0
 """Seconds in which no robot moves again."""
 DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
@@ -133,7 +133,7 @@ CASES = {
     ),
     "agent killed": Case(1, lambda fleet, _: fleet.enter("rb2", *kill(AGENT))),
     "agent killed out of reach": Case(1, lose_the_agent_out_of_reach),
-    "worker killed": Case(1, lambda fleet, _: fleet.enter("rb2", *kill(".*robot_agent.py worker"))),
+    "worker killed": Case(1, lambda fleet, _: fleet.enter("rb2", *kill(".*robot_agent worker"))),
     "restart": Case(1, lambda fleet, _: fleet.reboot("rb2")),
     "program crashes": Case(1, program=CRASHES),
     "program ends": Case(0, ticks=20),

@@ -16,7 +16,7 @@ import sierra
 from sierra.api import Project
 from sierra.execution import expected_durations
 from sierra.runners.cluster.result_log_reader import Ended
-from sierra.worker import worker
+from sierra.worker.processes import marked
 from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
@@ -379,7 +379,7 @@ def test_the_next_command_cancels_jobs_that_could_not_be_cancelled(gated: Gated,
     assert done.returncode == 3
     assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so jobs of session ")
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
-    until(lambda: not worker.marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
+    until(lambda: not marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
     gated.slurm.start_controller()
     if again == "run":
         gated.open()

@@ -36,12 +36,13 @@ from sierra.runners.cluster.result_log_reader import Pack
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import user_apptainer
 from sierra.store.store import Store
-from sierra.worker import worker
 from sierra.worker.array_task import Attempt
+from sierra.worker.program import HERE
 from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.observers import Observing
+from tests.support.worker_zip import change
 from tests.users import a_user, called_as
 from tests.waiting import PATIENCE_S, until
 
@@ -243,11 +244,13 @@ def test_runs_that_end_during_cancellation_are_kept(
     made = clustered(WAITS)
     submit, look = Here.submit, Here.look
 
-    def late_to_heed(self: Here, request: Request) -> str:
-        script = request.folder / "array_task.py"
-        text, found = re.subn(r"(?m)^SYNC_S = .*$", "SYNC_S = 600.0", script.read_text())
+    def slowed(text: str) -> str:
+        changed, found = re.subn(r"(?m)^SYNC_S = .*$", "SYNC_S = 600.0", text)
         assert found == 1
-        script.write_text(text)
+        return changed
+
+    def late_to_heed(self: Here, request: Request) -> str:
+        change(request.folder / "worker.pyz", "array_task.py", slowed)
         return submit(self, request)
 
     monkeypatch.setattr(Here, "submit", late_to_heed)
@@ -294,7 +297,7 @@ def test_a_partially_removed_session_is_not_a_submission(tmp_path: Path, monkeyp
         raise SystemExit
 
     with monkeypatch.context() as patch:
-        patch.setattr(worker, "remove", killed)
+        patch.setattr("sierra.execution.sessions.remove", killed)
         with pytest.raises(SystemExit):
             session.close()
     assert session.paths.root.exists()
@@ -630,7 +633,7 @@ def test_containers_on_nodes_need_no_files_of_sierra(contained: Callable[..., Pr
     project.run("population_size=1", runner="here", detach=True, figures=False)
     [jobs] = project.paths.store.glob("work/*/elements/0.jobs")
     told = gzip.decompress(jobs.read_bytes()).decode()
-    for only_here in (Path(worker.__file__).parent, user_apptainer()):
+    for only_here in (Path(HERE), user_apptainer()):
         assert f"{only_here}/" not in told
     assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
 

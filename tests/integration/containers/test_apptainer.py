@@ -119,7 +119,7 @@ def of(folder: Path, what: str) -> list[int]:
         except OSError:
             continue
         parent = name.startswith(b"Apptainer runtime parent") and os.fsencode(folder) in around
-        worker = b"worker.py" in name and os.fsencode(folder) in name
+        worker = b"worker/__main__.py" in name and os.fsencode(folder) in name
         if parent if what == "clients" else worker:
             found.append(int(process.name))
     return found

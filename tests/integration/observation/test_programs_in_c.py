@@ -14,6 +14,7 @@ import pytest
 from sierra.testing.observers import Seen, Trial
 from sierra.worker import file_trace
 from sierra.worker.file_trace import Strace
+from sierra.worker.processes import all_processes
 from tests.users import User, a_user, called_as
 
 HEAD = """
@@ -279,7 +280,7 @@ def test_a_killed_tracer_makes_calls_fail_and_the_run_disturbed(bench: Bench) ->
     program = bench.compile(text)
 
     def kill(observation: file_trace.Observation, pid: int) -> None:
-        for one in [one for one in file_trace.processes() if observation.is_tracer(one)]:
+        for one in [one for one in all_processes() if observation.is_tracer(one)]:
             os.kill(one, 9)
 
     seen = bench.trial.run(bench.place, str(program), meanwhile=kill)

@@ -95,7 +95,7 @@ def _watch_workers(setting):
     start = subprocess.Popen.__init__
 
     def init(self, args, *more, **options):
-        if isinstance(args, list | tuple) and len(args) > 3 and os.path.basename(args[3]) == "worker.py":
+        if isinstance(args, list | tuple) and len(args) > 3 and args[3].endswith("sierra/worker/__main__.py"):
             args = [*args[:3], __file__, json.dumps(setting), *args[3:]]
         start(self, args, *more, **options)
 

@@ -18,7 +18,7 @@ from sierra.execution import build_products
 from sierra.execution.build.recipe import build_id
 from sierra.model import RunSpec
 from sierra.util.processors import here
-from sierra.worker import worker
+from sierra.worker.processes import stat_of
 from tests import projects
 from tests.waiting import until
 
@@ -97,7 +97,7 @@ def built(root: Path) -> int:
 
 def has_ended(pid: int) -> bool:
     """Check whether a process is gone, or a zombie that nobody has waited for yet."""
-    return worker.stat_of(pid)[:1] in ([], [b"Z"])
+    return stat_of(pid)[:1] in ([], [b"Z"])
 
 
 def edit(root: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.worker.conductor import BLOCK, Ports
+from sierra.worker.free_ports import BLOCK, Ports
 from tests.projects import quick, run, sql
 
 SIMULATOR = """\
@@ -89,12 +89,12 @@ def test_a_template_with_the_mark_of_a_port_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no abstract sockets")
 def test_two_programs_never_get_the_same_ports(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sierra.worker import conductor
+    from sierra.worker import free_ports
 
     first, second = Ports(), Ports()
     port = first.take()
-    monkeypatch.setattr(conductor, "PORTS", range(port, port + BLOCK))
-    with pytest.raises(conductor.Failed):
+    monkeypatch.setattr(free_ports, "PORTS", range(port, port + BLOCK))
+    with pytest.raises(free_ports.NoFreePort):
         second.take()
     first.give_back()
     assert second.take() == port

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.worker import worker
+from sierra.worker.shared_files import BESIDE_NS, LINKED, SharedFiles
 from tests.projects import quick, run, sql
 
 SIMULATOR = """\
@@ -193,10 +193,10 @@ def test_a_changed_large_file_is_noticed(tmp_path: Path) -> None:
     folder = tmp_path / "shared"
     folder.mkdir()
     large = folder / "large"
-    large.write_bytes(b"0" * worker.LINKED)
+    large.write_bytes(b"0" * LINKED)
     large.chmod(0o444)
-    os.utime(large, ns=(worker.BESIDE_NS, worker.BESIDE_NS))
-    files = worker.SharedFiles(str(folder))
+    os.utime(large, ns=(BESIDE_NS, BESIDE_NS))
+    files = SharedFiles(str(folder))
     assert files.changed() is None
     large.chmod(0o644)
     assert files.changed() == "a run has changed large, which all runs share"

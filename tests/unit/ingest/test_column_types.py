@@ -22,7 +22,7 @@ from sierra.ingest.read import read
 from sierra.model import OutputFile
 from sierra.store.connections import connect
 from sierra.store.union_files import relation
-from sierra.worker import worker
+from sierra.worker.outputs import describe
 from tests import projects, samples
 from tests.readings import read_file, shape_of
 
@@ -110,7 +110,7 @@ def together(folder: Path, *arrays: pa.Array) -> tuple[list[str], str, list[Any]
     for place, array in enumerate(arrays):
         path = folder / f"{place}.parquet"
         path.write_bytes(parquet(array))
-        seen = OutputFile(**worker.describe(str(path), "t.parquet"))
+        seen = OutputFile(**describe(str(path), "t.parquet"))
         facts = (seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
         files.append(Written(str(path), f"r{place}", f"e{place}", "t.parquet", *facts))
     target = folder / "target" / "table.parquet"

@@ -27,7 +27,7 @@ from sierra.ingest.read import read
 from sierra.ingest.recorder import Recorder
 from sierra.store import equal_runs
 from sierra.store.samples import Frame
-from sierra.worker import worker
+from sierra.worker.outputs import describe
 from tests import projects, samples
 from tests.tiers import at_night
 
@@ -503,7 +503,7 @@ def table(
     for number, content in enumerate(contents):
         path = folder / f"{number}.{kind}"
         path.write_bytes(content)
-        seen = worker.describe(str(path), f"out.{kind}")
+        seen = describe(str(path), f"out.{kind}")
         facts = (seen["path"], seen["head"], seen["lines"], seen["ended"], seen["bytes"])
         files.append(Written(str(path), f"r{number}", f"e{number}", *facts))
     for old in folder.glob("target*.parquet"):

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
-from sierra.worker import worker
+from sierra.worker import outputs
+from sierra.worker.outputs import describe
 from tests import samples
 from tests.tiers import at_night
 
@@ -38,7 +39,7 @@ BAD = {
 
 def written(path: Path, number: int = 0, *, counts: bool = True) -> Written:
     """Return the description of a file as a worker makes it; without `counts`, as an older worker made it."""
-    seen = worker.describe(str(path), "out" + path.suffix)
+    seen = describe(str(path), "out" + path.suffix)
     facts = [seen[name] for name in ("path", "head", "lines", "ended", "bytes")]
     more = [seen.get(name) for name in ("quotes", "blank", "alike")] if counts else []
     return Written(str(path), f"r{number}", f"e{number}", *facts, *more)
@@ -301,8 +302,8 @@ def test_worker_counts_do_not_depend_on_the_chunk_size(
 ) -> None:
     path = tmp_path / "x"
     path.write_bytes(content)
-    monkeypatch.setattr(worker, "CHUNK", size)
-    seen = worker.describe(str(path), "x")
+    monkeypatch.setattr(outputs, "CHUNK", size)
+    seen = describe(str(path), "x")
     lines = content.split(b"\n")[:-1]
     returns = content.count(b"\r")
     assert (seen["bytes"], seen["lines"], seen["quotes"]) == (len(content), len(lines), content.count(b'"'))
@@ -314,13 +315,13 @@ def test_worker_counts_do_not_depend_on_the_chunk_size(
 def test_worker_counts_fewer_properties_of_binary_files(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_bytes(b"\x89PNG\0\n\n")
-    assert worker.describe(str(path), "x").keys() == {"path", "sha256", "bytes", "lines", "ended", "head"}
+    assert describe(str(path), "x").keys() == {"path", "sha256", "bytes", "lines", "ended", "head"}
     path.write_bytes(b"\x89PNG\n\n")
-    assert {"quotes", "blank", "alike"} <= worker.describe(str(path), "x").keys()
+    assert {"quotes", "blank", "alike"} <= describe(str(path), "x").keys()
 
 
 def test_worker_counts_consecutive_blank_lines(tmp_path: Path) -> None:
     path = tmp_path / "x"
     for before, ends in itertools.product((b"", b"a\n"), (b"\n", b"\r\n")):
         path.write_bytes(before.replace(b"\n", ends) + 5 * ends)
-        assert worker.describe(str(path), "x")["blank"] == 5
+        assert describe(str(path), "x")["blank"] == 5

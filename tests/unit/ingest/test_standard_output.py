@@ -18,7 +18,6 @@ from sierra.errors import Missing
 from sierra.execution import unread_files
 from sierra.ingest.standard_output import NO_FILE, added
 from sierra.model import Result
-from sierra.worker import worker
 from tests.projects import quick, sql
 
 PROGRAM = """\
@@ -289,7 +288,7 @@ def test_standard_output_that_cannot_be_read_fails_only_its_run(tmp_path: Path, 
     def describe(*_: object) -> None:
         raise OSError(fail, "refused")
 
-    monkeypatch.setattr(worker, "describe", describe)
+    monkeypatch.setattr("sierra.ingest.standard_output.describe", describe)
     assert added(result, CSV).error == f"{NO_FILE}: refused"
     fail = errno.ENOSPC
     with pytest.raises(Missing):

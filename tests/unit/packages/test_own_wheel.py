@@ -52,7 +52,7 @@ def test_the_wheel_lists_all_of_its_files_and_is_the_same_again(wheel: Path, tmp
             digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
             assert rows[name] == (("", "") if name == record else (f"sha256={digest}", str(len(content))))
     assert set(rows) == set(names)
-    assert {"sierra/util/version.py", "sierra/py.typed", "sierra/worker/worker.py"} <= set(names)
+    assert {"sierra/util/version.py", "sierra/py.typed", "sierra/worker/__main__.py"} <= set(names)
     assert not [name for name in names if "__pycache__" in name or name.endswith(("direct_url.json", ".pth", "RECORD.jws"))]
     assert own_wheel.wheel(OWN, tmp_path / "again").read_bytes() == wheel.read_bytes()
 

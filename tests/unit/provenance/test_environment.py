@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.provenance import environment, machine
-from sierra.worker import array_task
+from sierra.provenance import environment
+from sierra.worker import array_task, machine
 from tests import projects
 
 X86 = """\

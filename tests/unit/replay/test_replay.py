@@ -18,8 +18,9 @@ from lxml import etree
 
 import sierra
 from sierra.config.output_tables import Tolerance
-from sierra.provenance import environment, machine
+from sierra.provenance import environment
 from sierra.replay.compare_values import Rules, Verdict, of_tables, of_texts, worst
+from sierra.worker import machine
 from tests import projects, stores
 from tests.unit.maintenance.test_fsck import seal
 

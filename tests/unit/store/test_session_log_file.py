@@ -78,7 +78,7 @@ def test_v_logs_events_and_vv_details_to_standard_error(root: Path) -> None:
     assert "INFO sierra.execution.execute: query population_size=1" in quiet.stderr
     assert "DEBUG" not in quiet.stderr
     loud = projects.quick(root, "-vv", "run", "population_size=2", "--no-figures")
-    assert "worker.py" in loud.stderr
+    assert "worker/__main__.py" in loud.stderr
     assert "first run: python3 " in loud.stderr
     assert "INFO" not in loud.stdout
     assert "INFO" not in projects.quick(root, "run", "population_size=3", "--no-figures").stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import hashlib
 import json
@@ -28,19 +27,19 @@ from hypothesis import strategies as st
 
 from sierra.errors import Damaged
 from sierra.model import Client, Job, Limits
-from sierra.provenance import machine
 from sierra.runners import local
 from sierra.runners.cluster.result_log_reader import Ended, Pack
 from sierra.runners.cluster.shard import deal
 from sierra.runners.schedulers.base import NodeVariables
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.store.layout import SessionPaths
-from sierra.worker import array_task, file_trace, worker
+from sierra.util import worker_zip
+from sierra.worker import array_task, machine
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
+from sierra.worker.processes import cpu_of
 from tests.pythons import python_of
+from tests.support.worker_zip import change
 from tests.waiting import PATIENCE_S, until
-
-SCRIPTS = {"worker.py": worker, "array_task.py": array_task, "machine.py": machine, "file_trace.py": file_trace}
 
 
 def job(
@@ -71,8 +70,7 @@ class Folder:
         root.mkdir()
         scratch.mkdir()
         self.paths.results.mkdir()
-        for name, module in SCRIPTS.items():
-            shutil.copy(str(module.__file__), root / name)
+        self.paths.worker.write_bytes(worker_zip.packed())
         self.set()
 
     def set(self, **settings: Any) -> None:
@@ -84,8 +82,8 @@ class Folder:
         return deal(jobs, elements, self.paths)
 
     def start(self, *words: str, python: str = sys.executable, **variables: str) -> subprocess.Popen[str]:
-        """Start `array_task.py FOLDER WORDS`."""
-        command = [python, "-I", "-S", str(self.root / "array_task.py"), str(self.root), *(words or ("0",))]
+        """Start `worker.pyz array_task FOLDER WORDS`."""
+        command = [python, "-I", "-S", str(self.paths.worker), "array_task", str(self.root), *(words or ("0",))]
         environment = {"PATH": os.defpath, "MARK": str(self.root), **variables}
         self.started.append(
             subprocess.Popen(
@@ -369,7 +367,7 @@ def test_a_file_that_may_have_changed_meanwhile_by_another_clock_is_reported(
         runs.mkdir()
         jobs = tmp_path / "jobs"
         jobs.write_text("".join(json.dumps(line) + "\n" for line in ({**one, "ahead": ahead}, {"end": True})))
-        command = [sys.executable, "-I", "-S", str(folder.root / "worker.py"), str(runs), "1"]
+        command = [sys.executable, "-I", "-S", str(folder.paths.worker), str(runs), "1"]
         with jobs.open() as file:
             subprocess.run(command, stdin=file, check=True)
         reason = json.loads((runs / "1" / "observed.json").read_text())["reason"]
@@ -484,9 +482,8 @@ def test_an_array_task_of_a_cancelled_session_starts_no_more_runs(folder: Folder
 @pytest.mark.nightly
 @pytest.mark.integration
 def test_packing_stops_when_the_session_is_cancelled(folder: Folder) -> None:
-    script = folder.root / "array_task.py"
     slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
-    script.write_text(script.read_text().replace("def _write(self", f"{slow}    def _written(self"))
+    change(folder.paths.worker, "array_task.py", lambda text: text.replace("def _write(self", f"{slow}    def _written(self"))
     folder.deal([job("large", "truncate -s 300M x")])
     process = folder.start()
     folder.until_started()
@@ -706,7 +703,7 @@ def test_large_outputs_and_odd_names_are_packed_completely(folder: Folder, tmp_p
 
 
 def test_results_of_runs_that_share_a_container_are_packed(folder: Folder, tmp_path: Path) -> None:
-    inside = (sys.executable, "-I", "-S", str(folder.root / "worker.py"), "\0/runs", "1", "-")
+    inside = (sys.executable, "-I", "-S", str(folder.paths.worker), "\0/runs", "1", "-")
     client = Client(inside, {"PATH": os.defpath, "MARK": str(folder.root)})
     folder.deal([replace(one, client=client, shared=True) for one in many(5, 'echo "$NAME" > out')])
     assert folder.run() == (0, "")
@@ -768,7 +765,7 @@ def test_a_killed_worker_is_reported_and_leaves_no_process(folder: Folder) -> No
     folder.deal(many(2, "sleep 60"))
     process = folder.start()
     folder.until_started(2)
-    (found,) = [pid for pid in folder.left_running() if b"worker.py" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    (found,) = [pid for pid in folder.left_running() if b"worker.pyz\0/" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     os.kill(found, signal.SIGKILL)
     assert process.wait(PATIENCE_S) == 3
     assert folder.left_running() == []
@@ -794,17 +791,6 @@ def test_scratch_files_of_a_dead_attempt_are_removed_and_those_of_others_are_kep
     assert (len(before), len(now), len(before & now)) == (3, 3, 2)
     assert "sierra-5e55-somebody" in now
     assert (alive.poll(), third.poll()) == (None, None)
-
-
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_scripts_for_nodes_need_only_python_3_8_and_the_standard_library(name: str) -> None:
-    tree = ast.parse(Path(str(SCRIPTS[name].__file__)).read_text(), feature_version=(3, 8))
-    for node in tree.body:
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            node.body = []  # only a type checker reads it
-    found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    found |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert {one.partition(".")[0] for one in found} <= sys.stdlib_module_names
 
 
 def test_a_python_that_is_too_old_is_reported(folder: Folder, require: Any) -> None:
@@ -926,7 +912,7 @@ def test_the_cpu_time_of_an_array_task_is_limited_relative_to_its_worker(folder:
     alone.mkdir()
     lines = [json.dumps(one).encode() + b"\n" for one in array_task.jobs(str(folder.paths.jobs(0)))]
     began = cpu_of_children()
-    command = [sys.executable, "-I", "-S", str(folder.root / "worker.py"), str(alone), "2"]
+    command = [sys.executable, "-I", "-S", str(folder.paths.worker), str(alone), "2"]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
         process.stdin.write(b"".join((*lines, b'{"end": true}\n')))
@@ -941,7 +927,7 @@ def test_an_array_task_with_long_runs_is_idle(folder: Folder) -> None:
     folder.deal(many(2, "sleep 5"))
     process = folder.start()
     folder.until_started(2)
-    before = sum(worker.cpu_of([process.pid]))
+    before = sum(cpu_of([process.pid]))
     time.sleep(4)
-    assert sum(worker.cpu_of([process.pid])) - before <= 0.06
+    assert sum(cpu_of([process.pid])) - before <= 0.06
     assert process.wait(PATIENCE_S) == 0

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ from typing import Any
 import pytest
 
 from sierra.util.hashing import sealed
-from sierra.worker import worker
-from sierra.worker.worker import OBSERVED, Account
+from sierra.worker.layout import OBSERVED, TRACE
+from sierra.worker.observations import MOST_LOST, Account
+from sierra.worker.program import words
 from tests.waiting import PATIENCE_S
 
 LARGE = b"x" * (1 << 17)
@@ -42,7 +42,7 @@ def execute(folder: Path, *jobs: Mapping[str, Any]) -> list[dict[str, Any]]:
     lines = folder.parent / "jobs"
     lines.write_text("".join(json.dumps(one) + "\n" for one in (*jobs, {"end": True})))
     with lines.open() as stream:
-        command = [sys.executable, "-I", "-S", worker.__file__, str(folder), "1"]
+        command = words(str(folder), "1")
         assert subprocess.run(command, stdin=stream, timeout=PATIENCE_S).returncode == 0
     events = map(json.loads, (folder / "journal.jsonl").read_text().splitlines())
     return [event for event in events if event["event"] == "end"]
@@ -73,7 +73,7 @@ def test_a_run_whose_remembered_tracer_does_not_work_is_executed_unobserved(
     assert record(first)["method"] == "none"
     assert record(first)["reason"]
     assert record(second)["method"] == "strace", "after that, the worker finds a tracer itself"
-    assert not [path.name for path in folder.iterdir() if path.name.endswith(worker.TRACE)]
+    assert not [path.name for path in folder.iterdir() if path.name.endswith(TRACE)]
 
 
 def test_a_sampled_run_is_observed_only_within_the_budget(folder: Path, require: Callable[..., str]) -> None:
@@ -110,7 +110,7 @@ def test_runs_of_an_experiment_that_always_fails_are_not_all_observed(folder: Pa
     jobs = [job(str(number), "exit 1", experiment=1) for number in range(9)]
     for one in jobs[1:]:
         del one["observe"]
-    assert len([end for end in execute(folder, *jobs) if end.get("observed")]) == 1 + worker.MOST_LOST
+    assert len([end for end in execute(folder, *jobs) if end.get("observed")]) == 1 + MOST_LOST
 
 
 def test_a_run_observed_in_place_of_another_must_be_affordable_and_the_sample_has_no_successors(

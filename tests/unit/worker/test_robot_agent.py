@@ -20,9 +20,9 @@ from typing import Any
 import pytest
 
 from sierra.containers import held_start
-from sierra.containers.engines import on_host
-from sierra.extensions.robots.push import PROGRAMS
-from sierra.worker import worker
+from sierra.util import worker_zip
+from sierra.worker import on_host
+from sierra.worker.processes import birth, marked, stat_of
 from tests.waiting import PATIENCE_S, soon, until
 
 IGNORES = "import signal, time; signal.signal(15, signal.SIG_IGN); print('on', flush=True); time.sleep(60)"
@@ -43,7 +43,7 @@ class Driver:
     """The driver of one agent."""
 
     def __init__(self, program: Path, folder: Path, lock: str) -> None:
-        argv = [sys.executable, "-I", "-S", str(program), str(folder), lock]
+        argv = [sys.executable, "-I", "-S", str(program), "robot_agent", str(folder), lock]
         self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
         self.folder = folder
         folder.mkdir(exist_ok=True)
@@ -121,11 +121,11 @@ class Driver:
 
     def is_alone(self) -> bool:
         """Return whether no process of the run is alive."""
-        return not worker.marked([b"SIERRA_EXECUTION=" + self.attempt.encode()])
+        return not marked([b"SIERRA_EXECUTION=" + self.attempt.encode()])
 
 
 def has_ended(pid: int) -> bool:
-    return worker.stat_of(pid)[:1] in ([], [b"Z"])
+    return stat_of(pid)[:1] in ([], [b"Z"])
 
 
 def job(code: str, execution: str, grace: float = 0.3, **limits: float) -> dict[str, Any]:
@@ -144,11 +144,10 @@ Start = Callable[..., Driver]
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the agent beside the programs that it needs, as on a robot."""
-    folder = tmp_path_factory.mktemp("programs")
-    for path in PROGRAMS:
-        shutil.copy(path, folder)
-    return folder / "robot_agent.py"
+    """Return the zip with the agent, as on a robot."""
+    path = tmp_path_factory.mktemp("programs") / "worker.pyz"
+    path.write_bytes(worker_zip.packed())
+    return path
 
 
 @pytest.fixture
@@ -482,7 +481,7 @@ def test_the_process_id_of_a_run_of_another_boot_belongs_to_another(agent: Start
     folder.mkdir(parents=True)
     with subprocess.Popen(["sleep", "60"], env={**os.environ, "SIERRA_EXECUTION": driver.attempt}) as other:
         try:
-            known = {"pid": other.pid, "born": worker.birth(other.pid), "executions": [driver.attempt], "client": None}
+            known = {"pid": other.pid, "born": birth(other.pid), "executions": [driver.attempt], "client": None}
             (folder / "process.json").write_text(json.dumps({**known, "boot": "another"}))
             [left] = driver.hello(stop=stop_of(driver))["leftovers"]
             unknown = dict.fromkeys(("report", "who", "execution", "place"))

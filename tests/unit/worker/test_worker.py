@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import base64
 import contextlib
 import hashlib
@@ -23,12 +22,17 @@ from typing import Any
 
 import pytest
 
-from sierra.worker import worker
-from sierra.worker.worker import STALLED_S, cpu_of, number_in, stat_of
+from sierra.util import worker_zip
+from sierra.worker import temporary_folders as folders
+from sierra.worker.devices import DEVICES, devices, with_own_devices
+from sierra.worker.files import check_room
+from sierra.worker.journal import Journal
+from sierra.worker.processes import cpu_of, number_in, stat_of
+from sierra.worker.program import PROGRAM
+from sierra.worker.running import STALLED_S
+from sierra.worker.temporary_folders import Temporary, temporary_folders
 from tests.support import elf
 from tests.waiting import PATIENCE_S, until
-
-PROGRAM = str(Path(worker.__file__))
 
 
 def job(*argv: str, name: str = "one", limits: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
@@ -233,8 +237,8 @@ def test_temporary_files_of_a_killed_worker_are_removed_by_the_next_one(
 def test_runs_use_their_own_folder_if_no_temporary_folder_is_short_and_usable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(worker, "temporary_folders", list)
-    own = worker.Temporary(str(tmp_path))
+    monkeypatch.setattr(folders, "temporary_folders", list)
+    own = Temporary(str(tmp_path))
     assert own.make(str(tmp_path / "1")) is None
     own.close()
 
@@ -242,21 +246,21 @@ def test_runs_use_their_own_folder_if_no_temporary_folder_is_short_and_usable(
 def test_a_full_long_or_unwritable_temporary_folder_is_not_used(
     temporary: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    assert worker.temporary_folders()[0] == str(temporary)
+    assert temporary_folders()[0] == str(temporary)
     long = tmp_path / ("x" * 50)
     long.mkdir()
     for unusable in (str(long), f"{temporary}/none", "relative", ""):
         monkeypatch.setenv("TMPDIR", unusable)
-        assert unusable not in worker.temporary_folders()
+        assert unusable not in temporary_folders()
     monkeypatch.setenv("TMPDIR", str(temporary))
-    check = worker.check_room
-    monkeypatch.setattr(worker, "check_room", lambda folder: check("/dev/full" if folder == str(temporary) else folder))
+    check = check_room
+    monkeypatch.setattr(folders, "check_room", lambda folder: check("/dev/full" if folder == str(temporary) else folder))
     monkeypatch.setattr(
         os,
         "statvfs",
         lambda folder, real=os.statvfs: os.statvfs_result([4096] * 4 + [0] * 6) if folder == "/dev/full" else real(folder),
     )
-    assert str(temporary) not in worker.temporary_folders()
+    assert str(temporary) not in temporary_folders()
 
 
 def test_arguments_get_the_runs_folder_and_input_files_are_written(
@@ -392,7 +396,7 @@ if os.geteuid() == 0:
     os.setgroups([])
     os.setgid(65534)
     os.setuid(65534)
-process = subprocess.Popen(["python3", "-I", "-S", "-c", *sys.argv[1:], "1"], stdin=subprocess.PIPE)
+process = subprocess.Popen(["python3", "-I", "-S", *sys.argv[1:], "1"], stdin=subprocess.PIPE)
 process.stdin.write(sys.stdin.buffer.read())
 process.stdin.flush()
 sys.exit(process.wait())
@@ -402,8 +406,10 @@ sys.exit(process.wait())
 def test_files_without_permissions_are_read_and_removed(tmp_path: Path) -> None:
     """Run as a user without privileges, to whom permissions apply, in a folder that this user can access."""
     given = "".join(json.dumps(one) + "\n" for one in (shell(LOCKING), {"end": True}))
-    command = ["python3", "-I", "-S", "-c", AS_NOBODY, Path(PROGRAM).read_text()]
     with tempfile.TemporaryDirectory() as folder:
+        program = Path(folder, "worker.pyz")
+        program.write_bytes(worker_zip.packed())
+        command = ["python3", "-I", "-S", "-c", AS_NOBODY, str(program)]
         if os.geteuid() == 0:
             os.chown(folder, 65534, 65534)
         done = subprocess.run([*command, folder], input=given.encode(), check=False, timeout=PATIENCE_S, cwd="/")
@@ -932,7 +938,7 @@ def _mounted(folder: Path, kind: str = "tmpfs") -> bool:
 
 
 def test_the_journal_never_contains_part_of_a_line(tmp_path: Path) -> None:
-    journal = worker.Journal(str(tmp_path / "journal"))
+    journal = Journal(str(tmp_path / "journal"))
     journal.write({"event": "one"})
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -945,14 +951,6 @@ def test_the_journal_never_contains_part_of_a_line(tmp_path: Path) -> None:
         signal.signal(signal.SIGXFSZ, before)
     journal.write({"event": "three"})
     assert (tmp_path / "journal").read_text() == '{"event":"one"}\n{"event":"three"}\n'
-
-
-def test_the_worker_needs_only_python_3_8_and_the_standard_library() -> None:
-    tree = ast.parse(Path(PROGRAM).read_text(), feature_version=(3, 8))
-    imported = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-    imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    only_for_types = {"sierra.worker.conductor", "sierra.worker.file_trace"}
-    assert {name.partition(".")[0] for name in imported - only_for_types} <= sys.stdlib_module_names
 
 
 # ---------------------------------------------------------------- time
@@ -998,14 +996,14 @@ def test_a_clock_that_is_set_back_gives_no_negative_times(tmp_path: Path) -> Non
 def test_devices_are_divided_among_slots_if_possible(
     monkeypatch: pytest.MonkeyPatch, allotted: str, slots: int, parts: list[str]
 ) -> None:
-    for name in worker.DEVICES:
+    for name in DEVICES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", allotted)
-    assert [worker.devices(slot, slots) for slot in range(slots)] == [{"CUDA_VISIBLE_DEVICES": part} for part in parts]
+    assert [devices(slot, slots) for slot in range(slots)] == [{"CUDA_VISIBLE_DEVICES": part} for part in parts]
 
 
 def test_a_container_gets_only_the_allocated_devices(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in worker.DEVICES:
+    for name in DEVICES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3")
     monkeypatch.setenv("HIP_VISIBLE_DEVICES", "4")
@@ -1014,7 +1012,7 @@ def test_a_container_gets_only_the_allocated_devices(monkeypatch: pytest.MonkeyP
         "argv": ["podman", *(f"--env={name}={value}" for name, value in asked.items()), "true"],
         "environment": {f"OF_{name}": value for name, value in asked.items()},
     }
-    job = worker.with_own_devices({"environment": {**asked, "HIP_VISIBLE_DEVICES": "0"}, "client": client}, 0, 1)
+    job = with_own_devices({"environment": {**asked, "HIP_VISIBLE_DEVICES": "0"}, "client": client}, 0, 1)
     assert job["environment"] == {"CUDA_VISIBLE_DEVICES": "3", "HIP_VISIBLE_DEVICES": "0"}
     assert job["client"]["argv"] == ["podman", "--env=CUDA_VISIBLE_DEVICES=3", "true"]
     assert job["client"]["environment"] == {"OF_CUDA_VISIBLE_DEVICES": "3"}

@@ -15,8 +15,9 @@ from typing import Any, cast
 import pytest
 
 from sierra.errors import Missing
-from sierra.runners.links import copy_folder, remote_folder
+from sierra.runners.links import copy_folder
 from sierra.runners.links.commands import Exchange
+from sierra.worker import remote_folder
 from tests.waiting import PATIENCE_S
 
 

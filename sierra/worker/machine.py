@@ -115,7 +115,7 @@ def _gpus() -> Iterator[str]:
     for device in Path("/sys/class/drm").glob("card[0-9]*/device"):
         vendor = _text(device / "vendor").strip()
         if vendor:
-            named = os.path.basename(os.path.realpath(device / "driver"))  # noqa: PTH119
+            named = os.path.basename(os.path.realpath(device / "driver"))
             yield f"{vendor}:{_text(device / 'device').strip()}, driver {named}"
 
 

@@ -1,0 +1,30 @@
+"""The programs that run where SIERRA is not installed, as one zip that Python executes; see `sierra.worker.__main__`.
+
+Its bytes depend on nothing but the sources: members have a fixed order and time, and are not compressed, because compressors
+differ.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from functools import lru_cache
+from pathlib import Path
+
+from sierra.worker.program import HERE
+
+APART = ("__init__.py", "reproduce.py")
+"""Modules that no node needs."""
+
+
+@lru_cache(maxsize=1)
+def packed() -> bytes:
+    """Return the zip."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as archive:
+        for path in sorted(Path(HERE).glob("*.py")):
+            if path.name not in APART:
+                member = zipfile.ZipInfo(path.name)
+                member.create_system, member.external_attr = 3, 0o644 << 16
+                archive.writestr(member, path.read_bytes())
+    return made.getvalue()
