@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.execution.supervised.supervisor import Attendant, Start
+from sierra.extensions.trials.supervisor import Attendant, Start
 from sierra.model import OutputFile, Result, Status
 from sierra.runners.base import Holds, Look, Runner, Work
 from sierra.store.layout import RUN_OUTPUT, SessionPaths

@@ -30,9 +30,9 @@ SELECT operator, valid, t.reason, note, stopped, status FROM trials t JOIN execu
 ENDING = """
 import sys, time
 from pathlib import Path
-from sierra.cli.supervise import Person
-from sierra.config.trial_tables import Trials
-from sierra.execution.supervised.supervisor import Ended, Trial
+from sierra.extensions.trials.terminal import Person
+from sierra.extensions.trials.table import Trials
+from sierra.extensions.trials.supervisor import Ended, Trial
 from sierra.model import Pose, Status
 from sierra.runners.base import Beat
 
