@@ -153,7 +153,7 @@ class Service:
         `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before. `observed`:
         the first of each experiment is observed, whatever it takes.
         """
-        executing = runner.runner if isinstance(runner, Wraps) else runner
+        executing = runner.wrapped if isinstance(runner, Wraps) else runner
         on_robots = self._setup.spec.robots is not None
         check_members(executing, executing.name, on_robots=on_robots, contained=self._hosts is not None)
         context = replace(context, **self.isolation.context)

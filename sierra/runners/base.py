@@ -178,7 +178,7 @@ class Holds(Protocol):
 class Wraps(Protocol):
     """A runner that executes runs by another one."""
 
-    runner: Runner
+    wrapped: Runner
 
 
 @runtime_checkable

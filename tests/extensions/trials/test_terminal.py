@@ -206,3 +206,5 @@ def test_without_a_terminal_prompts_are_an_error_at_once_and_yes_answers_them(ro
     (root / "sierra.toml").write_text(projects.CONFIG)
     alone = projects.quick(root, "run", "population_size=1", "--operator", "Ann", "--no-figures")
     assert (alone.returncode, alone.stderr.partition(";")[0]) == (2, "sierra: --operator Ann: nobody supervises these runs")
+    inputs = projects.quick(root, "run", "population_size=1", "--operator", "Ann", "--inputs", "inputs")
+    assert (inputs.returncode, inputs.stderr) == (2, "sierra: --inputs executes nothing; leave out --operator\n")
