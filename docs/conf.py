@@ -26,7 +26,6 @@ CONTENTS = {
         "how-to/targets",
         "how-to/runs-on-robots",
         "how-to/robots",
-        "how-to/supervised-trials",
         "how-to/outputs",
         "how-to/sql",
         "how-to/derived-tables",

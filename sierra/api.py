@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from sierra.execution.run_options import RunOptions
     from sierra.execution.shown_records import Shown, ShownClaim, ShownSession
     from sierra.execution.summary import Summary
-    from sierra.execution.supervised.supervisor import Supervisor
     from sierra.execution.takeover import Cancelled
     from sierra.execution.trial import Trial
     from sierra.execution.write_inputs import WrittenInputs
@@ -77,7 +76,7 @@ if TYPE_CHECKING:
     from sierra.store.derived_tables import Rules
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
-    from sierra.store.row_types import SourceRow, TrialRow
+    from sierra.store.row_types import SourceRow
 
 PACKAGED = ".zip"
 """The ending of packages."""
@@ -312,7 +311,6 @@ class Project:
         detach: bool = False,
         progress: bool | None = None,
         only: str | None = None,
-        supervisor: Supervisor | None = None,
         retry: bool = False,
     ) -> Summary:
         """Run a query: execute its missing runs, record them, and draw the figures.
@@ -321,10 +319,9 @@ class Project:
         `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
         name of a cluster (default: the `runner` in `sierra.toml`); with `detach`, this function returns once the jobs are
         submitted. `only` is a condition that selects the experiments to execute, as in `population_size<=4`: see
-        `sierra.design.query.condition`. `supervisor` starts, watches and judges trials if `[trials] supervised` is set: see
-        `sierra.execution.supervised.supervisor`. Runs that failed twice in the same way are executed again only with `retry`.
-        The summary counts failed runs; they raise no error. Raises the errors of
-        `plan`, and Missing if the disk is full, or if trials need a supervisor.
+        `sierra.design.query.condition`. Runs that failed twice in the same way are executed again only with `retry`.
+        The summary counts failed runs; they raise no error. Raises the errors of `plan`, and Missing if the disk is full, or if
+        an extension needs a person to execute them.
 
         >>> summary = project.run("population_size=1,2", runs=2, figures=False)
         >>> summary.runs, summary.failed, summary.missing
@@ -341,7 +338,6 @@ class Project:
             detach=detach,
             progress=progress,
             only=only,
-            supervisor=supervisor,
             retry=retry,
         )
 
@@ -357,7 +353,6 @@ class Project:
         detach: bool = False,
         progress: bool | None = None,
         only: str | None = None,
-        supervisor: Supervisor | None = None,
         retry: bool = False,
     ) -> Summary:
         """Execute a plan as `run` does. `observer` receives progress and notices, and decides about jobs on a cluster.
@@ -379,10 +374,8 @@ class Project:
             observer=observer or observer_for(progress),
             detach=detach,
             retry=retry,
-            supervisor=supervisor,
         )
-        if supervisor is None:
-            self.check_attended(plan, only)
+        self.check_attended(plan, only)
         store = Store.create(self.paths.store)
         if self.config.claims:
             self._register_claims(store, options.observer)
@@ -405,7 +398,6 @@ class Project:
         runner: str | None = None,
         progress: bool | None = None,
         planning: Observer | None = None,
-        supervisor: Supervisor | None = None,
     ) -> StudyOutcome:
         """Execute a query with more and more runs until its intervals are narrow enough.
 
@@ -430,9 +422,7 @@ class Project:
             return self.resolve(request, engine=plan.engine.name, observer=planning or told)
 
         def execute(look: Plan) -> Summary:
-            return self.execute(
-                look, jobs=jobs, fail_fast=fail_fast, figures=False, observer=told, runner=runner, supervisor=supervisor
-            )
+            return self.execute(look, jobs=jobs, fail_fast=fail_fast, figures=False, observer=told, runner=runner)
 
         plan.check_programs()
         self.runner_of(plan, runner)
@@ -456,37 +446,41 @@ class Project:
         return (study.find(store, planned.row.study) if store else None) or study.Outcome(planned, (), {})
 
     def check_attended(self, plan: Plan, only: str | None = None) -> None:
-        """Check that no run of a plan needs a person who supervises its execution. Raises Missing.
+        """Check that no missing run of a plan needs a person who is not there. Raises Missing.
 
         `only`: the condition of the runs that are to be executed, as in `run`.
 
         >>> project.check_attended(project.plan("population_size=8"))
         """
-        if not plan.project.config.trials.supervised:
+        from sierra.execution.plan import session_step
+
+        step = session_step(plan.project.config)
+        if step is None:
             return
         from sierra.design.query import condition
         from sierra.execution.reuse import states
-        from sierra.execution.supervised.conduct import UNATTENDED
 
         selected = None if only is None else condition.select(only, plan.batch, plan.project.config)
         runs = selected.runs if selected else {run.id for run in plan.batch.runs}
-        if any(run in runs and not one.succeeded for run, one in states(plan, self.stored()).items()):
-            raise Missing(UNATTENDED)
+        step.check_missing({run for run, one in states(plan, self.stored()).items() if run in runs and not one.succeeded})
 
     @staticmethod
     def _is_probed(plan: Plan) -> bool:
-        """Return whether a run is executed twice before the batch; supervised trials are never executed without a person."""
-        return plan.project.config.determinism.probe and not plan.project.config.trials.supervised
+        """Return whether a run is executed twice before the batch; an extension's step executes each run once."""
+        from sierra.execution.plan import session_step
+
+        return plan.project.config.determinism.probe and session_step(plan.project.config) is None
 
     def runner_of(self, plan: Plan, runner: str | None = None, *, detach: bool = False, jobs: int | None = None) -> str:
         """Return the name of the runner of a plan: `runner`, or the one in `sierra.toml`. Raises ConfigError, UsageError.
 
-        `jobs`: the requested number of runs at a time; supervised trials are executed one after the other.
+        `jobs`: the requested number of runs at a time, which an extension may refuse.
 
         >>> project.runner_of(project.plan("population_size=8"))
         'local'
         """
         from sierra import runners
+        from sierra.execution.plan import session_step
 
         name, tables = runner or plan.project.config.runner, plan.project.config.runner_tables
         stays = runners.find(name, tables)(1).stays
@@ -494,10 +488,8 @@ class Project:
             raise UsageError(
                 f"cannot detach from runner {name!r}: its runs end with this process; only cluster jobs can be detached"
             )
-        if plan.project.config.trials.supervised:
-            from sierra.execution.supervised import conduct
-
-            conduct.check(name, stays=stays, jobs=jobs)
+        if step := session_step(plan.project.config):
+            step.check(name, stays=stays, jobs=jobs)
         return name
 
     def try_run(
@@ -871,28 +863,6 @@ class Project:
         from sierra.explain import why_executed as why
 
         return why.why(self._loaded, self.store, self.record_id(prefix))
-
-    def mark_trial(
-        self,
-        prefix: str,
-        *,
-        valid: bool | None = None,
-        reason: str | None = None,
-        note: str | None = None,
-        operator: str | None = None,
-    ) -> TrialRow:
-        """Record a remark on an execution, or on the effective execution of a run; what is None stays as it was.
-
-        If it is not `valid`, it does not count any more, and the next request of its batch executes the run again. Nothing is
-        deleted. Raises NotFound for an unknown id, UsageError if it becomes invalid without a reason.
-
-        >>> run = project.sql("SELECT run FROM runs LIMIT 1").to_pylist()[0]["run"]
-        >>> project.mark_trial(run, note="as expected").note
-        'as expected'
-        """
-        from sierra.execution import trial_marks
-
-        return trial_marks.mark(self.store, prefix, valid=valid, reason=reason, note=note, operator=operator)
 
     def pin(self, name: str | None = None) -> Contents:
         """Pin the image that a name (default: `[container] image`) refers to now in `sierra.lock`; return its content.

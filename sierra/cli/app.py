@@ -25,7 +25,6 @@ GROUPS = {
         "run": "sierra.cli.run:run",
         "attach": "sierra.cli.attach:attach",
         "cancel": "sierra.cli.cancel:cancel",
-        "trial": "sierra.cli.trial:app",
         "replay": "sierra.cli.replay:replay",
         "image": "sierra.cli.image:app",
         "doctor": "sierra.cli.doctor:doctor",

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from sierra.cli.arguments import AsJsonList
-from sierra.cli.lazy_commands import given
 from sierra.cli.output import print_json
+from sierra.config.extensions import given
 
 if TYPE_CHECKING:
     from sierra.setup.doctor import Check

@@ -11,8 +11,9 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson
-from sierra.cli.lazy_commands import Beside, given
+from sierra.cli.lazy_commands import Beside
 from sierra.cli.output import fields, note, print_json, readable, table
+from sierra.config.extensions import given
 from sierra.errors import UsageError
 from sierra.util.text import counted, verb
 

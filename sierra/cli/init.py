@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 import typer
 
-from sierra.cli.lazy_commands import given
 from sierra.cli.output import note, print_json
 from sierra.config import extensions
+from sierra.config.extensions import given
 from sierra.errors import UsageError
 from sierra.util.text import few, one_line
 

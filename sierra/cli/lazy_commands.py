@@ -6,10 +6,9 @@ Making all commands takes a tenth of the time of `sierra ls`, and most calls nee
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextvars import ContextVar
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
@@ -24,21 +23,11 @@ if TYPE_CHECKING:
     from sierra.store.export_recorded_files import Outcome
 
 
-GIVEN: ContextVar[tuple[object, ...]] = ContextVar("given", default=())
-"""The values that the options of extensions have returned, for this call of the command; see `given`."""
-T = TypeVar("T")
-
-
 class Beside(NamedTuple):
     """An option of an extension that writes more beside the files that `sierra show --to` writes."""
 
     option: str
     write: Callable[[Project, Sequence[Outcome], Path], None]
-
-
-def given(kind: type[T]) -> list[T]:
-    """Return the values of one type that the options of extensions have returned, for this call of the command."""
-    return [value for value in GIVEN.get() if isinstance(value, kind)]
 
 
 class Commands(Mapping[str, "Command"]):
@@ -91,17 +80,16 @@ def _add(name: str, place: str, command: Command) -> None:
 
 
 def _both(own: Callable[..., object] | None, more: Command) -> Callable[..., object]:
+    from sierra.config.extensions import giving
+
     names = {option.name for option in more.params}
 
     def both(**values: object) -> object:
         assert own  # noqa: S101
         assert more.callback  # noqa: S101
         result = more.callback(**{name: value for name, value in values.items() if name in names})
-        before = GIVEN.set((*GIVEN.get(), *([] if result is None else [result])))
-        try:
+        with giving(result):
             return own(**{name: value for name, value in values.items() if name not in names})
-        finally:
-            GIVEN.reset(before)
 
     return both
 

@@ -93,8 +93,8 @@ def package(
       sierra package --cite
     """
     from sierra.cli.confirm import agreed
-    from sierra.cli.lazy_commands import given
     from sierra.cli.open_project import given_or_last, project
+    from sierra.config.extensions import given
     from sierra.errors import Identifying
 
     def agree(preview: Preview) -> bool:

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from sierra.execution.plan import Plan
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.summary import Summary
-    from sierra.execution.supervised.supervisor import Supervisor
     from sierra.runners.cluster.resource_estimate import Estimate
 
 STDERR = 2
@@ -68,9 +67,6 @@ def run(
             "--yes", help="Do not ask for confirmation of many runs. Start supervised trials without a person, and accept all."
         ),
     ] = False,
-    operator: Annotated[
-        str | None, typer.Option("--operator", metavar="NAME", help="Who supervises the trials (default: it is asked).")
-    ] = None,
     until: Annotated[
         str | None,
         typer.Option(
@@ -142,7 +138,6 @@ def run(
             "--fail-fast": fail_fast,
             "--retry": retry,
             "--figures": figures,
-            "--operator": operator,
             "--until": until,
             "--max-runs": max_runs,
         }
@@ -168,8 +163,6 @@ def run(
         retry=retry,
         figures=user.load().figures if figures is None else figures,
         as_json=as_json,
-        agreed=yes,
-        operator=operator,
     )
     if until is not None or max_runs is not None:
         _until(project, query, settings, target, engine, observer, options, until, max_runs)
@@ -208,16 +201,6 @@ class Options:
     retry: bool
     figures: bool
     as_json: bool
-    agreed: bool
-    operator: str | None
-
-    def supervisor(self, plan: Plan) -> Supervisor | None:
-        """Return who supervises the trials of a plan; None if they are not supervised, or if nobody is there."""
-        if not plan.project.config.trials.supervised:
-            return None
-        from sierra.cli import supervise
-
-        return supervise.supervisor(plan, operator=self.operator, agreed=self.agreed)
 
 
 def _until(
@@ -235,6 +218,7 @@ def _until(
     from sierra.cli import run_until
     from sierra.cli.progress import watching
     from sierra.cli.render_reasons import build
+    from sierra.execution.plan import session_step
 
     if until is None or max_runs is None:
         raise UsageError("--until and --max-runs belong together: --until 'ci(coverage) < 0.02' --max-runs 200")
@@ -253,8 +237,7 @@ def _until(
                 print_json(run_until.answer_plan(planned, preview))
             return
     _check(project, plan, options)
-    supervisor = options.supervisor(plan)
-    with watching(quiet=options.as_json or supervisor is not None) as display:
+    with watching(quiet=options.as_json or session_step(plan.project.config) is not None) as display:
         outcome = project.study(
             plan,
             until=until,
@@ -265,7 +248,6 @@ def _until(
             observer=display,
             runner=options.runner,
             planning=observer,
-            supervisor=supervisor,
         )
     run_until.finish(project, outcome, json=options.as_json)
 
@@ -276,6 +258,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     from sierra.cli.progress import Display, watching
     from sierra.cli.render_reasons import build
     from sierra.design.query import condition
+    from sierra.execution.plan import session_step
 
     selection = condition.select(options.only, plan.batch, plan.project.config) if options.only is not None else None
     more: dict[str, object] = {}
@@ -290,11 +273,10 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
         more |= {"build": preview.build} if preview.build else {}
     elif why := _again(project, plan):
         more = {"new_because": why}
-    supervisor = options.supervisor(plan)
     early = plan.notes if plan.batch.spec.robots is not None else ()
     for text in early:  # before anything moves
         note(text)
-    with watching(quiet=options.as_json or supervisor is not None) as display:
+    with watching(quiet=options.as_json or session_step(plan.project.config) is not None) as display:
         summary = project.execute(
             plan,
             jobs=options.jobs,
@@ -305,7 +287,6 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
             runner=options.runner,
             detach=options.detach,
             only=options.only,
-            supervisor=supervisor,
         )
     if options.as_json:
         render_summary.print_notes(summary, early)
@@ -316,12 +297,12 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
 
 def _together(project: Project, plans: Sequence[Plan], summaries: Sequence[Summary], options: Options) -> list[str]:
     """Draw the batches of several targets together, if all were executed; print and return the files."""
-    from sierra.cli.figures import from_here
-
     if len(plans) < 2 or not options.figures or len(summaries) < len(plans):
         return []
     if any(one.interrupted or one.detached for one in summaries):
         return []
+    from sierra.cli.figures import from_here
+
     try:
         paths, notes = project.draw_together([plan.target or "" for plan in plans], plans[0].batch.id)
     except SierraError as error:
@@ -420,10 +401,7 @@ def _check(project: Project, plan: Plan, options: Options) -> None:
     _check_log(plan)
     plan.check_programs()
     project.runner_of(plan, options.runner, detach=options.detach, jobs=options.jobs)
-    if options.operator is not None and not plan.project.config.trials.supervised:
-        raise UsageError(f"--operator {options.operator}: nobody supervises these runs; set supervised = true in [trials]")
-    if options.supervisor(plan) is None:
-        project.check_attended(plan, options.only)
+    project.check_attended(plan, options.only)
 
 
 def _check_log(plan: Plan) -> None:

@@ -11,8 +11,8 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Long
-from sierra.cli.lazy_commands import GIVEN
 from sierra.cli.output import cell, fields, fitting, members, print_json, readable, short_id, table
+from sierra.config.extensions import GIVEN
 from sierra.errors import UsageError
 from sierra.util.text import counted, few
 

@@ -8,10 +8,11 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, StringConstraints, model_validator
 
-from sierra.config.field_types import NAME, Argv, Label, Labels, Name, NotNegative, RawTable, Table, Text
-from sierra.config.trial_tables import ListedPose, Span
+from sierra.config.field_types import NAME, Argv, Finite, Label, Labels, Name, NotNegative, RawTable, Table, Text
 from sierra.util.random_poses import PlanePose, RandomPoses
 
+ListedPose = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3)]
+Span = Annotated[tuple[Finite, Finite], Field()]
 VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
 OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arch", "arguments")

@@ -8,12 +8,14 @@ that records do not depend on which extensions exist.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "argos": {
@@ -96,6 +98,14 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "variables": {"MUJOCO_GL": ""},
         "examples": {name: f"examples/{name}" for name in ("jsbsim", "mujoco", "sumo")},
     },
+    "trials": {
+        "commands": {"trial": "command:app"},
+        "sections": {"trial": "Run"},
+        "options": {"run --operator": "session:of_run"},
+        "tables": {"trials": "table:TABLE"},
+        "sessions": {"trials": "session:step"},
+        "report_sections": {"trials": "report_section:section"},
+    },
     "videos": {
         "commands": {
             "video": "command:video",
@@ -111,13 +121,18 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 """By extension and kind (see `sierra.plugin`): names, each with its place in the extension's folder, as `module:attribute`.
 
 `former` are former names of commands. `pictures` are formats of outputs whose files have pictures for videos, each with the
-function that writes these. `fleets` are functions that return the hosts of a runner, for `sierra doctor --hosts`. Seven kinds
-are data. `sections` are those of `sierra --help`, for commands. `inputs` are endings of input files, with the format of their
-templates. `starts` are endings of those whose platform starts the simulator itself, with its name. `variables` are recorded
-with the environment; `libraries` are search paths of libraries. `examples` are projects for `sierra init --example`, with their
-folders. `needs` names other extensions, without which this one is as if it were not there. `series` are formats of outputs,
-each with the column that tells series of rows apart which have times of their own.
+function that writes these. `sessions` are steps of sessions (see `sierra.execution.session_steps`): a function that returns the
+step for the content of a `sierra.toml`, or None. `report_sections` are functions that return a section about a batch in
+reports, or None. `fleets` are functions that return the hosts of a runner, for `sierra doctor --hosts`. Seven kinds are data.
+`sections` are those of `sierra --help`, for commands. `inputs` are endings of input files, with the format of their templates.
+`starts` are endings of those whose platform starts the simulator itself, with its name. `variables` are recorded with the
+environment; `libraries` are search paths of libraries. `examples` are projects for `sierra init --example`, with their folders.
+`needs` names other extensions, without which this one is as if it were not there. `series` are formats of outputs, each with
+the column that tells series of rows apart which have times of their own.
 """
+GIVEN: ContextVar[tuple[object, ...]] = ContextVar("given", default=())
+"""The values that the options of extensions have returned for this call of a command; see `given`."""
+T = TypeVar("T")
 FOLDER = Path(__file__).parents[1] / "extensions"
 
 
@@ -133,10 +148,30 @@ def load(kind: str, name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
+def called(kind: str, subject: object) -> Iterator[Any]:
+    """Yield what the functions of a kind return for a subject, but for None."""
+    yield from filter(None, (load(kind, name)(subject) for name in added(kind)))
+
+
 @cache
 def every(kind: str) -> Mapping[str, str]:
     """Return all names of a kind, each with its text in `ADDS`, also those of extensions that are not there."""
     return {name: text for adds in ADDS.values() for name, text in adds.get(kind, {}).items()}
+
+
+def given(kind: type[T]) -> list[T]:
+    """Return the values of one type that the options of extensions have returned, for this call of the command."""
+    return [value for value in GIVEN.get() if isinstance(value, kind)]
+
+
+@contextlib.contextmanager
+def giving(value: object) -> Iterator[None]:
+    """Give a value to what extensions do in this block, unless it is None."""
+    before = GIVEN.set((*GIVEN.get(), *([] if value is None else [value])))
+    try:
+        yield
+    finally:
+        GIVEN.reset(before)
 
 
 def sections() -> Mapping[str, str]:

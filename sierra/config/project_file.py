@@ -69,7 +69,6 @@ from sierra.config.number_table import Letters, NumberInText, Paper
 from sierra.config.output_tables import STATUSES, Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
-from sierra.config.trial_tables import Trials
 from sierra.config.validate import gathered, options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.model import ACCEPTED, Axis, Value
@@ -199,7 +198,6 @@ class Project(Table):
     )
     success: Success = Success.model_construct()
     limits: LimitsTable = LimitsTable.model_construct()
-    trials: Trials = Trials.model_construct()
     environment: Environment = Environment.model_construct()
     container: Container | None = Field(None, description="the image in which runs execute; default: no container")
     source: Source = Source.model_construct()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import Missing
 from sierra.execution import on_robots, recover, robot_notes, session_records
 from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
-from sierra.execution.plan import Plan, context, versioned
+from sierra.execution.plan import Plan, context, session_step, versioned
 from sierra.execution.reasons import FAILED
 from sierra.execution.reuse import FileCheck, is_answered, states
 from sierra.execution.run_options import RunOptions
@@ -60,7 +60,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
 
     check_packages(plan)
     plan = versioned(plan)
-    if plan.project.config.trials.supervised:
+    if session_step(plan.project.config):
         options = replace(options, slots=1)
     make = partial(runners.find(options.runner, plan.project.config.runner_tables), options.slots)
     on_robots.check_fleet(make(), options.runner, plan)

@@ -16,12 +16,12 @@ from sierra.execution.attach import attach
 from sierra.execution.expected_durations import Order
 from sierra.execution.follow import Followed
 from sierra.execution.observer import Relay, Tally
-from sierra.execution.plan import Plan, context
+from sierra.execution.plan import Plan, context, session_step
 from sierra.execution.reuse import FileCheck, State, failed_twice, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions
+from sierra.execution.session_steps import Core, SessionStep
 from sierra.execution.sessions import Session
-from sierra.execution.supervised.conduct import UNATTENDED, Conduct
 from sierra.ingest import shared_use
 from sierra.ingest.changed_files import Doubt
 from sierra.ingest.consistency import find_odd
@@ -39,7 +39,7 @@ from sierra.util.text import counted, few
 
 JOIN_S = 0.2
 ENDING_S = 3.0
-"""The seconds in which another session that has executed supervised trials must have ended."""
+"""The seconds in which another session that has executed runs by a step must have ended."""
 SECOND = (
     "{} is executed again and observed, because an observed run wrote and read a file elsewhere, or used a port: do others?"
 )
@@ -97,7 +97,8 @@ class Executor:
         self.given_up: AbstractSet[str] = frozenset()
         """Runs that failed twice in the same way, and are not executed again."""
         self._skipped: set[str] = set()
-        """Supervised runs that the person has skipped."""
+        """Runs that a step has skipped."""
+        self._step = session_step(plan.project.config)
 
     @property
     def only(self) -> AbstractSet[str] | None:
@@ -237,8 +238,8 @@ class Executor:
         root, programs = self._snapshot() if runner.remote else (self._code(), plan.programs)
         service = self._prepared(root, stays=runner.stays)
         self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
-        if plan.project.config.trials.supervised:
-            return self._supervised(wanted, service, programs)
+        if self._step is not None:
+            return self._by_step(self._step, wanted, service, programs)
         order, times = Order(plan.batch, {}), None
         if runner.stays:
             order, times = expected_durations.expected(plan, self.store, wanted)
@@ -266,25 +267,21 @@ class Executor:
         self.interrupted = cancelled or followed.interrupted
         return followed.inconsistent
 
-    def _supervised(self, wanted: AbstractSet[str], service: Service, programs: Programs) -> set[str]:
-        """Execute these runs as supervised trials; return those with an inconsistent execution."""
-        supervisor = self._options.supervisor
-        if supervisor is None:
-            raise Missing(UNATTENDED)
+    def _by_step(self, step: SessionStep, wanted: AbstractSet[str], service: Service, programs: Programs) -> set[str]:
+        """Let a step execute these runs; return those with an inconsistent execution."""
 
         def execute(run: Run, attempt: int, runner: Runner, trial: Mapping[str, JsonView]) -> Followed:
             now, runs = replace(self._context, trial=trial), self._inputs({run.id})
             doubt, enough = self._doubt, self._is_enough
             return service.execute(runner, now, runs, 1, programs, self._tally, doubt=doubt, enough=enough, attempt=attempt)
 
-        trials = Conduct(
-            self.plan, self.store, self.session, supervisor, self._tally, self._runner, execute, self._is_enough
-        ).conduct(wanted)
+        core = Core(self.plan, self.store, self.session, self._tally, self._runner, execute, self._is_enough)
+        outcome = step.execute(wanted, core)
         self.failed |= self._tally.failed
-        self.notes += tuple(trials.notes)
-        self._skipped |= trials.skipped
-        self.interrupted = trials.interrupted
-        return trials.inconsistent
+        self.notes += tuple(outcome.notes)
+        self._skipped |= outcome.skipped
+        self.interrupted = outcome.interrupted
+        return outcome.inconsistent
 
     def _prepared(self, root: Path, *, stays: bool) -> Service:
         """Return the service that executes the runs; its isolation is prepared at the first call."""
@@ -369,15 +366,15 @@ class Executor:
         """Wait until other sessions free or record some of these runs.
 
         Returns a session on a cluster that can be taken over because its follower has died; otherwise None. Raises Missing
-        instead of waiting for supervised trials, because a person decides how long they take.
+        instead of waiting for runs of a step, because a person may decide how long they take.
         """
         known = self.store.names()
-        give_up = time.monotonic() + (ENDING_S if self.plan.project.config.trials.supervised else math.inf)
+        give_up = time.monotonic() + (ENDING_S if self._step else math.inf)
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
-                if time.monotonic() > give_up:
+                if self._step and time.monotonic() > give_up:
                     raise Missing(
-                        f"{self._others(wanted)} executes these supervised trials; stop it, or wait until it has ended"
+                        f"{self._others(wanted)} executes these {self._step.runs}; stop it, or wait until it has ended"
                     )
                 self._tally.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)

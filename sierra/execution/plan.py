@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
+from sierra.config import extensions
 from sierra.config.output_tables import Output, Success
-from sierra.config.project_file import LoadedProject
+from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage
@@ -25,6 +26,9 @@ from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass, field, replace
+
+if TYPE_CHECKING:
+    from sierra.execution.session_steps import SessionStep
 
 
 class Inputs(Protocol):
@@ -105,6 +109,11 @@ class Plan:
         recorded = {f"{IN_PROJECT}{path}": sha256 for path, sha256 in converted.items()}
         git = self.project.config.source.git
         return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted, recorded=recorded, use_git=git)
+
+
+def session_step(config: Project) -> SessionStep | None:
+    """Return the step of an extension that executes the runs of a project; None if the core executes them."""
+    return next(extensions.called("sessions", config), None)
 
 
 def versioned(plan: Plan) -> Plan:

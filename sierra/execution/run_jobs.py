@@ -24,7 +24,6 @@ from sierra.execution.observation.plan_files import folders
 from sierra.execution.observer import Tally
 from sierra.execution.project_source import not_in_checkouts
 from sierra.execution.sessions import Session
-from sierra.execution.supervised.watched_runner import WatchedRunner
 from sierra.ingest.changed_files import Doubt
 from sierra.ingest.observations import recorded_name
 from sierra.ingest.recorder import Recorder
@@ -33,7 +32,7 @@ from sierra.model import Helps, Job, Limits, Run, RunSpec, Times
 from sierra.provenance import environment, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
-from sierra.runners.base import Runner, Work, check_members, needed
+from sierra.runners.base import Runner, Work, Wraps, check_members, needed
 from sierra.store import ownership_marks
 from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
@@ -158,7 +157,7 @@ class Service:
         `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before. `observed`:
         the first of each experiment is observed, whatever it takes.
         """
-        executing = runner.runner if isinstance(runner, WatchedRunner) else runner
+        executing = runner.wrapped if isinstance(runner, Wraps) else runner
         on_robots = self._setup.spec.robots is not None
         check_members(executing, executing.name, on_robots=on_robots, contained=self._hosts is not None)
         context = replace(context, **self.isolation.context)

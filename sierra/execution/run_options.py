@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Set as AbstractSet
 
 from sierra.execution.observer import Observer
-from sierra.execution.supervised.supervisor import Supervisor
 from sierra.util.lazy_definitions import dataclass, field
 
 
@@ -23,5 +22,3 @@ class RunOptions:
     """True to leave jobs on a cluster without waiting for them."""
     retry: bool = False
     """True to execute runs again that failed twice in the same way."""
-    supervisor: Supervisor | None = None
-    """The person who supervises trials; needed if `[trials] supervised` is set and runs are to be executed."""

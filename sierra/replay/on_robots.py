@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
+from sierra.config.project_file import Project
 from sierra.errors import Missing, UsageError
 from sierra.execution.on_robots import check_places
+from sierra.execution.plan import session_step
 from sierra.runners.base import Runner, RunsMembers
 from sierra.store.store import Store
 from sierra.templates.base import Files
@@ -45,11 +47,11 @@ def check(runner: Runner, name: str, of: str, inputs: Iterable[Files], groups: C
     check_places(runner, inputs, groups)
 
 
-def check_attended(of: str, *, supervised: bool, unattended: bool) -> None:
-    """Raise Missing if robots would move without a person, although their trials are `supervised`."""
-    if supervised and not unattended:
+def check_attended(of: str, config: Project) -> None:
+    """Raise Missing if robots would move without a person, although an extension executes their runs one by one."""
+    if step := session_step(config):
         raise Missing(
-            f"{short(of)} has supervised trials ([trials]), and a replay asks nobody before the robots move: use --yes if they "
+            f"{short(of)} has {step.runs} ([trials]), and a replay asks nobody before the robots move: use --yes if they "
             "may start at once, one run after the other"
         )
 

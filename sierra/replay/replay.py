@@ -118,7 +118,8 @@ class _Prepared:
         config, id = self.project.config, self.record.found.id
         inputs = (files for _, files in find_record.inputs(self.record, self.record.runs, self.store))
         on_robots.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
-        on_robots.check_attended(id, supervised=config.trials.supervised, unattended=self.options.unattended)
+        if not self.options.unattended:
+            on_robots.check_attended(id, config)
         runs = [one.run for one in self.record.runs]
         self.record.notes.append(on_robots.note(self.store, runs, judged=bool(config.equivalence)))
 

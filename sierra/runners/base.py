@@ -175,6 +175,13 @@ class Holds(Protocol):
 
 
 @runtime_checkable
+class Wraps(Protocol):
+    """A runner that executes runs by another one."""
+
+    wrapped: Runner
+
+
+@runtime_checkable
 class RunsMembers(Protocol):
     """A runner that executes the members of jobs (see `sierra.model.Job`), and no other jobs: on robots."""
 

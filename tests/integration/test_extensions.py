@@ -84,6 +84,11 @@ USES = {
     ),
     "sierra1": Use(("--from-sierra1",)),
     "simulators": Use(("[platforms.sumo]",), "[platforms.sumo]\nend = 1.0\n", "[platforms.sumo]: the platform 'sumo'"),
+    "trials": Use(
+        ("trial  ", "[trials]"),
+        '[trials]\norder = "random"\n',
+        "'trials'",
+    ),
     "videos": Use(
         ("video  ", "capture  ", "[videos", "[capture]"),
         '[capture]\nwall = 60\n[videos.map]\nkind = "poses"\ntable = "swarm"\ncolumn = ["tick", "coverage"]\n',

@@ -19,7 +19,7 @@ CHANGED = ("origin_is_lost", "hostile")
     "tests",
     [
         ("test_docs.py", "deliverables/test_default_figures.py", "deliverables/test_kinds.py"),
-        ("explain", "replay", "deliverables/studies", "ingest/test_rejudge.py", "execution/test_trial_marks.py"),
+        ("explain", "replay", "deliverables/studies", "ingest/test_rejudge.py", "../extensions/trials/test_marks.py"),
         ("maintenance/test_gc.py", "packages/test_imports.py", "store/test_former_format.py", "store/test_views.py"),
     ],
     ids=lambda tests: tests[0],

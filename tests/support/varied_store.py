@@ -63,6 +63,8 @@ def make(folder: Path, after: Callable[[Path], None] = lambda root: None) -> Pat
     It has failed, reused, replayed and imported executions, marked trials, later judgements, a removed batch, axes of several
     types, and outputs whose columns differ in their types and in upper and lower case.
     """
+    from sierra.extensions.trials import mark_trial
+
     root = projects.make(folder, CONFIG, simulator=SIMULATOR, template=TEMPLATE)
     other = projects.make(
         folder.with_name(f"{folder.name} of others"), CONFIG + PACKAGE, simulator=SIMULATOR, template=TEMPLATE
@@ -75,10 +77,10 @@ def make(folder: Path, after: Callable[[Path], None] = lambda root: None) -> Pat
     removed = _ask(root, f"kind={REMOVED}")
     after(root)
     execution = projects.sql(root, "SELECT min(execution) AS e FROM executions WHERE status = 'ok'")[0]["e"]
-    project.mark_trial(execution, valid=False, reason="it fell", operator="Ada")
-    project.mark_trial(execution, valid=True, note="it did not")
+    mark_trial(project, execution, valid=False, reason="it fell", operator="Ada")
+    mark_trial(project, execution, valid=True, note="it did not")
     last = projects.sql(root, "SELECT max(execution) AS e FROM executions WHERE status = 'ok'")[0]["e"]
-    project.mark_trial(last, valid=False, reason="wet floor")
+    mark_trial(project, last, valid=False, reason="wet floor")
     (root / "sierra.toml").write_text(CONFIG + JUDGED)
     after(root)
     _ask(root, *QUERIES[0])

@@ -35,8 +35,8 @@ LONG = {
     "plugins",
     "queries",
     "report",
-    "supervised-trials",
     "targets",
+    "trials",
 }
 """Guides whose commands take long; they are executed at night, those of all other pages for each change."""
 

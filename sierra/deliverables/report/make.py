@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
+from sierra.config import extensions
 from sierra.config.project_file import LoadedProject, Project
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.report import (
@@ -18,7 +19,6 @@ from sierra.deliverables.report import (
     question,
     reproduce,
     results,
-    trials,
 )
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.claims import Claims
@@ -196,7 +196,7 @@ def _parts(
         *filter(None, (tables, results.other_section(state, films))),
         *filter(None, between),
         failures.section(state, place),
-        *filter(None, [trials.section(state)]),
+        *extensions.called("report_sections", state),
         environment.section(state, place),
         reproduce.section(state, source.received, place),
     ]

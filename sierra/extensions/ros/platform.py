@@ -128,8 +128,8 @@ class Ros:
         self._options = options
         self._kind = _kind(options)
         self._on_robots = project.robots is not None
-        trials = project.trials
-        self._placed_by_hand = trials.supervised and bool(trials.poses or trials.draw_poses)
+        trials = project.added("trials", None)
+        self._placed_by_hand = bool(trials and trials.supervised and (trials.poses or trials.draw_poses))
         self._is_xml = not project.template.endswith((".yaml", ".yml"))
         if not self._is_xml and options.ros == 1:
             raise ConfigError('platform "ros": launch files of ROS 1 are XML; a launch file in YAML needs ros = 2')

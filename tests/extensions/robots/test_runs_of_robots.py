@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 import sierra
+from sierra.extensions.trials import mark_trial
 from tests import projects, robots
 from tests.support.robot_fleet import Fleet
 
@@ -145,7 +146,7 @@ def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, s
     root, fleet = copied
     project = sierra.open(root)
     run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' ORDER BY ordinal LIMIT 1")[0]["run"]
-    project.mark_trial(run, note="fine", operator="Grace Hopper")
+    mark_trial(project, run, note="fine", operator="Grace Hopper")
     for name, more in (("plain", {}), ("anonymous", {"anonymous": True})):
         project.package(fleet, report=False, path=tmp_path / f"{name}.zip", **more)
         other = robots.project(tmp_path / name)
@@ -179,7 +180,7 @@ def test_changed_rules_are_applied_to_recorded_files_of_each_robot(copied: tuple
 def test_removing_a_batch_removes_its_robots_and_marks(copied: tuple[Path, str]) -> None:
     root, fleet = copied
     run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' LIMIT 1")[0]["run"]
-    sierra.open(root).mark_trial(run, valid=False, reason="fell over")
+    mark_trial(sierra.open(root), run, valid=False, reason="fell over")
     assert projects.quick(root, "rm", fleet, "--yes").returncode == 0
     assert projects.sql(root, "SELECT (SELECT count(*) FROM robots) AS robots, (SELECT count(*) FROM trials) AS trials") == [
         {"robots": 0, "trials": 0}

@@ -22,8 +22,8 @@ from sierra.design import robots
 from sierra.design.platforms import base
 from sierra.design.query import grammar
 from sierra.errors import ConfigError, QueryError, SierraError, TemplateError
-from sierra.execution.supervised import poses
 from sierra.extensions.ros.platform import Ros
+from sierra.extensions.trials import poses
 from sierra.model import Set
 from sierra.templates import several
 from sierra.testing import platforms
@@ -147,7 +147,7 @@ def test_a_person_places_robots_where_the_launch_file_says(tmp_path: Path) -> No
         launches = [dict(own)["input.launch"].decode() for _, own in robots.read(files)]
         found = [[float(re.findall(f'name="{name}" value="(.*?)"', one)[0]) for name in ("x", "y", "yaw")] for one in launches]
         expected = tuple((x, y, round(math.degrees(yaw) % 360, 1)) for x, y, yaw in found)
-        assert poses.of_run(plan, run) == expected
+        assert poses.of_run(plan, run, plan.project.config.added("trials", None)) == expected
         assert len(set(expected)) == 3
 
 

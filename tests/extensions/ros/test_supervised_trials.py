@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.extensions.trials import mark_trial
 from tests import projects
 from tests.extensions.ros.supervised_robots import (
     MESSAGES,
@@ -126,7 +127,7 @@ def recorded(fleet: Fleet, tmp_path: Path) -> tuple[Path, str, str]:
     assert done.returncode == 0, done.stderr
     project = sierra.open(root)
     [marked] = projects.sql(root, "SELECT execution FROM effective ORDER BY ordinal LIMIT 1")
-    project.mark_trial(marked["execution"], valid=False, reason="fell over")
+    mark_trial(project, marked["execution"], valid=False, reason="fell over")
     assert projects.quick(root, *RUN, "--yes", "--operator", "Ann").returncode == 0
     assert projects.quick(root, "run", "noise=1,2", "--target", "sim", "--no-figures").returncode == 0
     fleet_batch, sim = (next(one.batch for one in project.batches if one.targets == [name]) for name in ("robots", "sim"))

@@ -124,13 +124,16 @@ def test_small_videos_are_played_in_the_report_if_they_are_the_recorded_ones(
     assert "These files are not in this page." in to.read_text()
 
 
+@needs_extension("trials")
 def test_a_report_says_which_videos_are_older_than_the_results(project: tuple[Path, str], tmp_path: Path) -> None:
+    from sierra.extensions.trials import mark_trial
+
     root, _ = project
     to, opened = tmp_path / "report.html", sierra.open(root)
     opened.report(to=to)
     assert "are older than the last results" not in to.read_text()
     [one, *_] = projects.sql(root, "SELECT execution FROM effective ORDER BY execution")
-    opened.mark_trial(one["execution"], valid=False, reason="wet floor")
+    mark_trial(opened, one["execution"], valid=False, reason="wet floor")
     opened.report(to=to)
     assert "files are older than the last results of this batch: heat. sierra figures --check tells" in to.read_text()
 

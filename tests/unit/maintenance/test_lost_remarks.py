@@ -10,6 +10,7 @@ import pytest
 import sierra
 from sierra.maintenance.findings import Kind
 from tests import projects, robots, stores
+from tests.tiers import needs_extension
 
 SHARED = """
 SELECT run, execution, batch FROM executions SEMI JOIN (
@@ -32,13 +33,16 @@ def statuses(root: Path) -> dict[str, str]:
 @pytest.mark.nightly
 @pytest.mark.each_case
 @pytest.mark.parametrize("damage", [flip, Path.unlink])
+@needs_extension("trials")
 def test_an_invalid_trial_whose_remark_is_lost_does_not_count(
     recorded: Path, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
+    from sierra.extensions.trials import mark_trial
+
     root = stores.copy(recorded, tmp_path / "p")
     project = sierra.open(root)
     [chosen] = projects.sql(root, SHARED)
-    project.mark_trial(chosen["run"], valid=False, reason="fell over", note="at the wall")
+    mark_trial(project, chosen["run"], valid=False, reason="fell over", note="at the wall")
     before = statuses(root)
     [remark] = root.glob(".sierra/segments/*/trials.parquet")
     damage(remark)
@@ -56,7 +60,7 @@ def test_an_invalid_trial_whose_remark_is_lost_does_not_count(
     of_batch = f"SELECT run FROM batch_runs WHERE batch = '{chosen['batch']}'"
     others = projects.sql(root, f"SELECT DISTINCT status FROM executions WHERE run NOT IN ({of_batch})")
     assert others == [{"status": "ok"}]
-    project.mark_trial(chosen["execution"], valid=True)
+    mark_trial(project, chosen["execution"], valid=True)
     assert statuses(root)[chosen["execution"]] == "ok"
     assert projects.quick(root, "fsck").returncode == 0
 

@@ -12,6 +12,7 @@ from sierra.errors import Damaged
 from sierra.store import rest_rows
 from sierra.store.store import Store
 from tests import stores
+from tests.tiers import needs_extension
 
 COUNT = "SELECT count(*) FROM executions"
 BY_BATCH = "SELECT batch, count(*) AS n FROM batch_runs GROUP BY batch ORDER BY batch"
@@ -38,12 +39,15 @@ def test_rows_of_later_segments_are_added(project: Project) -> None:
         assert project.store.rows(BY_BATCH) == others(project.store).rows(BY_BATCH)
 
 
+@needs_extension("trials")
 def test_a_first_row_of_a_table_is_seen(project: Project) -> None:
+    from sierra.extensions.trials import mark_trial
+
     stores.ask(project.root, "n=1")
     assert project.store.values(int, "SELECT count(*) FROM trials") == [0]
     run = project.store.values(str, "SELECT execution FROM executions LIMIT 1")[0]
     assert project.store.values(int, "SELECT count(*) FROM all_judgements WHERE status = 'ok'") == [2]
-    project.mark_trial(run, valid=False, reason="seen to fall")
+    mark_trial(project, run, valid=False, reason="seen to fall")
     assert project.store.values(int, "SELECT count(*) FROM trials") == [1]
     assert project.store.values(int, "SELECT count(*) FROM all_judgements WHERE status = 'ok'") == [1]
 

@@ -15,7 +15,8 @@ import pytest
 import sierra
 from sierra.errors import Missing, UsageError
 from sierra.execution import execute_missing
-from sierra.execution.supervised.supervisor import Agreeing, Attendant, Ended, Start, Trial, Verdict
+from sierra.extensions.trials import supervised_by
+from sierra.extensions.trials.supervisor import Agreeing, Attendant, Ended, Start, Trial, Verdict
 from sierra.runners.base import Beat
 from tests import projects, robots
 
@@ -89,7 +90,8 @@ def has_written(root: Path) -> bool:
 
 
 def execute(root: Path, script: Script | Agreeing, runs: int = 1) -> sierra.Summary:
-    return sierra.open(root).run("population_size=1,2", runs=runs, figures=False, supervisor=script)
+    with supervised_by(script):
+        return sierra.open(root).run("population_size=1,2", runs=runs, figures=False)
 
 
 @pytest.mark.integration
@@ -193,7 +195,8 @@ def test_each_trial_names_the_robots_that_take_part_now_and_shows_the_same_area(
             return super().verdict(trial, ended)
 
     script = Moving(FELL, VALID, VALID)
-    sierra.open(root).run("population_size=1,2", runs=1, target="robots", figures=False, supervisor=script)
+    with supervised_by(script):
+        sierra.open(root).run("population_size=1,2", runs=1, target="robots", figures=False)
     first, *others = script.trials
     assert first.robots == {place: f"tb3-0{place}" for place in range(1, len(first.poses) + 1)}
     assert [one.robots[1] for one in others] == ["spare", "spare"]
@@ -253,7 +256,8 @@ def test_a_table_that_differs_from_others_is_noticed_in_the_last_trial_too(tmp_p
     root = projects.make(tmp_path / "project", CONFIG.replace("countdown = 0", 'countdown = 0\norder = "as-designed"'))
     last = sierra.open(root).plan("population_size=1", runs=3).batch.runs[-1]
     (root / "sim.py").write_text(projects.SIMULATOR.replace("range(5)", f"range(4 if seed == {last.seed} else 5)"))
-    summary = sierra.open(root).run("population_size=1", runs=3, figures=False, supervisor=Agreeing())
+    with supervised_by(Agreeing()):
+        summary = sierra.open(root).run("population_size=1", runs=3, figures=False)
     assert (summary.executed, summary.failed) == (3, 1)
     assert [row["status"] for row in projects.sql(root, ROWS)] == ["ok", "ok", "mismatch"]
 
@@ -270,9 +274,8 @@ def test_a_failed_trial_stays_failed_or_is_repeated(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 def test_fail_fast_does_not_count_a_trial_that_is_repeated(root: Path) -> None:
-    summary = sierra.open(root).run(
-        "population_size=1,2", runs=1, figures=False, fail_fast=True, supervisor=Script(FELL, VALID, VALID)
-    )
+    with supervised_by(Script(FELL, VALID, VALID)):
+        summary = sierra.open(root).run("population_size=1,2", runs=1, figures=False, fail_fast=True)
     assert (summary.executed, summary.failed) == (2, 0)
 
 
@@ -282,10 +285,11 @@ def test_without_a_supervisor_nothing_is_executed_but_finished_runs_are_reused(r
     with pytest.raises(Missing, match="trials are supervised here"):
         project.run("population_size=1,2", runs=1, figures=False)
     assert not (root / ".sierra").exists()
-    with pytest.raises(UsageError, match="one after the other; leave out --jobs 2"):
-        project.run("population_size=1,2", runs=1, figures=False, jobs=2, supervisor=Agreeing())
-    with pytest.raises(UsageError, match="runs on 'slurm' begin when the cluster has room"):
-        project.run("population_size=1,2", runs=1, figures=False, runner="slurm", supervisor=Agreeing())
+    with supervised_by(Agreeing()):
+        with pytest.raises(UsageError, match="one after the other; leave out --jobs 2"):
+            project.run("population_size=1,2", runs=1, figures=False, jobs=2)
+        with pytest.raises(UsageError, match="runs on 'slurm' begin when the cluster has room"):
+            project.run("population_size=1,2", runs=1, figures=False, runner="slurm")
     assert execute(root, Agreeing("Bob")).executed == 2
     assert project.run("population_size=1,2", runs=1, figures=False).reused == 2
 

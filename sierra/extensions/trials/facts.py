@@ -5,9 +5,9 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-from sierra.config.trial_tables import Trials
 from sierra.errors import Missing
 from sierra.execution import commands
+from sierra.extensions.trials.table import Trials
 from sierra.util.hashing import sha256
 from sierra.util.regular_files import read_regular
 

@@ -6,8 +6,8 @@ from collections import Counter
 
 import pytest
 
-from sierra.config.trial_tables import Trials
-from sierra.execution.supervised.order import Turn, ordered
+from sierra.extensions.trials.order import Turn, ordered
+from sierra.extensions.trials.table import Trials
 from sierra.model import Batch, Experiment, Run, RunSpec
 
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.execution.supervised.supervisor import Attendant, Start
+from sierra.extensions.trials.supervisor import Attendant, Start
 from sierra.model import OutputFile, Result, Status
 from sierra.runners.base import Holds, Look, Runner, Work
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
@@ -29,7 +29,7 @@ class WatchedRunner:
 
     def __init__(self, runner: Runner, attendant: Attendant, *, ends: bool) -> None:
         """`ends`: a trial that is stopped ends as planned; otherwise it has failed."""
-        self.runner = runner
+        self.wrapped = runner
         self.remote = runner.remote
         self._attendant = attendant
         self._ends = ends
@@ -44,19 +44,19 @@ class WatchedRunner:
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._work, self._session = work, session
-        if isinstance(self.runner, Holds):
-            self.runner.hold()
+        if isinstance(self.wrapped, Holds):
+            self.wrapped.hold()
             self._submit()
 
     def _submit(self) -> None:
         self._submitted = True
-        self.runner.submit(self._work, self._session)
+        self.wrapped.submit(self._work, self._session)
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("a trial ends with the process that started it")
 
     def look(self) -> Look:
-        look = self.runner.look() if self._submitted else Look((), 0, alive=not self._over)
+        look = self.wrapped.look() if self._submitted else Look((), 0, alive=not self._over)
         if not self._collecting:
             self.seconds = time.monotonic() - self._began if self.decision is Start.GO else 0.0
         self._collecting = self._collecting or look.collecting
@@ -79,13 +79,13 @@ class WatchedRunner:
             self._attendant.ending(look.beats, None)
         elif not self._told and self._attendant.watch(self.seconds, look.beats):
             self._told = self.stopped = True
-            self.runner.stop()
+            self.wrapped.stop()
 
     def _decide(self, *, ready: bool) -> None:
         self.decision = self._attendant.decide(ready=ready)
         if self.decision is Start.GO:
             self._began = time.monotonic()
-            self.runner.begin() if isinstance(self.runner, Holds) else self._submit()
+            self.wrapped.begin() if isinstance(self.wrapped, Holds) else self._submit()
         elif self.decision is not None:
             self.stop()
 
@@ -106,11 +106,11 @@ class WatchedRunner:
     def stop(self) -> None:
         self._over = True
         if self._submitted:
-            self.runner.stop()
+            self.wrapped.stop()
 
     def close(self) -> None:
         if self._submitted:
-            self.runner.close()
+            self.wrapped.close()
 
 
 def _with_outputs(result: Result) -> Result:

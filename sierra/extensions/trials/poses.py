@@ -11,21 +11,21 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 
-from sierra.config.trial_tables import DrawnPoses, Trials
 from sierra.design import platforms, robots
 from sierra.design.platforms.base import Placing
 from sierra.errors import ConfigError
 from sierra.execution.plan import Plan
+from sierra.extensions.trials.table import DrawnPoses, Trials
 from sierra.model import BASE, Pose, Run, Value
 
 TRIES = 10_000
 """Number of positions that are drawn for one robot until it is far enough from the others."""
 
 
-def of_run(plan: Plan, run: Run) -> tuple[Pose, ...]:
+def of_run(plan: Plan, run: Run, trials: Trials) -> tuple[Pose, ...]:
     """Return the start poses of a run, one per robot; none if none are declared. Raises ConfigError."""
     values = plan.batch.experiments[run.experiment].values
-    return _of_inputs(plan, run) or declared(plan.project.config.trials, run.seed, values)
+    return _of_inputs(plan, run) or declared(trials, run.seed, values)
 
 
 def _of_inputs(plan: Plan, run: Run) -> tuple[Pose, ...]:

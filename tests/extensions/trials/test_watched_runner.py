@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sierra.execution.supervised.supervisor import Start
-from sierra.execution.supervised.watched_runner import WatchedRunner
+from sierra.extensions.trials.supervisor import Start
+from sierra.extensions.trials.watched_runner import WatchedRunner
 from sierra.model import Result, Status
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.local import Local

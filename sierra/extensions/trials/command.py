@@ -83,6 +83,6 @@ def _mark(
     execution: str, *, valid: bool | None = None, reason: str | None = None, note: str | None, operator: str | None
 ) -> str:
     from sierra.cli.open_project import project
+    from sierra.extensions.trials import mark_trial
 
-    row = project().mark_trial(execution, valid=valid, reason=reason, note=note, operator=operator)
-    return str(row.execution)
+    return str(mark_trial(project(), execution, valid=valid, reason=reason, note=note, operator=operator).execution)

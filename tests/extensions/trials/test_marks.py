@@ -10,8 +10,9 @@ import pytest
 import sierra
 from sierra.config.project_file import load
 from sierra.deliverables.report import batch_state
-from sierra.deliverables.report.trials import section
 from sierra.errors import NotFound, UsageError
+from sierra.extensions.trials import mark_trial
+from sierra.extensions.trials.report_section import section
 from tests import projects, stores
 
 
@@ -49,8 +50,8 @@ def test_an_invalid_trial_does_not_count_and_its_run_is_executed_again(root: Pat
 def test_the_last_mark_counts_and_earlier_ones_stay(root: Path) -> None:
     project = sierra.open(root)
     [run, _] = [row["run"] for row in projects.sql(root, "SELECT run FROM effective ORDER BY run")]
-    row = project.mark_trial(run, valid=False, reason="wet floor", note="at noon")
-    project.mark_trial(row.execution, valid=True)
+    row = mark_trial(project, run, valid=False, reason="wet floor", note="at noon")
+    mark_trial(project, row.execution, valid=True)
     assert projects.sql(root, "SELECT valid, reason, note FROM all_trials ORDER BY lamport") == [
         {"valid": False, "reason": "wet floor", "note": "at noon"},
         {"valid": True, "reason": None, "note": "at noon"},
@@ -63,10 +64,10 @@ def test_the_last_mark_counts_and_earlier_ones_stay(root: Path) -> None:
 def test_a_report_says_which_trials_count(root: Path) -> None:
     project = sierra.open(root)
     first, other = (row["execution"] for row in projects.sql(root, "SELECT execution FROM effective ORDER BY run"))
-    project.mark_trial(first, valid=False, reason="wet floor")
+    mark_trial(project, first, valid=False, reason="wet floor")
     project.run("population_size=2", figures=False)
-    project.mark_trial(first, valid=True)  # but a later execution counts
-    project.mark_trial(other, note="at noon")
+    mark_trial(project, first, valid=True)  # but a later execution counts
+    mark_trial(project, other, note="at noon")
     found = section(batch_state.read(load(root), project.store, project.batch()))
     assert found is not None
     assert re.findall(r"<td[^>]*>(yes|no)</td>", found.body) == ["no", "yes"]
@@ -76,11 +77,11 @@ def test_marks_without_a_reason_or_an_execution_are_refused(root: Path) -> None:
     project = sierra.open(root)
     [run, _] = [row["run"] for row in projects.sql(root, "SELECT run FROM effective ORDER BY run")]
     with pytest.raises(UsageError, match="an invalid trial needs a reason"):
-        project.mark_trial(run, valid=False, reason=" ")
+        mark_trial(project, run, valid=False, reason=" ")
     with pytest.raises(UsageError, match="note: use one line"):
-        project.mark_trial(run, note="one\ntwo")
+        mark_trial(project, run, note="one\ntwo")
     with pytest.raises(NotFound, match="is a batch; name one execution"):
-        project.mark_trial(str(project.batches[-1].batch), note="x")
-    project.mark_trial(run, valid=False, reason="gone")
+        mark_trial(project, str(project.batches[-1].batch), note="x")
+    mark_trial(project, run, valid=False, reason="gone")
     with pytest.raises(NotFound, match="has no execution that counts"):
-        project.mark_trial(run, valid=False, reason="twice")
+        mark_trial(project, run, valid=False, reason="twice")

@@ -8,9 +8,9 @@ from itertools import combinations
 
 import pytest
 
-from sierra.config.trial_tables import DrawnPoses, Trials
 from sierra.errors import ConfigError
-from sierra.execution.supervised import poses
+from sierra.extensions.trials import poses
+from sierra.extensions.trials.table import DrawnPoses, Trials
 from sierra.model import Pose
 
 DRAWN = Trials(draw_poses=DrawnPoses(count="population_size", x=(0.0, 4.0), y=(-1.0, 2.0), apart=0.5))

@@ -30,9 +30,9 @@ SELECT operator, valid, t.reason, note, stopped, status FROM trials t JOIN execu
 ENDING = """
 import sys, time
 from pathlib import Path
-from sierra.cli.supervise import Person
-from sierra.config.trial_tables import Trials
-from sierra.execution.supervised.supervisor import Ended, Trial
+from sierra.extensions.trials.terminal import Person
+from sierra.extensions.trials.table import Trials
+from sierra.extensions.trials.supervisor import Ended, Trial
 from sierra.model import Pose, Status
 from sierra.runners.base import Beat
 
@@ -206,3 +206,5 @@ def test_without_a_terminal_prompts_are_an_error_at_once_and_yes_answers_them(ro
     (root / "sierra.toml").write_text(projects.CONFIG)
     alone = projects.quick(root, "run", "population_size=1", "--operator", "Ann", "--no-figures")
     assert (alone.returncode, alone.stderr.partition(";")[0]) == (2, "sierra: --operator Ann: nobody supervises these runs")
+    inputs = projects.quick(root, "run", "population_size=1", "--operator", "Ann", "--inputs", "inputs")
+    assert (inputs.returncode, inputs.stderr) == (2, "sierra: --inputs executes nothing; leave out --operator\n")

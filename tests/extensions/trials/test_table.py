@@ -6,6 +6,7 @@ import pytest
 
 from sierra.config.project_file import parse
 from sierra.errors import ConfigError
+from sierra.extensions.trials.table import Trials
 
 
 @pytest.mark.parametrize(
@@ -34,4 +35,4 @@ def test_mistakes_are_reported_in_one_line(table: dict[str, object], message: st
 
 def test_a_target_may_be_supervised_while_another_is_not() -> None:
     project = parse({"targets": {"sim": {}, "robots": {"trials": {"supervised": True}}}}, "sierra.toml")
-    assert [project.for_target(name).trials.supervised for name in ("sim", "robots")] == [False, True]
+    assert [project.for_target(name).added("trials", None) for name in ("sim", "robots")] == [None, Trials(supervised=True)]

@@ -20,13 +20,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TextIO, cast
 
 from sierra.cli.output import Safe, raw, safe
-from sierra.config.trial_tables import Trials
-from sierra.execution.supervised.supervisor import Agreeing, Attendant, Start, Supervisor, Verdict
+from sierra.extensions.trials.supervisor import Agreeing, Attendant, Start, Supervisor, Verdict
+from sierra.extensions.trials.table import Trials
 from sierra.model import Status
 
 if TYPE_CHECKING:
-    from sierra.execution.plan import Plan
-    from sierra.execution.supervised.supervisor import Ended, Trial
+    from sierra.extensions.trials.supervisor import Ended, Trial
     from sierra.runners.base import Beat
 
 DRAWN_S, PRINTED_S = 0.2, 10.0
@@ -40,13 +39,13 @@ PLACE, GO = "place the robots; ", "Enter: go, s: skip, a: abort > "
 AGAIN = "Enter: try again, s: skip, a: abort > "
 
 
-def supervisor(plan: Plan, *, operator: str | None, agreed: bool) -> Supervisor | None:
-    """Return the supervisor of a plan's trials; None if there is neither a terminal nor an agreement to all of them."""
+def supervisor(trials: Trials, *, operator: str | None, agreed: bool) -> Supervisor | None:
+    """Return the supervisor of trials; None if there is neither a terminal nor an agreement to all of them."""
     if agreed:
         return Agreeing(operator)
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
-    return Person(plan.project.config.trials, operator)
+    return Person(trials, operator)
 
 
 class Person:

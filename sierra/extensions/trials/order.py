@@ -11,7 +11,7 @@ import random
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from sierra.config.trial_tables import Trials
+from sierra.extensions.trials.table import Trials
 from sierra.model import Batch, Run
 
 

@@ -9,53 +9,34 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from itertools import groupby
 from typing import NamedTuple
 
-from sierra.errors import Missing, UsageError
+from sierra.errors import Missing
 from sierra.execution import commands, on_robots
-from sierra.execution.follow import Followed
-from sierra.execution.observer import Tally
-from sierra.execution.plan import Plan, context
-from sierra.execution.sessions import Session
-from sierra.execution.supervised import facts, poses
-from sierra.execution.supervised.order import Turn, order_seed, ordered
-from sierra.execution.supervised.supervisor import Ended, Start, Supervisor, Trial, Verdict
-from sierra.execution.supervised.watched_runner import WatchedRunner
+from sierra.execution.plan import context
+from sierra.execution.session_steps import Core, Outcome
+from sierra.extensions.trials import facts, poses
+from sierra.extensions.trials.order import Turn, order_seed, ordered
+from sierra.extensions.trials.supervisor import Ended, Start, Supervisor, Trial, Verdict
+from sierra.extensions.trials.table import Trials
+from sierra.extensions.trials.watched_runner import WatchedRunner
 from sierra.ingest.consistency import find_odd
 from sierra.model import Run, Status
 from sierra.runners.base import NamesRobots, Runner
 from sierra.store.row_types import TrialRow
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
-from sierra.util.lazy_definitions import dataclass, field
 
 UNJUDGED = "nobody has judged it"
 """The reason why a trial without a verdict is not valid."""
-UNATTENDED = "trials are supervised here ([trials]): run in a terminal, or answer all prompts with --yes"
 NEXT = """
 SELECT coalesce(max(position) + 1, 0)::BIGINT FROM trials JOIN executions USING (execution) WHERE batch = $batch
 """
 STATE = "SELECT status, reason FROM executions WHERE execution = $execution"
-Execute = Callable[[Run, int, Runner, Mapping[str, JsonView]], Followed]
-"""It executes a run by a runner, and records it with a row of `trials`. The number is that of earlier tries in the session."""
-
-
-@dataclass(slots=True)
-class Conducted:
-    """The outcome of a session's trials."""
-
-    interrupted: bool = False
-    """True if the user ended the session, at a prompt or by a signal."""
-    skipped: set[str] = field(default_factory=set)
-    """Runs that were skipped."""
-    inconsistent: set[str] = field(default_factory=set)
-    """Runs with an execution that is inconsistent with other executions."""
-    notes: dict[str, None] = field(default_factory=dict)
-    """Notes for the user, each once."""
 
 
 class _State(NamedTuple):
@@ -68,36 +49,22 @@ class _State(NamedTuple):
 class Conduct:
     """The trials of one session."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        store: Store,
-        session: Session,
-        supervisor: Supervisor,
-        tally: Tally,
-        runner: Callable[[], Runner],
-        execute: Execute,
-        enough: Callable[[], bool],
-    ) -> None:
-        """`runner` makes a runner, which executes one trial. `enough`: see `sierra.execution.follow.follow`."""
-        self._plan = plan
-        self._store = store
-        self._session = session
+    def __init__(self, trials: Trials, supervisor: Supervisor, core: Core) -> None:
+        self._core = core
+        self._plan = core.plan
+        self._store = core.store
+        self._session = core.session
         self._supervisor = supervisor
-        self._tally = tally
-        self._runner = runner
-        self._execute = execute
-        self._enough = enough
-        self._trials = plan.project.config.trials
-        self._order = ordered(plan.batch, self._trials)
+        self._trials = trials
+        self._order = ordered(core.plan.batch, trials)
         self._operator: str | None = None
         self._position = 0
         self._tries: dict[str, int] = {}
         self._ended = float("-inf")
         """The end of the last trial by the monotonic clock."""
-        self._outcome = Conducted()
+        self._outcome = Outcome()
 
-    def conduct(self, wanted: AbstractSet[str]) -> Conducted:
+    def conduct(self, wanted: AbstractSet[str]) -> Outcome:
         """Execute these runs one after the other. Raises the errors of the runner, ConfigError and Missing."""
         turns = [turn for turn in self._order if turn.run.id in wanted]
         self._left = len(turns)
@@ -113,7 +80,7 @@ class Conduct:
 
     def _conduct_block(self, pending: deque[Turn]) -> None:
         """Execute a block; trials that are not valid are repeated at its end."""
-        while pending and not self._outcome.interrupted and not self._enough():
+        while pending and not self._outcome.interrupted and not self._core.is_enough():
             turn = pending.popleft()
             if not self._tried(turn):
                 pending.append(turn)
@@ -125,7 +92,7 @@ class Conduct:
         """
         while True:
             try:
-                runner = self._runner()
+                runner = self._core.runner()
                 return self._try(turn.run, runner, *self._prepared(turn, runner))
             except Missing as error:
                 execution = self._execution(turn.run)
@@ -145,7 +112,7 @@ class Conduct:
         """Return a trial as it is presented, and the row that is recorded with its execution. `runner` executes it."""
         run, trials, root = turn.run, self._trials, self._plan.project.root
         values = self._plan.batch.experiments[run.experiment].values
-        placed = poses.of_run(self._plan, run)
+        placed = poses.of_run(self._plan, run, trials)
         files, printed = facts.of_files(trials, root), facts.of_commands(trials, root)
         trial = Trial(
             run.id,
@@ -186,7 +153,7 @@ class Conduct:
         """Execute a trial unless the person decides otherwise, and record the verdict; return False if it is to be repeated."""
         with self._supervisor.attending(trial) as attendant:
             watched = WatchedRunner(runner, attendant, ends=self._trials.stop == "ends")
-            followed = self._execute(run, trial.attempt, watched, _as_json(row))
+            followed = self._core.execute(run, trial.attempt, watched, _as_json(row))
         self._outcome.notes.update(dict.fromkeys(followed.notes))
         if watched.decision is not Start.GO:
             self._leave_out(run, watched.decision, interrupted=followed.interrupted)
@@ -218,9 +185,9 @@ class Conduct:
         """Ask for the verdict on a trial, and record it; return it."""
         verdict = self._supervisor.verdict(trial, ended)
         self._record(row._replace(valid=verdict.valid, reason=verdict.reason, note=verdict.note))
-        self._tally.ended(run.id, ended.status if verdict.valid else Status.INVALID)
+        self._core.tally.ended(run.id, ended.status if verdict.valid else Status.INVALID)
         if not verdict.valid:
-            self._tally.failed.discard(run.id)  # it is repeated
+            self._core.tally.failed.discard(run.id)  # it is repeated
         return verdict
 
     def _record(self, row: TrialRow) -> None:
@@ -236,17 +203,6 @@ def _ended(recorded: _State, runner: WatchedRunner) -> Ended:
     if recorded.status == Status.INVALID:
         return Ended(Status.OK, None, runner.seconds, runner.stopped)
     return Ended(Status(recorded.status), recorded.reason, runner.seconds, runner.stopped)
-
-
-def check(runner: str, *, stays: bool, jobs: int | None) -> None:
-    """Check that trials can be supervised on a runner. Raises UsageError.
-
-    `stays`: the runner's work survives this process. `jobs`: the requested number of runs at a time; None if none is.
-    """
-    if stays:
-        raise UsageError(f"[trials] supervised: runs on {runner!r} begin when the cluster has room; use a runner such as local")
-    if jobs is not None and jobs > 1:
-        raise UsageError(f"[trials] supervised: trials are executed one after the other; leave out --jobs {jobs}")
 
 
 def _next_position(store: Store, batch: str) -> int:

@@ -7,10 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, PositiveInt, model_validator
 
-from sierra.config.field_types import Command, Finite, InProject, Line, Name, NotNegative, Table, distinct
-
-ListedPose = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3)]
-Span = Annotated[tuple[Finite, Finite], Field()]
+from sierra.config.change_tables import ListedPose, Span
+from sierra.config.field_types import Command, InProject, Line, Name, NotNegative, Table, distinct
 
 
 class DrawnPoses(Table):
@@ -70,3 +68,7 @@ class Trials(Table):
         if self.poses and self.draw_poses:
             raise ValueError('"poses" and "draw_poses" exclude each other')
         return self
+
+
+TABLE: tuple[object, object] = (Trials, Trials.model_construct())
+"""The key `trials` of `sierra.toml`."""

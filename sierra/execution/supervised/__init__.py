@@ -1,1 +1,0 @@
-"""Supervised trials: runs that a person prepares, watches and judges, one after the other."""
