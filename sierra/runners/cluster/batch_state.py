@@ -70,8 +70,8 @@ class Answer(NamedTuple):
 
     tasks: Sequence[tuple[Task, AbstractSet[int]]]
     """Each task with its elements."""
-    ended: Mapping[int, Task]
-    """Ended tasks of the last submission of each element."""
+    ended: Sequence[tuple[int, Task]]
+    """Elements, each with an ended task of its last submission."""
     evidence: Mapping[int, Evidence]
     """What elements have left behind that were gone at the previous answer, and whose records have been read since.
 
@@ -144,7 +144,7 @@ def on_poll(batch: BatchState, answer: Answer, table: ClusterTable) -> Decision:
     living = [elements for task, elements in answer.tasks if task.state in (State.QUEUED, State.RUNNING)]
     alive = {index for elements in living for index in elements}
     batch = replace(batch, queued=queued, alive=alive)
-    for index, task in answer.ended.items():
+    for index, task in answer.ended:
         shares[index].reason, shares[index].cancelled = task.reason or shares[index].reason, task.cancelled
     if batch.phase is Phase.STOPPING:
         return replace(batch, phase=batch.phase if living else Phase.OVER), [Cancel(None)] if batch.uncancelled else []
@@ -153,7 +153,8 @@ def on_poll(batch: BatchState, answer: Answer, table: ClusterTable) -> Decision:
         share.gone = share.gone + 1 if share.missing and index not in alive and index not in batch.resubmit else 0
         share.gone_at = answer.now if share.gone == 1 else share.gone_at
         share.queued = index in queued or (share.queued and index not in alive)
-    lost = {index: seen for index, seen in answer.evidence.items() if shares[index].gone > 1}
+    evidence = {index: seen for index, seen in answer.evidence.items() if shares[index].gone > 1}
+    lost = {index: seen._replace(message=shares[index].trouble or seen.message) for index, seen in evidence.items()}
     batch, more = _on_lost(batch, lost, table, forgets=answer.forgets)
     return batch, [*actions, *more]
 
@@ -210,9 +211,9 @@ def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTabl
         guilty = [execution for execution in _suspects(share, table.attempts) if execution in cut]
         if guilty:
             actions.append(GiveUp(index, guilty, share.tries, why[index]))
-            share.tries = 0
         if share.missing == len(guilty):
             continue
+        share.tries = 0 if guilty else share.tries
         share.suspects = [] if timed else [one for one in _suspects(share, table.attempts - 1) if one not in guilty]
         if share.tries >= table.attempts * (2 if share.suspects else 1):
             times = f"{share.tries} times" if share.tries > 1 else "once"

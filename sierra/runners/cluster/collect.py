@@ -85,7 +85,7 @@ class Evidence(NamedTuple):
     """What an element that is gone has left behind."""
 
     message: str
-    """Its own reason, or the last line of its log."""
+    """The last line of its log."""
     allowed_s: float | None
     """Time that its last attempt had; None if its scheduler did not pass an end time."""
     alone: AbstractSet[str]
@@ -360,7 +360,7 @@ class Collector:
                 share.done += 1
         end = last.attempt.end if last and last.attempt else None
         return Evidence(
-            share.trouble or last_line(self._session, str(index)),
+            last_line(self._session, str(index)),
             end - last.since if last and end is not None else None,
             {run for track in self._tracks.values() if track.element == index for run in track.begun & track.alone},
             last.begun & last.first if last else set(),

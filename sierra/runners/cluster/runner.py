@@ -290,7 +290,7 @@ class Cluster:
             if share.gone and share.gone_at < self._read_at and share.grew_at < now - QUIET_S
         }
         pairs = [(task, submission_record.elements(self._session, [task]) & shares.keys()) for task in tasks]
-        ended = {index: task for index, task in last if index in shares}
+        ended = [(index, task) for index, task in last if index in shares]
         return Answer(pairs, ended, evidence, now, self._scheduler.forgets)
 
     def _carry_out(self, batch: BatchState, actions: Sequence[batch_state.Action]) -> None:

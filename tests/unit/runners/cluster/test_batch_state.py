@@ -59,7 +59,7 @@ def poll(
     forgets: bool = False,
 ) -> Decision:
     """Return the decision about an answer. `seen` is the evidence for element 0; None: its records may not be complete."""
-    ended = {task.element or 0: task for task in tasks if task.state is State.ENDED}
+    ended = [(task.element or 0, task) for task in tasks if task.state is State.ENDED]
     known: Mapping[int, Evidence] = {} if seen is None else {0: seen}
     answer = Answer([(task, {task.element or 0}) for task in tasks], ended, known, now=100.0, forgets=forgets)
     return on_poll(batch, answer, settings or table())
@@ -134,7 +134,7 @@ def test_an_element_that_somebody_else_cancelled_ends_the_session(
 
 def test_only_the_cancelled_ones_of_the_lost_elements_are_named() -> None:
     shares = (Share(1, gone=1, reason="NODE_FAIL", cancelled=False), Share(1, gone=1, reason="CANCELLED", cancelled=True))
-    answer = Answer([], {}, {0: NOTHING, 1: NOTHING}, now=100.0)
+    answer = Answer([], [], {0: NOTHING, 1: NOTHING}, now=100.0)
     _, actions = on_poll(BatchState(shares), answer, table())
     assert actions == [Cancelled("1 array task: CANCELLED", True, [1])]
 
@@ -190,7 +190,7 @@ def test_a_task_that_could_not_be_launched_is_cancelled_and_submitted_again() ->
     assert (actions, batch.shares[0].trouble) == ([Cancel([0])], MISHAP.reason)
     batch.shares[0].ours = True  # it is cancelled now
     batch, actions = poll(batch, CANCELLED)
-    assert (actions, batch.resubmit) == ([], {0: MISHAP.reason})
+    assert (actions, batch.resubmit) == ([], {0: f"{MISHAP.reason} ({CANCELLED.reason})"})
 
 
 def test_a_task_that_never_begins_ends_the_session() -> None:
