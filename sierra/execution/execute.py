@@ -88,7 +88,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
         executor = Executor(plan, store, session, make, options, found, (seen, recorded))
         if executor.rules_changed:
-            executor.failed |= odd
+            executor.fail(odd)
         executor.answer()
         summary = replace(_sum_up(executor), sessions=(session.id,))
         log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)

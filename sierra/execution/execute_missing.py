@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -50,8 +51,27 @@ NOTED = 4
 """Maximum number of reported reasons why runs cannot be evaluated again."""
 
 
+class RunState(StrEnum):
+    """State of a run in this session. Runs without a state are untouched; the tally has the results of executed runs."""
+
+    AWAITED = "awaited"
+    """Another session was executing it, or had submitted it."""
+    CLAIMED = "claimed"
+    """This session evaluates its recorded executions again or executes it."""
+    SKIPPED = "skipped"
+    """A person has left it out of the supervised trials."""
+    REEVALUATED = "reevaluated"
+    """Its recorded execution was evaluated again by changed rules."""
+    REJECTED = "rejected"
+    """It was evaluated again, and failed."""
+    FAILED = "failed"
+    """It failed in this session or in another one, and is not executed again."""
+    GIVEN_UP = "given up"
+    """It failed twice in the same way before, and is not executed again."""
+
+
 class Executor:
-    """State of one session while it executes: finished runs, failed runs, and runs of other sessions."""
+    """State of one session while it executes."""
 
     def __init__(
         self,
@@ -72,38 +92,25 @@ class Executor:
         self.store = store
         self.session = session
         self.interrupted = False
-        self.failed: set[str] = set()
+        self.only = options.only
+        """The runs that the session is limited to; None for all."""
         self.notes: tuple[str, ...] = ()
         self.left: list[SessionPaths] = []
         """Sessions on a cluster that continue without this process."""
-        self.awaited: set[str] = set()
-        """Runs that other sessions were executing, or had submitted."""
-        self.reevaluated: set[str] = set()
-        """Runs with a recorded execution that was evaluated again by changed rules."""
         self.rules_changed = rules_changed(plan, store)
         """True if the last session of the batch used other rules."""
         self._runner = runner
         self._options = options
         observer = Relay(options.observer, leave=True) if options.detach else options.observer
         self._context = context(plan, session.id, session.number)
-        runs = {run.id for run in plan.batch.runs}
-        self._tally = Tally(observer, len(runs if options.only is None else runs & options.only))
+        self._tally = Tally(observer, len(self._selected({run.id for run in plan.batch.runs})))
         self._service: Service | None = None
         self._recorded = recorded
         self._before: dict[str, int] | None = None
-        self._claimed: AbstractSet[str] = frozenset()
-        self._doubted: Doubt | None = None
-        self._looked_at: set[str] = set()
-        self.given_up: AbstractSet[str] = frozenset()
-        """Runs that failed twice in the same way, and are not executed again."""
-        self._skipped: set[str] = set()
-        """Runs that a step has skipped."""
+        """Number of executions at the beginning, of each run that has some and lacks a successful one."""
+        self._run_states: dict[str, RunState] = {}
+        self._file_change: Doubt | None = None
         self._step = session_step(plan.project.config)
-
-    @property
-    def only(self) -> AbstractSet[str] | None:
-        """Return the runs that the session is limited to; None for all."""
-        return self._options.only
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -116,9 +123,37 @@ class Executor:
         return self.attempted & (self._before or {}).keys()
 
     @property
-    def _open(self) -> AbstractSet[str]:
-        """The runs that this session has begun to execute, and that have not ended."""
-        return self._claimed - self.attempted - self._skipped
+    def failed(self) -> AbstractSet[str]:
+        """Return the runs that have failed since the session began, or that are inconsistent with others."""
+        return self._in(RunState.FAILED, RunState.REJECTED)
+
+    @property
+    def given_up(self) -> AbstractSet[str]:
+        return self._in(RunState.GIVEN_UP)
+
+    @property
+    def awaited(self) -> AbstractSet[str]:
+        return self._in(RunState.AWAITED)
+
+    @property
+    def reevaluated(self) -> AbstractSet[str]:
+        """Return the runs that were evaluated again, with any result."""
+        return self._in(RunState.REEVALUATED, RunState.REJECTED)
+
+    def _in(self, *states: RunState) -> set[str]:
+        return {run for run, state in self._run_states.items() if state in states}
+
+    def _set(self, runs: Iterable[str], state: RunState) -> None:
+        self._run_states.update(dict.fromkeys(runs, state))
+
+    def fail(self, runs: AbstractSet[str]) -> None:
+        """Note that runs have failed, in this session or in another one."""
+        self._set(runs & self.reevaluated, RunState.REJECTED)
+        self._set(runs - self.reevaluated - self.given_up, RunState.FAILED)
+
+    def _selected(self, runs: set[str]) -> set[str]:
+        """Return those of the runs that `only` does not leave out."""
+        return runs if self.only is None else runs & self.only
 
     def answer(self) -> None:
         """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave.
@@ -137,7 +172,7 @@ class Executor:
         if undecided:
             self._observe(undecided, SECOND)
         if undecided or self.attempted:
-            self.failed |= shared_use.find(self.store, self.session.paths, self._context, settle=True)
+            self.fail(shared_use.find(self.store, self.session.paths, self._context, settle=True))
 
     def _observe(self, runs: set[str], why: str) -> None:
         """Execute runs again, observed, if that is possible here and now."""
@@ -146,20 +181,11 @@ class Executor:
             return
         self._options.observer.notice(why.format(few(["run " + short(run) for run in sorted(runs)], SHOWN)))
         service = self._prepared(self._code(), stays=False)
-        followed = service.execute(
-            runner,
-            self._context,
-            self._inputs(runs),
-            len(runs),
-            self.plan.programs,
-            self._tally,
-            doubt=self._doubt,
-            attempt=1,
-            observed=True,
-        )
+        work = (runner, self._context, self._inputs(runs), len(runs), self.plan.programs, self._tally)
+        followed = service.execute(*work, doubt=self._find_change, attempt=1, observed=True)
         self.notes += tuple(note for note in followed.notes if note not in self.notes)
         self.interrupted = followed.interrupted
-        self.failed |= followed.inconsistent
+        self.fail(followed.inconsistent)
 
     def _answer(self) -> None:
         while not (self.interrupted or self.left):
@@ -170,55 +196,50 @@ class Executor:
             mine = self.session.claim(wanted)
             if self.store.names() != recorded:
                 continue  # claimed runs may have been executed since the store was read
-            self.awaited |= wanted - mine
+            self._set((wanted - mine) - self._run_states.keys(), RunState.AWAITED)
             if not mine:
                 if self._wait(wanted):
                     continue
                 return
-            rest = self._judge(mine)
+            rest = self._reevaluate(mine)
             if len(rest) < len(mine):
                 continue
             odd = self._execute(rest)
             if self.left:
                 return
-            if rest <= self._open and not self.interrupted:
+            unfinished = self._in(RunState.CLAIMED) - self.attempted
+            if rest <= unfinished and not self.interrupted:
                 raise Missing(f"{self.session.paths.root}: the worker ended without reporting a result for any run")
-            if len(rest) == len(wanted) and not self._open and not odd:
+            if len(rest) == len(wanted) and not unfinished and not odd:
                 return
 
     def _wanted(self) -> set[str]:
         """Return the runs without a successful execution that no session has tried since this one began."""
-        now = self._states()
+        now = self._recorded_states()
         wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
-            self.given_up = frozenset() if self._options.retry else failed_twice(self.plan, self.store, now)
-            lacking = (wanted if self.only is None else wanted & self.only) - self.given_up
-            self._tally.reused = self._tally.total - len(lacking)
-        self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
-        if self._options.only is not None:
-            wanted &= self._options.only
-        wanted -= self.failed | self.given_up
-        wanted -= self.attempted
-        wanted -= self._skipped
-        return wanted
+            self._set(() if self._options.retry else failed_twice(self.plan, self.store, now), RunState.GIVEN_UP)
+            self._tally.reused = self._tally.total - len(self._selected(wanted) - self.given_up)
+        self.fail({run for run in wanted if now[run].executions > self._before.get(run, 0)})
+        return self._selected(wanted) - self.failed - self.given_up - self.attempted - self._in(RunState.SKIPPED)
 
-    def _states(self) -> dict[str, State]:
+    def _recorded_states(self) -> dict[str, State]:
         """Return the recorded state of each run: at first as it was, if nothing has been recorded since."""
         known, self._recorded = self._recorded, None
         if known is not None and self.store.names() == known[0]:
             return known[1]
         return states(self.plan, self.store, self.found)
 
-    def _judge(self, wanted: set[str]) -> set[str]:
+    def _reevaluate(self, claimed: set[str]) -> set[str]:
         """Evaluate the recorded executions of these runs again, once each, if rules have changed.
 
         Returns the runs that must be executed.
         """
-        fresh = wanted & (self._before or {}).keys() - self._looked_at
-        self._looked_at |= fresh
+        fresh = claimed & (self._before or {}).keys() - self._in(RunState.CLAIMED)
+        self._set(claimed, RunState.CLAIMED)
         if not fresh:
-            return wanted
+            return claimed
         self._context.save(self.session.paths.context)
         evaluated = reevaluate(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
         for lack, count in Counter(evaluated.unread.values()).most_common(NOTED):
@@ -227,17 +248,16 @@ class Executor:
             )
         if evaluated.judged:
             find_odd(self.store, self.session.paths, self._context)
-        self.reevaluated |= evaluated.judged
+        self._set(evaluated.judged, RunState.REEVALUATED)
         self._tally.reused += len(evaluated.judged)
         self.notes += tuple(evaluated.notes)
-        return wanted - evaluated.judged
+        return claimed - evaluated.judged
 
     def _execute(self, wanted: AbstractSet[str]) -> set[str]:
         """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
         runner, plan = self._runner(), self.plan
         root, programs = self._snapshot() if runner.remote else (self._code(), plan.programs)
         service = self._prepared(root, stays=runner.stays)
-        self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
         if self._step is not None:
             return self._by_step(self._step, wanted, service, programs)
         order, times = Order(plan.batch, {}), None
@@ -246,21 +266,17 @@ class Executor:
         elif len(wanted) > (self._options.slots or 1):
             order = expected_durations.longest_first(plan, self.store, wanted)
         self._tally.expect(order.by_run(wanted))
+        work = (runner, self._context, self._inputs(wanted, order.batch), len(wanted), programs, self._tally)
         followed = service.execute(
-            runner,
-            self._context,
-            self._inputs(wanted, order.batch),
-            len(wanted),
-            programs,
-            self._tally,
+            *work,
             times=times,
             detach=self._options.detach,
             # other hosts execute a copy of the code, and a cluster's nodes check the programs
-            doubt=self._doubt if not runner.remote else lambda: None,
+            doubt=self._find_change if not runner.remote else lambda: None,
             enough=self._is_enough,
             experiments={run.experiment for run in plan.batch.runs if run.id in wanted},
         )
-        self.failed |= self._tally.failed
+        self.fail(self._tally.failed)
         self.notes += followed.notes
         self.left += [self.session.paths] if followed.left else []
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
@@ -272,14 +288,14 @@ class Executor:
 
         def execute(run: Run, attempt: int, runner: Runner, trial: Mapping[str, JsonView]) -> Followed:
             now, runs = replace(self._context, trial=trial), self._inputs({run.id})
-            doubt, enough = self._doubt, self._is_enough
+            doubt, enough = self._find_change, self._is_enough
             return service.execute(runner, now, runs, 1, programs, self._tally, doubt=doubt, enough=enough, attempt=attempt)
 
         core = Core(self.plan, self.store, self.session, self._tally, self._runner, execute, self._is_enough)
         outcome = step.execute(wanted, core)
-        self.failed |= self._tally.failed
+        self.fail(self._tally.failed)
         self.notes += tuple(outcome.notes)
-        self._skipped |= outcome.skipped
+        self._set(outcome.skipped, RunState.SKIPPED)
         self.interrupted = outcome.interrupted
         return outcome.inconsistent
 
@@ -292,15 +308,15 @@ class Executor:
             self.notes += self._service.isolation.notes
         return self._service
 
-    def _doubt(self) -> Doubt | None:
+    def _find_change(self) -> Doubt | None:
         """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
-        if self._service is not None and (self._doubted is None or self._doubted.files is not None):
-            self._doubted = self._service.doubt(self.plan.seen) or self._doubted
-        return self._doubted
+        if self._service is not None and (self._file_change is None or self._file_change.files is not None):
+            self._file_change = self._service.doubt(self.plan.seen) or self._file_change
+        return self._file_change
 
     def _is_enough(self) -> bool:
         """Check whether to execute no more runs. Runs go on while none is known to have used the files that have changed."""
-        if self._tally.doubted or (self._doubted is not None and self._doubted.files is None):
+        if self._tally.doubted or (self._file_change is not None and self._file_change.files is None):
             return True
         return self._options.fail_fast and bool(self.failed or self._tally.failed)
 
@@ -388,20 +404,17 @@ class Executor:
 
     def _others(self, wanted: AbstractSet[str]) -> str:
         """Return the processes that execute these runs, in words."""
-        found = [paths for paths in sessions.all_of(self.session.store) if paths.root.name != self.session.id]
-        names = [f"{sessions.holder(one)} (session {one.root.name})" for one in found if sessions.claims(one) & wanted]
-        return few(names, NOTED) or "another session"
+        holders = [paths for paths in sessions.all_of(self.session.store) if sessions.claims(paths) & wanted]
+        return few([f"{sessions.holder(paths)} (session {paths.root.name})" for paths in holders], NOTED) or "another session"
 
     def _adopted(self, wanted: AbstractSet[str]) -> Session | None:
         """Take over a session on a cluster that has claimed some of these runs and that no process follows.
 
         Returns the session, or None.
         """
-        for paths in sessions.submitted(self.session.store):
-            session = Session.adopted(self.session.store, paths) if sessions.claims(paths) & wanted else None
-            if session is not None:
-                return session
-        return None
+        store = self.session.store
+        submitted = (paths for paths in sessions.submitted(store) if sessions.claims(paths) & wanted)
+        return next(filter(None, (Session.adopted(store, paths) for paths in submitted)), None)
 
     def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
         """Follow runs that were submitted before."""

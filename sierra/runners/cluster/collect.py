@@ -12,15 +12,18 @@ import gzip
 import json
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from sierra.errors import Damaged
 from sierra.model import Result
 from sierra.provenance import environment
 from sierra.runners.cluster.result_log_reader import Ended, Event, Pack
-from sierra.runners.cluster.submission_record import Submission
+from sierra.runners.cluster.submission_record import Submission, last_line
 from sierra.runners.journal_reader import Stalled
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
@@ -58,8 +61,10 @@ class Share:
     gone_at: float = 0.0
     """Time of the first of these answers."""
     grew_at: float = 0.0
-    begun: dict[str, int] = field(default_factory=dict)
+    begun: Counter[str] = field(default_factory=Counter)
     """Executions that have not ended, and how many times each was begun."""
+    suspects: Sequence[str] = ()
+    """Executions that may have caused its end."""
     trouble: str = ""
     """The reason that the last attempt gave for not being able to go on."""
     reason: str = ""
@@ -74,6 +79,19 @@ class Share:
     @property
     def missing(self) -> int:
         return self.count - self.done
+
+
+class Evidence(NamedTuple):
+    """What an element that is gone has left behind."""
+
+    message: str
+    """The last line of its log."""
+    allowed_s: float | None
+    """Time that its last attempt had; None if its scheduler did not pass an end time."""
+    alone: AbstractSet[str]
+    """Executions that were cut off while they had the element for themselves."""
+    by_limit: AbstractSet[str]
+    """Executions that the end of its last attempt cut off, and that had begun with the attempt."""
 
 
 @dataclass(slots=True)
@@ -122,11 +140,15 @@ class Collector:
         self, submission: Submission, session: SessionPaths, recorded: Mapping[str, str | None], note: Callable[[str], None]
     ) -> None:
         """Start reading. `recorded` maps the store's executions to their attempts; `note` receives messages for the user."""
-        self.shares = [Share(count, tries=1) for count in submission.counts]
+        self.shares = tuple(Share(count, tries=1) for count in submission.counts)
         self.rows: list[tuple[str, Mapping[str, RecordValue]]] = []
         """Rows for the store's tables, in addition to results."""
         self.failed: list[Result] = []
         """Results of runs that were given up."""
+        self.began_at: float | None = None
+        """Time when a run was first seen to have begun."""
+        self.durations: dict[str, float | None] = {}
+        """Durations of the first runs that have ended (see `sierra.runners.cluster.sizing`); None for a run that failed."""
         self._submission, self._session, self._note = submission, session, note
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
@@ -161,19 +183,18 @@ class Collector:
         """Return the elements that end by themselves."""
         return {track.element for track in self._tracks.values() if track.finished}
 
-    def finishing_tasks(self) -> set[int]:
-        """Return the elements that have executed every run they began, but have not recorded yet that they have finished."""
-        last = {track.element: track for track in self._tracks.values()}
-        return {index for index, track in last.items() if not (track.finished or track.trouble or track.begun)}
+    def _unfinished(self, alive: AbstractSet[int] | None) -> list[Track]:
+        """Return the newest attempts at these living elements (None: not known) that can go on."""
+        last = {track.element: track for track in self._tracks.values() if alive is None or track.element in alive}
+        return [track for track in last.values() if not (track.finished or track.trouble)]
 
-    def running(self, alive: set[int] | None) -> int:
+    def finishing_tasks(self, alive: AbstractSet[int] | None) -> set[int]:
+        """Return the elements that have executed every run they began, but have not recorded yet that they have finished."""
+        return {track.element for track in self._unfinished(alive) if not track.begun}
+
+    def running(self, alive: AbstractSet[int] | None) -> int:
         """Return the number of runs in flight; `alive` are the living elements (None: not known)."""
-        last = {track.element: track for track in self._tracks.values()}  # the newest attempt at each element
-        return sum(
-            len(track.begun)
-            for track in last.values()
-            if not (track.finished or track.trouble or (alive is not None and track.element not in alive))
-        )
+        return sum(len(track.begun) for track in self._unfinished(alive))
 
     def read(self) -> tuple[list[Result], list[Result]]:
         """Return new results (at most AT_ONCE) and new copies of runs whose result was read or recorded before."""
@@ -222,6 +243,7 @@ class Collector:
         self.rows.append(("environments", row))
 
     def _note_start(self, track: Track, event: Started) -> None:
+        self.began_at = self.began_at or time.monotonic()
         track.begun.add(event.execution)
         if not track.runs:
             track.first.add(event.execution)
@@ -229,21 +251,20 @@ class Collector:
             track.alone.add(event.execution)
         track.ended = event.time
         if bytes.fromhex(event.execution) not in self._ended:
-            begun = self.shares[track.element].begun
-            begun[event.execution] = begun.get(event.execution, 0) + 1
+            self.shares[track.element].begun[event.execution] += 1
 
     def _note_trouble(self, track: Track, event: Trouble) -> None:
         """Keep the reason why an attempt could not go on. If a disk was full, its unfinished runs count as not begun."""
         share = self.shares[track.element]
         track.trouble = share.trouble = event.reason
-        for execution in track.begun & share.begun.keys() if event.full else ():
-            share.begun[execution] -= 1
-            if not share.begun[execution]:
-                del share.begun[execution]
+        if event.full:
+            share.begun -= Counter(track.begun)
 
     def _add(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
         """Take one run that has ended. The first result seen is the run's; later ones are copies."""
         execution = event.result.execution
+        if self._submission.rest and track.element == 0:
+            self.durations[execution] = duration(event.result)
         key = bytes.fromhex(execution)
         if key not in self._ended and key not in self._recorded:
             self._number += 1
@@ -301,12 +322,9 @@ class Collector:
 
     def note_end(self, index: int) -> None:
         """Store the scheduler's reason for the end of an element in its last attempt, before another attempt may follow."""
-        last = self._last(index)
+        last = last_of(self._tracks.values(), index)
         if last is not None and not last.reason:
             last.reason = self.shares[index].reason
-
-    def _last(self, index: int) -> Track | None:
-        return last_of(self._tracks.values(), index)
 
     def _row(self, track: Track, begun: Attempt, reason: str | None) -> dict[str, RecordValue]:
         return {
@@ -317,8 +335,8 @@ class Collector:
             "scheduler": self._submission.version,
             "job": begun.job,
             "node": begun.node,
-            "started": moment(track.since),
-            "ended": moment(track.ended - track.ahead),
+            "started": datetime.fromtimestamp(track.since, UTC),
+            "ended": datetime.fromtimestamp(track.ended - track.ahead, UTC),
             "clock_offset_s": begun.clock,
             "cpus": begun.cpus,
             "memory": begun.memory,
@@ -331,36 +349,26 @@ class Collector:
             "environment": track.environment,
         }
 
-    def count_given_up(self, index: int) -> None:
-        """Count the failed runs that an earlier process gave up."""
-        share = self.shares[index]
+    def evidence(self, index: int) -> Evidence:
+        """Return what an element has left behind. Its failed runs that an earlier process gave up count as ended now."""
+        share, last = self.shares[index], last_of(self._tracks.values(), index)
         for execution, _ in jobs_of(self._session, index) if self._recorded else ():
             key = bytes.fromhex(execution)
             if key in self._recorded and key not in self._ended:
                 self._ended.add(key)
                 share.begun.pop(execution, None)
                 share.done += 1
+        end = last.attempt.end if last and last.attempt else None
+        return Evidence(
+            last_line(self._session, str(index)),
+            end - last.since if last and end is not None else None,
+            {run for track in self._tracks.values() if track.element == index for run in track.begun & track.alone},
+            last.begun & last.first if last else set(),
+        )
 
-    def allowed(self, index: int) -> float | None:
-        """Return the seconds that the last attempt at an element had; None if its scheduler did not pass an end time."""
-        last = self._last(index)
-        if last is None or last.attempt is None:
-            return None
-        end = last.attempt.end
-        return end - last.since if end is not None else None
-
-    def interrupted_alone(self, index: int) -> set[str]:
-        """Return the runs of an element that were cut off while they had it for themselves."""
-        return {one for track in self._tracks.values() if track.element == index for one in track.begun & track.alone}
-
-    def interrupted_by_limit(self, index: int) -> set[str]:
-        """Return the runs that the end of the element's last attempt cut off, and that had begun with the attempt."""
-        last = self._last(index)
-        return last.begun & last.first if last else set()
-
-    def isolate(self, index: int, executions: Sequence[str]) -> None:
-        """Have these executions, and no others, executed one by one when the element is submitted again."""
-        alone = self._session.alone(index)
+    def isolate(self, index: int) -> None:
+        """Have the suspects of an element, and no other runs, executed one by one when it is submitted again."""
+        alone, executions = self._session.alone(index), self.shares[index].suspects
         if executions:
             with disk_errors(self._session.root):
                 write_whole(alone, "".join(f"{one}\n" for one in executions).encode())
@@ -369,15 +377,13 @@ class Collector:
         else:
             alone.unlink(missing_ok=True)
 
-    def give_up_on(self, index: int, executions: Sequence[str], why: str) -> None:
+    def give_up_on(self, index: int, executions: Sequence[str], tries: int, why: str) -> None:
         """Record the runs of these executions as failed: they were begun as often as allowed, and never ended."""
-        if not executions:
-            return
         share, wanted, now = self.shares[index], set(executions), time.time()
         times = 0
         for execution, run in jobs_of(self._session, index):
             if execution in wanted:
-                times = max(share.begun.pop(execution), share.tries)
+                times = max(share.begun.pop(execution), tries)
                 reason = f"its array task was cut off {times} times while the run executed: {why}"
                 self.failed.append(failed(run, execution, share.node, now, reason, self._folder))
                 self._ended.add(bytes.fromhex(execution))
@@ -403,12 +409,13 @@ def failed(run: str, execution: str, node: str, now: float, reason: str, folder:
     return Result(run, execution, str(folder / "none"), now, now, None, None, None, None, None, None, node, 0, (), reason)
 
 
+def duration(result: Result) -> float | None:
+    """Return a run's duration if it ended successfully, as far as this is known before the run is recorded; else None."""
+    is_good = result.exit_code == 0 and result.error is None and result.stopped is None
+    return result.ended - result.started if is_good else None
+
+
 def refresh(folder: Path) -> None:
     """Make a network file system refresh a folder's listing: create and remove a file in it, if there is room."""
     with contextlib.suppress(OSError), tempfile.TemporaryFile(dir=folder):
         pass
-
-
-def moment(seconds: float) -> datetime:
-    """Return seconds since the epoch as a time in UTC."""
-    return datetime.fromtimestamp(seconds, UTC)

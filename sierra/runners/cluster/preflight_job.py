@@ -7,7 +7,6 @@ cache, for the same cluster (as the project names it) and file system.
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
@@ -77,5 +76,4 @@ def _device(folder: Path) -> int:
 
 def _node_settings(table: ClusterTable) -> Json:
     """Return the settings of a cluster's table that affect which nodes are used and what they offer."""
-    settings: Json = json.loads(table.model_dump_json(exclude={"array_tasks", "attempts", "wall", "cancelled"}))
-    return settings
+    return table.model_dump(mode="json", exclude={"array_tasks", "attempts", "wall", "cancelled"})

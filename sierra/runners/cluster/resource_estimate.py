@@ -11,9 +11,8 @@ from sierra.errors import Missing
 from sierra.model import Times
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
-from sierra.runners.cluster.calibrate import TIMEOUT_S
 from sierra.runners.cluster.preflight_job import Preflight
-from sierra.runners.cluster.sizing import Size, size
+from sierra.runners.cluster.sizing import TIMEOUT_S, Size, size
 from sierra.runners.cluster.submission_record import UNFOLLOWED
 from sierra.runners.schedulers.base import Bounds
 from sierra.store.layout import SessionPaths
@@ -156,10 +155,8 @@ def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bou
     for name in SHOWN:
         value = getattr(table, name)
         shown = ", ".join(value) or None if isinstance(value, tuple) else value
-        if name in table.model_fields_set:
-            found.append(Setting(name, shown, "set in sierra.toml"))
-        elif name in DEFAULTS:
-            found.append(Setting(name, shown, DEFAULTS[name]))
+        if why := "set in sierra.toml" if name in table.model_fields_set else DEFAULTS.get(name):
+            found.append(Setting(name, shown, why))
     return [*found, *_allowed(bounds)]
 
 
@@ -167,8 +164,7 @@ def _allowed(bounds: Bounds) -> Iterator[Setting]:
     names = {"array": "longest array", "jobs": "jobs at a time", "running": "jobs that run at a time", "wall_s": "longest wall"}
     for name, shown in names.items():
         if (value := getattr(bounds, name)) is not None:
-            whose = bounds.whose.get(name)
-            yield Setting(shown, value, f"the site's limit: {whose}" if whose else "the site's limit")
+            yield Setting(shown, value, ": ".join(filter(None, ("the site's limit", bounds.whose.get(name)))))
 
 
 def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:

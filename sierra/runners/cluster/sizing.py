@@ -1,9 +1,22 @@
-"""Number of elements that a batch is sharded into, the time limit of each, and the reasons."""
+"""Number of elements that a batch is sharded into, the time limit of each, and the reasons.
+
+If nobody knows how long runs take, a few runs execute first (calibration), and their times decide the number of elements. The
+first runs are element 0 of their session, and their results are used like any others. The other runs wait in one file
+(`SessionPaths.rest`). They are submitted when one of these happens:
+
+- The first runs have ended.
+- The first runs have lasted as long as an element should take, which tells enough.
+- No process waits any more, because no node became free or because the following process leaves. Then the number of elements is
+  the one for unknown durations.
+
+The next process that follows the session continues this. If the submitting process is killed before that, only the first runs
+have been submitted.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError
@@ -24,6 +37,8 @@ PROBES = 1
 SPARE, SPARE_OF_ESTIMATE = 3.0, 6.0
 """Factors between the expected time of an element and its limit; the second is for runs with values that were never timed."""
 LEAST_S = 600.0
+TIMEOUT_S = 120.0
+"""Seconds that the first runs wait for a node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,3 +130,31 @@ def _wall(
     if bounds.wall_s is not None and wall > bounds.wall_s:
         return bounds.wall_s, f"the site's limit{_whose(bounds, 'wall_s')}; runs that it cuts off are submitted again"
     return wall, f"{spare:g} times the expected time, at least {LEAST_S / 60:g} minutes"
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """The result of a calibration."""
+
+    seconds: float | None
+    """Duration of a run in seconds; None if the first runs could not tell."""
+    how: str
+    """The explanation for the user."""
+
+
+def timing(durations: Iterable[float | None], waited: float, lasted: float | None, *, over: bool) -> Timing | None:
+    """Return the result of a calibration; None as long as more may be learned.
+
+    `durations` are those of the first runs that have ended; None for one that failed. The first runs were submitted `waited`
+    seconds ago and began `lasted` seconds ago; None: they have not begun. `over`: all have ended, or were given up.
+    """
+    good = [seconds for seconds in durations if seconds is not None]
+    if over:
+        seconds = sum(good) / len(good) if good else None
+        return Timing(seconds, "the first runs have failed" if seconds is None else f"the first runs took {seconds:.3g} s")
+    if lasted is None and waited > TIMEOUT_S:
+        return Timing(None, f"no node was available for the first runs within {TIMEOUT_S:g} s")
+    if lasted is None or lasted <= ELEMENT_S:
+        return None
+    seconds = (sum(good) + lasted) / (len(good) + 1)
+    return Timing(seconds, f"one of the first runs has not ended within {ELEMENT_S:g} s")

@@ -1,6 +1,6 @@
 """Record of a session's submission to a cluster. It suffices for any process to continue the session.
 
-`submission.json` is written before anything is submitted. If some runs go first (see `sierra.runners.cluster.calibrate`), it is
+`submission.json` is written before anything is submitted. If some runs go first (see `sierra.runners.cluster.sizing`), it is
 written again after the others have been sharded and before they are submitted. Each submitted job has a file of its own,
 `sent/<number>.json`. This is written before the submission without the job's id, and after it with the id. If the submitting
 process dies in between, there is no id, and the job is found by its name.

@@ -16,7 +16,7 @@ import pytest
 
 import sierra
 from sierra.execution.summary import Summary
-from sierra.runners.cluster import calibrate, sizing
+from sierra.runners.cluster import sizing
 from sierra.worker.array_task import Started
 from tests.batches import packed
 from tests.clusters import Slurm
@@ -134,7 +134,6 @@ def test_a_first_run_that_takes_as_long_as_an_array_task_is_not_waited_for(
     waiting: Simulated, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
-    monkeypatch.setattr(calibrate, "ELEMENT_S", 1.0)
     said: list[str] = []
 
     def say(text: str) -> None:
@@ -152,7 +151,7 @@ def test_a_first_run_that_takes_as_long_as_an_array_task_is_not_waited_for(
 def test_first_runs_without_a_free_node_are_not_waited_for(
     waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibrate, "TIMEOUT_S", 1.0)
+    monkeypatch.setattr(sizing, "TIMEOUT_S", 1.0)
     slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=drain", "reason=test")
     said: list[str] = []
 
