@@ -12,7 +12,7 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
@@ -20,7 +20,6 @@ import sierra
 from sierra.maintenance import remove
 from sierra.store.row_types import (
     ROWS,
-    TABLES,
     About,
     ArtifactRow,
     AttemptRow,
@@ -45,10 +44,12 @@ from sierra.store.row_types import (
     TrialRow,
     VerdictRow,
 )
-from sierra.store.schema import OUTPUTS, RECORDED, columns_with, sql_types
+from sierra.store.schema import OUTPUTS, RECORDED, columns_with
 from sierra.store.store import Store
 from tests import projects, stores
 from tests.conftest import held
+from tests.support import rows_of_tables
+from tests.support.rows_of_tables import filled
 
 MOMENT = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -143,14 +144,6 @@ def test_columns_with_the_name_of_a_record_say_that_they_name_it() -> None:
     assert all(to.key in ROWS[to.table]._fields for to in To)
 
 
-EMPTY: dict[str, Any] = {"BIGINT": 0, "DOUBLE": 0.0, "BOOLEAN": True, "VARCHAR[]": [], sql_types("batches")["created"]: MOMENT}
-
-
-def filled(kind: type[NamedTuple], /, **values: Any) -> NamedTuple:
-    """Return a row with these values, and others of the right types."""
-    return kind(**{name: EMPTY.get(sql, "") for name, sql in sql_types(TABLES[kind]).items()} | values)
-
-
 def shared_store(root: Path) -> Store:
     """Return a store with two batches a and b. Both have the run r2; r1 is a run of a, which was replayed."""
     rows = [filled(EnvironmentRow, environment=name) for name in ("one", "two")]
@@ -181,12 +174,7 @@ def shared_store(root: Path) -> Store:
         filled(SourceRow, source="source", tree="tree", files="list"),
         filled(StudyRow, study="study", batch="a"),
     ]
-    store = Store.create(root)
-    writer = store.writer(root / "new", "a")
-    for kind in {type(row): None for row in rows}:
-        writer.records(row for row in rows if type(row) is kind)
-    store.publish(writer)
-    return Store(root)
+    return rows_of_tables.store(root, rows)
 
 
 def going(store: Store, **named: AbstractSet[str]) -> dict[str, dict[str, AbstractSet[str]]]:
