@@ -13,9 +13,9 @@ from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.load_sides import make_runs
 from sierra.explain.diff.model import Difference
+from sierra.store import view_sql
 from sierra.store.recorded_files import Place
 from sierra.store.store import Snapshot
-from sierra.store.views import LATEST
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import few
 
@@ -64,7 +64,7 @@ class Standing(NamedTuple):
     execution: str | None
 
 
-OF_LAST_SESSION = f"{LATEST} SELECT session, programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
+OF_LAST_SESSION = " SELECT session, programs, ingest_rules FROM latest WHERE batch = $b"
 STANDINGS = f"""
 WITH last AS (SELECT * FROM all_judgements WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts))
 SELECT t.counts,
@@ -103,7 +103,7 @@ def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]
     )
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
-        latest = next(iter(snapshot.select(Latest, OF_LAST_SESSION, b=batch)), Latest(None, None, None))
+        latest = next(iter(snapshot.select(Latest, view_sql.latest() + OF_LAST_SESSION, b=batch)), Latest(None, None, None))
         for row in snapshot.select(Standing, STANDINGS, session=latest.session):
             yield EffectiveRuns(batch, row.runs, row.counts, _why(snapshot, row, latest), row.run, row.execution)
         snapshot.run("DROP TABLE standing")

@@ -24,7 +24,7 @@ from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, TIME_KINDS, own_kind, right_kind
-from sierra.store.views import ORDER
+from sierra.store.view_sql import ORDER
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, verb
 

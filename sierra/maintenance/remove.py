@@ -26,8 +26,8 @@ from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
 from sierra.store import study_records
 from sierra.store.compaction import Compaction, groups, touched
-from sierra.store.row_types import About, Of
-from sierra.store.schema import RECORDED, columns_with
+from sierra.store.row_types import About, Of, To
+from sierra.store.schema import RECORDED, columns_with, sql_types
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
@@ -175,13 +175,6 @@ CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
     AND (execution IS NULL OR execution NOT IN (SELECT execution FROM gone));
 CREATE TEMP TABLE gone_replays AS SELECT replay FROM replays WHERE batch IN (SELECT batch FROM gone_batches)
     OR (replay IN (SELECT replay FROM gone_verdicts) AND replay NOT IN (SELECT replay FROM staying_verdicts));
-CREATE TEMP TABLE gone_members AS SELECT * FROM batch_runs WHERE batch IN (SELECT batch FROM gone_batches);
-CREATE TEMP TABLE staying_members AS SELECT * FROM batch_runs WHERE batch NOT IN (SELECT batch FROM gone_batches);
-CREATE TEMP TABLE staying_specs AS SELECT DISTINCT spec FROM staying_members;
-CREATE TEMP TABLE staying_trees AS SELECT DISTINCT source AS tree FROM specs
-    WHERE spec IN (SELECT spec FROM staying_specs);
-CREATE TEMP TABLE staying_sessions AS SELECT * FROM all_sessions WHERE batch NOT IN (SELECT batch FROM gone_batches);
-CREATE TEMP TABLE staying_replays AS SELECT * FROM replays WHERE replay NOT IN (SELECT replay FROM gone_replays);
 CREATE TEMP TABLE gone_imported_sessions AS SELECT session FROM imported_sessions
     WHERE batch IN (SELECT batch FROM gone_batches)
     AND session NOT IN (SELECT session FROM executions WHERE execution NOT IN (SELECT own FROM gone));
@@ -191,98 +184,44 @@ CREATE TEMP TABLE gone_claims AS SELECT session FROM registered_claims
         SELECT packages FROM imported_sessions WHERE session NOT IN (SELECT session FROM registered_claims)
         AND session NOT IN (SELECT session FROM gone_imported_sessions)));
 INSERT INTO gone_imported_sessions SELECT DISTINCT session FROM gone_claims SEMI JOIN imported_sessions USING (session);
-CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
-    (source IN (SELECT source FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches))
-     OR tree IN (SELECT source FROM specs WHERE spec IN (SELECT spec FROM gone_members)))
-    AND source NOT IN (SELECT source FROM staying_sessions WHERE source IS NOT NULL)
-    AND tree NOT IN (SELECT tree FROM staying_trees WHERE tree IS NOT NULL);
-CREATE TEMP TABLE gone_builds AS
-    (SELECT build FROM builds WHERE batch IN (SELECT batch FROM gone_batches)
-     UNION SELECT build FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches) AND build IS NOT NULL)
-    EXCEPT SELECT build FROM staying_sessions;
-CREATE TEMP TABLE gone_shared_files AS
-    SELECT shared_files AS shared FROM specs WHERE spec IN (SELECT spec FROM gone_members) AND shared_files IS NOT NULL
-    EXCEPT SELECT shared_files FROM specs WHERE spec IN (SELECT spec FROM staying_specs);
-CREATE TEMP TABLE named_images AS
-    SELECT image, image AS part FROM images UNION
-    SELECT image, split_part(unnest(variants), '=', 2) FROM images WHERE variants IS NOT NULL;
-CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
-    image IN (SELECT part FROM named_images SEMI JOIN
-              (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members)) USING (image))
-    AND image NOT IN (SELECT part FROM named_images SEMI JOIN
-                      (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs)) USING (image));
+CREATE TEMP TABLE gone_sessions AS SELECT session FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches)
+    UNION SELECT session FROM gone_claims;
 """
 BATCHES = "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch"
-GONE_SESSIONS = "SELECT session FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches)"
-AROUND = {
-    "specs": ("spec", "SELECT spec FROM gone_members EXCEPT SELECT spec FROM staying_specs"),
-    "shared_files": (
-        "shared",
-        "SELECT shared FROM gone_shared_files",
-    ),
-    "files_read": (
-        "files",
-        "SELECT files FROM observations WHERE execution IN (SELECT execution FROM gone) "
-        "EXCEPT SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone)",
-    ),
-    "builds": ("build", "SELECT build FROM gone_builds"),
-    "build_products": ("build", "SELECT build FROM gone_builds"),
-    "listings": (
-        "sha256",
-        "SELECT sha256 FROM files_read WHERE use = 'listed' AND files IN (SELECT files FROM observations) AND files NOT IN "
-        "(SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone)) EXCEPT "
-        "SELECT sha256 FROM files_read WHERE use = 'listed' AND files IN "
-        "(SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone))",
-    ),
-    "sources": ("source", "SELECT source FROM gone_sources"),
-    "images": ("image", "SELECT image FROM gone_images"),
-    "imported_sessions": ("session", "SELECT session FROM gone_imported_sessions"),
-    "imports": (
-        "package",
-        "SELECT package FROM imports EXCEPT SELECT unnest(packages) FROM imported_sessions "
-        "WHERE session NOT IN (SELECT session FROM gone_imported_sessions)",
-    ),
-    "looks": ("look", "SELECT look FROM gone_looks"),
-    "look_intervals": ("look", "SELECT look FROM gone_looks"),
-    "studies": ("study", "SELECT study FROM gone_studies"),
-    "registered_claims": ("session", "SELECT session FROM gone_claims"),
-    "redactions": (
-        "session",
-        "SELECT session FROM redactions EXCEPT (SELECT session FROM executions WHERE execution NOT IN (SELECT own FROM gone) "
-        "UNION SELECT session FROM staying_sessions UNION SELECT replay FROM staying_replays "
-        "UNION SELECT session FROM registered_claims WHERE session NOT IN (SELECT session FROM gone_claims))",
-    ),
-}
-"""By table: its key column, and a query for the ids that nothing refers to any more."""
 GONE: Mapping[Enum, str] = {
     **dict.fromkeys((Of.EXECUTION, Of.JUDGEMENT, About.EXECUTION), "SELECT execution FROM gone"),
-    Of.SESSION: GONE_SESSIONS,
+    Of.SESSION: "SELECT session FROM gone_sessions",
     About.BATCH: "SELECT batch FROM gone_batches",
     About.REPLAY: "SELECT replay FROM gone_replays",
+    About.LOOK: "SELECT look FROM gone_looks",
+    About.STUDY: "SELECT study FROM gone_studies",
+    About.CLAIM: "SELECT id FROM named WHERE kind = 'claim'",
+    About.IMPORTED_SESSION: "SELECT session FROM gone_imported_sessions",
+    About.BUILD: "SELECT id FROM gone_builds",
+    About.BLOB: "SELECT id FROM gone_blobs",
 }
 """Queries for the objects with which records are removed."""
-OBJECTS = """
-(SELECT sha256 FROM all_artifacts WHERE execution IN (SELECT execution FROM gone)
- UNION SELECT unnest([input] || other_inputs) FROM gone_members UNION SELECT files FROM gone_sources
- UNION SELECT log FROM builds WHERE build IN (SELECT build FROM gone_builds)
- UNION SELECT sha256 FROM programs SEMI JOIN gone_programs USING (programs)
- UNION SELECT sha256 FROM files_read SEMI JOIN gone_files USING (files)
- UNION SELECT sha256 FROM shared_files WHERE shared IN (SELECT shared FROM gone_shared_files)
- UNION SELECT files FROM gone_images WHERE files IS NOT NULL
- UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
-EXCEPT
-(SELECT sha256 FROM all_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
- UNION SELECT unnest([input] || other_inputs) FROM staying_members
- UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
- UNION SELECT log FROM builds WHERE build NOT IN (SELECT build FROM gone_builds)
- UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
- UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs)
- UNION SELECT sha256 FROM shared_files WHERE shared NOT IN (SELECT shared FROM gone_shared_files)
- UNION SELECT sha256 FROM programs
-     WHERE starts_with(name, '{project}/') AND programs NOT IN (SELECT programs FROM gone_programs)
- UNION SELECT sha256 FROM files_read WHERE starts_with(path, '{project}/') AND files NOT IN (SELECT files FROM gone_files))
-"""
-"""The files to remove, with the programs that were kept for the removed executions."""
+RELATIONS = {
+    "executions": "all_judgements",
+    "artifacts": "all_artifacts",
+    "sessions": "all_sessions",
+    "specs": """(
+        WITH parts AS (
+            SELECT image, image AS part FROM images UNION
+            SELECT image, split_part(unnest(variants), '=', 2) FROM images WHERE variants IS NOT NULL
+        )
+        SELECT r.* REPLACE (s.source AS source, p.part AS image) FROM specs r
+        LEFT JOIN sources s ON s.tree = r.source LEFT JOIN parts p ON p.image = r.image)""",
+    "programs": "(FROM programs WHERE starts_with(name, '{project}/'))",
+    "files_read": "(FROM files_read WHERE use = 'listed' OR starts_with(path, '{project}/'))",
+}
+"""Tables whose rows name other records than their columns say. The store has programs and files of the project only."""
+UNNAMED = {
+    To.BUILD: "SELECT build FROM builds WHERE batch IN (SELECT batch FROM gone_batches)",
+    To.IMPORT: "SELECT package FROM imports",
+    To.REDACTION: "SELECT session FROM redactions",
+}
+"""Further records that are removed unless a row that stays names them."""
 
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
@@ -309,7 +248,7 @@ def rows_of(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[st
     if snapshot.holds("reused_executions"):
         snapshot.run(REUSED)
     snapshot.run(FIND)
-    return _drop(snapshot, store, named)
+    return _drop(snapshot, store)
 
 
 def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Removal:
@@ -345,43 +284,19 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     )
 
 
-def _unshared(shared: str, key: str) -> str:
-    """Return the query for the records of a table that removed records name in the column `key`, and no others."""
-    gone, staying = [], []
-    for name, table in RECORDED.items():
-        if name not in (shared, "judgements") and any(column.name == key for column in table.columns):
-            is_gone = " OR ".join(
-                f"{column} IN ({query})" for fact, query in GONE.items() for column in columns_with(fact).get(name, ())
-            )
-            rows = name
-            if name == "executions":
-                rows, is_gone = "all_judgements", "judgement IN (SELECT execution FROM gone)"
-            elif name == "sessions":
-                rows = "all_sessions"
-            elif name in AROUND:
-                is_gone = f"{AROUND[name][0]} IN ({AROUND[name][1]})"
-            gone.append(f"SELECT {key} FROM {rows} WHERE {is_gone}")
-            staying.append(f"SELECT {key} FROM {rows} WHERE NOT coalesce({is_gone}, false) AND {key} IS NOT NULL")
-    return f"({' UNION '.join(gone)}) EXCEPT ({' UNION '.join(staying)})"
-
-
-def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
+def _drop(snapshot: Snapshot, store: Store) -> dict[str, dict[str, AbstractSet[str]]]:
+    """Return the rows to remove: those of the objects that are gone, and the records that only such rows name."""
     drop: dict[str, dict[str, AbstractSet[str]]] = {}
+    for to in To:
+        if to is To.OBJECT:
+            snapshot.add_table("gone_blobs", id=sorted(_blobs(snapshot, store)))
+        ids = _column(snapshot, _named_only_by_gone(to))
+        snapshot.add_table(f"gone_{to.table}", id=sorted(ids))
+        drop[to.table] = {to.key: ids}
     for fact, statement in GONE.items():
         gone = _column(snapshot, statement)
         for table, columns in columns_with(fact).items():
             drop.setdefault(table, {}).update(dict.fromkeys(columns, gone))
-    for table, (key,) in columns_with(Of.NAMED).items():
-        drop[table] = {key: _column(snapshot, _unshared(table, key))}
-    for table, (key, statement) in AROUND.items():
-        drop[table] = {key: _column(snapshot, statement)}
-    drop["registered_claims"]["claim"] = named["claim"]
-    for name, table, key in (("gone_programs", "programs", "programs"), ("gone_files", "files_read", "files")):
-        snapshot.add_table(name, **{key: sorted(drop[table][key])})
-    blobs = _blobs(snapshot, store)
-    snapshot.add_table("gone_blobs", blob=sorted(blobs))
-    drop["blobs"] = {"blob": blobs}
-    drop["objects"] = {"sha256": _column(snapshot, OBJECTS)}
     return {
         table: heeded
         for table, columns in drop.items()
@@ -389,12 +304,36 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
     }
 
 
+def _named_only_by_gone(to: To) -> str:
+    """Return the query for the records that rows name which are removed, and no other rows."""
+    gone, staying = [UNNAMED[to]] if to in UNNAMED else [], []
+    for name, columns in columns_with(to).items():
+        types = sql_types(name)
+        is_gone = _is_gone(name)
+        for column in columns:
+            ids = f"SELECT {f'unnest({column})' if types[column].endswith('[]') else column} FROM {RELATIONS.get(name, name)}"
+            gone.append(f"{ids} WHERE {is_gone}")
+            staying.append(f"{ids} WHERE NOT coalesce({is_gone}, false)")
+    return f"({' UNION '.join(gone)}) EXCEPT ({' UNION '.join(staying)})"
+
+
+def _is_gone(name: str) -> str:
+    """Return the SQL condition that a row of a table is removed."""
+    conditions = [f"{column} IN ({ids})" for fact, ids in GONE.items() for column in columns_with(fact).get(name, ())]
+    conditions += [f"{to.key} IN (SELECT id FROM gone_{to.table})" for to in To if to.table == name]
+    return " OR ".join(conditions)
+
+
 def _blobs(snapshot: Snapshot, store: Store) -> set[str]:
     """Return the git hashes of the files that only removed sources have. Packages have the files of sources in git too."""
-    gone = _column(snapshot, "SELECT files FROM gone_sources") if snapshot.holds("blobs") else set()
+    gone = (
+        _column(snapshot, "SELECT files FROM sources SEMI JOIN gone_sources ON id = source")
+        if snapshot.holds("blobs")
+        else set()
+    )
     if not gone:
         return set()
-    stay = _column(snapshot, "SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)")
+    stay = _column(snapshot, "SELECT files FROM sources ANTI JOIN gone_sources ON id = source")
     theirs = {blob for files in stay for blob in source.blobs(store.object(files))}
     return {blob for files in gone for blob in source.blobs(store.object(files))} - theirs
 

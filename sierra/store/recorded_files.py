@@ -18,7 +18,8 @@ from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import Segment
 from sierra.store.store import Found, Snapshot
 from sierra.store.verified_files import verify
-from sierra.store.views import KEPT_OBJECTS, ORDER
+from sierra.store.view_sql import ORDER
+from sierra.store.views import KEPT_OBJECTS
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import natural
 

@@ -1,7 +1,8 @@
 """The rows of the recorded tables: a class for each table, with all facts about each column beside it.
 
 A column's annotation gives the type of its values, its meaning, its unit if it has one, and further facts: the object with
-which a record is removed or copied (`Of`, `About`), how anonymous packages show its values (`Redaction`), `KEY` and `LATER`.
+which a record is removed or copied (`Of`, `About`), the records that it names (`To`), how anonymous packages show its values
+(`Redaction`), `KEY` and `LATER`.
 The store's schema is made from these classes (see `sierra.store.schema`), and records are written and read as their
 instances. A column whose type allows None can be NULL.
 
@@ -20,8 +21,6 @@ class Of(Enum):
     EXECUTION = auto()
     JUDGEMENT = auto()
     SESSION = auto()
-    NAMED = auto()
-    """The record itself, which others name in a column of the same name: it is removed with the last of them."""
 
 
 class About(Enum):
@@ -30,6 +29,40 @@ class About(Enum):
     EXECUTION = auto()
     BATCH = auto()
     REPLAY = auto()
+    LOOK = auto()
+    STUDY = auto()
+    CLAIM = auto()
+    IMPORTED_SESSION = auto()
+    BUILD = auto()
+    BLOB = auto()
+
+
+class To(Enum):
+    """The value, or each value of a list, names a record: it is removed with the last row that names it.
+
+    The value of a member is the table of these records and its column with the name. A table comes after those that name it.
+    """
+
+    SPEC = ("specs", "spec")
+    BUILD = ("builds", "build")
+    SHARED_FILES = ("shared_files", "shared")
+    SOURCE = ("sources", "source")
+    """Specs name the tree, and so all sources that have it."""
+    IMAGE = ("images", "image")
+    """A spec also names the variants of its image."""
+    FILES_READ = ("files_read", "files")
+    LISTING = ("listings", "sha256")
+    INGEST_RULES = ("ingest_rules", "ingest_rules")
+    ENVIRONMENT = ("environments", "environment")
+    ISOLATION = ("isolations", "isolation")
+    PROGRAMS = ("programs", "programs")
+    IMPORT = ("imports", "package")
+    REDACTION = ("redactions", "session")
+    OBJECT = ("objects", "sha256")
+
+    def __init__(self, table: str, key: str) -> None:
+        self.table = table
+        self.key = key
 
 
 class Key(Enum):
@@ -85,9 +118,9 @@ AttemptId = Annotated[str, Redaction.ATTEMPT]
 Hidden = Annotated[str, Redaction.HIDDEN]
 PathName = Annotated[str, Redaction.PLACE]
 Dropped = Annotated[str, Redaction.NOTHING]
-EnvironmentId = Annotated[str, Redaction.ENVIRONMENT]
-SourceId = Annotated[str, Redaction.SOURCE]
-IsolationId = Annotated[str, Redaction.ISOLATION]
+EnvironmentId = Annotated[str, Redaction.ENVIRONMENT, To.ENVIRONMENT]
+SourceId = Annotated[str, Redaction.SOURCE, To.SOURCE]
+IsolationId = Annotated[str, Redaction.ISOLATION, To.ISOLATION]
 Rewritten = Annotated[str, Redaction.ROW]
 
 
@@ -127,9 +160,9 @@ class BatchRunRow(NamedTuple):
     number: Annotated[int, "the run's number in the experiment, from 0"]
     run: Annotated[Kept, "the run"]
     seed: Annotated[int, "its seed"]
-    input: Annotated[Kept, "SHA-256 of its first input file; the file itself is in objects"]
-    other_inputs: Annotated[list[Kept], "SHA-256 of its other input files, which specs.files names"]
-    spec: Annotated[Kept, "the specification that it shares with the other runs of the batch"]
+    input: Annotated[Kept, "SHA-256 of its first input file; the file itself is in objects", To.OBJECT]
+    other_inputs: Annotated[list[Kept], "SHA-256 of its other input files, which specs.files names", To.OBJECT]
+    spec: Annotated[Kept, "the specification that it shares with the other runs of the batch", To.SPEC]
 
 
 class SpecRow(NamedTuple):
@@ -139,8 +172,8 @@ class SpecRow(NamedTuple):
     platform: Annotated[Kept, "the platform, which drives the simulator"]
     command: Annotated[list[Kept], "program and arguments, before paths of this machine are inserted"]
     variables: Annotated[Kept, "declared environment variables, as JSON"]
-    source: Annotated[Kept | None, "the tree of the code (an SWHID); NULL if the runs have no source"]
-    image: Annotated[Kept | None, "content identity of the container image; NULL without one"]
+    source: Annotated[Kept | None, "the tree of the code (an SWHID); NULL if the runs have no source", To.SOURCE]
+    image: Annotated[Kept | None, "content identity of the container image; NULL without one", To.IMAGE]
     host_access: Annotated[
         list[Kept], "access of runs to the host, outside the image: network, gpu, each device and each mount"
     ]
@@ -148,7 +181,9 @@ class SpecRow(NamedTuple):
     named_inputs: Annotated[
         list[Kept] | None, "those of the files that are part of the spec's id; NULL or empty: none", LATER
     ] = None
-    shared_files: Annotated[Kept | None, "the files beside the inputs, as in shared_files; NULL: none", LATER] = None
+    shared_files: Annotated[
+        Kept | None, "the files beside the inputs, as in shared_files; NULL: none", LATER, To.SHARED_FILES
+    ] = None
     around: Annotated[
         Kept | None, "services and the commands before and after the run's command, as JSON; NULL if there are none", LATER
     ] = None
@@ -168,7 +203,7 @@ class ExecutionRow(NamedTuple):
 
     execution: Annotated[Kept, "the execution's id", Of.EXECUTION]
     run: Annotated[Kept, "the run"]
-    session: Annotated[Kept, "the session that executed it"]
+    session: Annotated[Kept, "the session that executed it", To.REDACTION]
     batch: Annotated[Kept, "the batch that it was executed for"]
     started: Annotated[datetime, "when its program started"]
     ended: Annotated[datetime, "when its program ended"]
@@ -195,8 +230,10 @@ class ExecutionRow(NamedTuple):
     result: Annotated[Kept, "Merkle hash of the names and digests of its outputs"]
     log_tail: Annotated[Kept | None, "the end of its standard error, or of its standard output if standard error is empty"]
     environment: Annotated[EnvironmentId, "the environment in which it ran"]
-    programs: Annotated[Kept, "fingerprint of the programs outside source and image"]
-    ingest_rules: Annotated[Kept, "hash of the rules by which it was evaluated: [outputs] and [success] of the project"]
+    programs: Annotated[Kept, "fingerprint of the programs outside source and image", To.PROGRAMS]
+    ingest_rules: Annotated[
+        Kept, "hash of the rules by which it was evaluated: [outputs] and [success] of the project", To.INGEST_RULES
+    ]
     purpose: Annotated[Kept, "run, replay or capture; only executions for run count in statistics"]
     isolation: Annotated[IsolationId | None, "how it was isolated in a container; NULL if it was not"]
     attempt: Annotated[AttemptId | None, "on a cluster, the attempt at an array task that executed it; NULL otherwise"]
@@ -325,7 +362,7 @@ class DuplicateRow(NamedTuple):
 class IsolationRow(NamedTuple):
     """Isolations: how executions were isolated in containers, each recorded once."""
 
-    isolation: Annotated[Rewritten, "hash of all columns below", KEY, Of.NAMED]
+    isolation: Annotated[Rewritten, "hash of all columns below", KEY]
     engine: Annotated[Kept, "the container engine"]
     version: Annotated[Kept | None, "versions of the engine and of the program with which it starts containers"]
     rootless: Annotated[bool | None, "whether the engine ran without root privileges"]
@@ -355,7 +392,7 @@ class JudgementRow(NamedTuple):
     judged_at: Annotated[datetime, "when it was evaluated"]
     status: Annotated[Kept, "as in executions"]
     reason: Annotated[Kept | None, "why the status is not ok, in one line"]
-    ingest_rules: Annotated[Kept, "hash of the rules: [outputs] and [success] of the project"]
+    ingest_rules: Annotated[Kept, "hash of the rules: [outputs] and [success] of the project", To.INGEST_RULES]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
 
 
@@ -384,7 +421,7 @@ class ArtifactRow(NamedTuple):
     output: Annotated[Kept | None, "the declared or detected output that it belongs to, which is the table's name"]
     size: Annotated[int, "its size", "bytes"]
     sha256: Annotated[
-        Kept, "SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end"
+        Kept, "SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end", To.OBJECT
     ]
     rows: Annotated[int | None, "rows that it added to its table", "1"]
     table_layout: Annotated[
@@ -402,7 +439,7 @@ class ArtifactRow(NamedTuple):
 class SessionRow(NamedTuple):
     """Sessions: submissions of a query by one process, recorded when they end."""
 
-    session: Annotated[Kept, "the session's id", Of.SESSION]
+    session: Annotated[Kept, "the session's id", Of.SESSION, To.REDACTION]
     batch: Annotated[Kept, "the batch that was requested", About.BATCH]
     query: Annotated[Kept, "the query as it was submitted"]
     started: Annotated[datetime, "when the query was submitted"]
@@ -421,15 +458,17 @@ class SessionRow(NamedTuple):
     sierra: Annotated[Kept, "SIERRA's version"]
     environment: Annotated[EnvironmentId, "the environment in which it ran"]
     source: Annotated[SourceId | None, "the recorded state of the source; NULL if none is recorded"]
-    programs: Annotated[Kept, "fingerprint of the programs with which its runs were, or would have been, executed"]
-    ingest_rules: Annotated[Kept, "hash of the rules, as in executions"]
+    programs: Annotated[Kept, "fingerprint of the programs with which its runs were, or would have been, executed", To.PROGRAMS]
+    ingest_rules: Annotated[Kept, "hash of the rules, as in executions", To.INGEST_RULES]
     batch_rules: Annotated[Kept, "hash of the rules and of the allowed differences between runs of the batch (mismatch)"]
     lamport: Annotated[
         int,
         "its position in the logical order: a greater number is later, independent of clocks; old records have "
         "negative numbers, in the order of their times, and so come first",
     ]
-    build: Annotated[Kept | None, "the build whose products its runs used, as in builds; NULL if there is no [build]", LATER]
+    build: Annotated[
+        Kept | None, "the build whose products its runs used, as in builds; NULL if there is no [build]", LATER, To.BUILD
+    ]
     target: Annotated[Kept | None, "the target that was requested; NULL if it was none", LATER] = None
 
 
@@ -447,7 +486,7 @@ class BuildRow(NamedTuple):
     variables: Annotated[Kept, "declared environment variables, as JSON"]
     image: Annotated[Kept | None, "content identity of the container image in which it was executed; NULL without one"]
     host_access: Annotated[list[Kept], "access to the host, as in specs"]
-    programs: Annotated[Kept, "fingerprint of the programs that it used, as in programs"]
+    programs: Annotated[Kept, "fingerprint of the programs that it used, as in programs", To.PROGRAMS]
     host: Annotated[HostName, "host name"]
     engine: Annotated[Kept, "the container engine"]
     started: Annotated[datetime, "when its program started"]
@@ -458,7 +497,9 @@ class BuildRow(NamedTuple):
     flags: Annotated[Kept | None, "declared variables that hold compilers and their flags, as JSON; NULL if there are none"]
     result: Annotated[Kept | None, "Merkle hash of the names and digests of its products; NULL if it failed"]
     log: Annotated[
-        Kept, "SHA-256 of what it printed, which is in objects; if that is over 1 MiB, only its beginning and end are kept"
+        Kept,
+        "SHA-256 of what it printed, which is in objects; if that is over 1 MiB, only its beginning and end are kept",
+        To.OBJECT,
     ]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
     processors: Annotated[
@@ -471,7 +512,7 @@ class BuildRow(NamedTuple):
 class BuildProductRow(NamedTuple):
     """The products of builds: files of the project that its runs use; their content is not recorded."""
 
-    build: Annotated[Kept, "the build"]
+    build: Annotated[Kept, "the build", About.BUILD]
     session: Annotated[Kept, "what executed it, as in builds", Of.SESSION]
     name: Annotated[Kept, "the product's path in the project"]
     size: Annotated[int, "its size", "bytes"]
@@ -483,7 +524,7 @@ class SharedFileRow(NamedTuple):
 
     shared: Annotated[Kept, "the set of files, as in specs", KEY]
     name: Annotated[Kept, "path of the file, in the project and in the folder of a run", KEY]
-    sha256: Annotated[Kept, "SHA-256 of the file; the file itself is in objects"]
+    sha256: Annotated[Kept, "SHA-256 of the file; the file itself is in objects", To.OBJECT]
     size: Annotated[int, "its size", "bytes"]
     executable: Annotated[bool, "whether the owner may execute it"]
 
@@ -491,7 +532,7 @@ class SharedFileRow(NamedTuple):
 class ReplayRow(NamedTuple):
     """Replays: recorded runs that were executed again from the record alone, and compared with it."""
 
-    replay: Annotated[Kept, "the replay's id, which is also the session of its executions", About.REPLAY]
+    replay: Annotated[Kept, "the replay's id, which is also the session of its executions", About.REPLAY, To.REDACTION]
     kind: Annotated[Kept, "the kind of record that was replayed: batch, experiment, run or execution"]
     target: Annotated[Kept, "the id of the replayed record"]
     batch: Annotated[Kept, "the batch that was replayed, or that contains the replayed record"]
@@ -505,7 +546,7 @@ class ReplayRow(NamedTuple):
     ]
     tolerances: Annotated[Kept | None, "tolerances that were requested, as JSON: by output, by column; NULL if none were"]
     environment: Annotated[EnvironmentId, "the environment in which it ran"]
-    programs: Annotated[Kept, "fingerprint of the programs with which it was executed"]
+    programs: Annotated[Kept, "fingerprint of the programs with which it was executed", To.PROGRAMS]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
 
 
@@ -589,7 +630,9 @@ class ObservationRow(NamedTuple):
     """Observations of executions: how it was found out which files they used. Not every execution is observed."""
 
     execution: Annotated[Kept, "the execution", Of.EXECUTION]
-    files: Annotated[Rewritten, "the set of files that it executed, read, looked for or listed, as in files_read"]
+    files: Annotated[
+        Rewritten, "the set of files that it executed, read, looked for or listed, as in files_read", To.FILES_READ
+    ]
     method: Annotated[Kept, "the program or the interface by which they were seen; none if the run could not be observed"]
     reason: Annotated[Rewritten | None, "why it may have used other files too, in one line; NULL if all were seen"]
     notes: Annotated[list[Kept], "what cannot be seen: files that a service or another machine may have read for it"]
@@ -619,6 +662,8 @@ class FileReadRow(NamedTuple):
         Rewritten | None,
         "SHA-256 of its content (in a virtual environment, without the environment's own path), of the names in the folder, or "
         "of the path that the link leads to; NULL if it has none",
+        To.LISTING,
+        To.OBJECT,
     ]
     size: Annotated[int | None, "its size", "bytes"]
 
@@ -670,7 +715,7 @@ class UnusedChangeRow(NamedTuple):
 
     session: Annotated[Kept, "the session that reused the executions", Of.SESSION]
     spec: Annotated[Kept, "the run specification of the executions"]
-    programs: Annotated[Kept, "the programs of the executions"]
+    programs: Annotated[Kept, "the programs of the executions", To.PROGRAMS]
     name: Annotated[PathName, "the file as in files_read, or the program as in programs"]
 
 
@@ -708,7 +753,7 @@ class ChannelRow(NamedTuple):
 class EnvironmentRow(NamedTuple):
     """Environments of executions (operating system, hardware, libraries, variables), each recorded once."""
 
-    environment: Annotated[Rewritten, "hash of all columns below", KEY, Of.NAMED]
+    environment: Annotated[Rewritten, "hash of all columns below", KEY]
     host: Annotated[Rewritten, "host name"]
     os: Annotated[Kept | None, "operating system, by its own name"]
     kernel: Annotated[Kept, "kernel release"]
@@ -763,7 +808,7 @@ class SourceRow(NamedTuple):
     ]
     folder: Annotated[Rewritten | None, "the project's folder relative to the root of the repository; . if it is the root"]
     submodules: Annotated[Rewritten | None, "submodules, as JSON: path and commit; NULL if there are none"]
-    files: Annotated[Kept, "SHA-256 of the list of files, which is in objects: one mode, hash and path per line"]
+    files: Annotated[Kept, "SHA-256 of the list of files, which is in objects: one mode, hash and path per line", To.OBJECT]
 
 
 class BlobRow(NamedTuple):
@@ -774,21 +819,22 @@ class BlobRow(NamedTuple):
         "git's hash of the file; in packages also the id of a submodule's commit, that of its tree (with its list of files), "
         "and the SHA-256 of data that git-lfs manages",
         KEY,
+        About.BLOB,
     ]
-    sha256: Annotated[Kept, "SHA-256 of the file; the file itself is in objects"]
+    sha256: Annotated[Kept, "SHA-256 of the file; the file itself is in objects", To.OBJECT]
 
 
 class IngestRulesRow(NamedTuple):
     """The rules by which executions were evaluated, so that other executions can be evaluated by the same rules."""
 
-    ingest_rules: Annotated[Kept, "hash of the rules, as in executions", KEY, Of.NAMED]
+    ingest_rules: Annotated[Kept, "hash of the rules, as in executions", KEY]
     declared: Annotated[Kept, "the tables [outputs] and [success] of sierra.toml, as JSON"]
 
 
 class ProgramRow(NamedTuple):
     """Dependencies of executions outside source and image: programs, libraries, Python distributions, files."""
 
-    programs: Annotated[Kept, "fingerprint of the set of programs that was used together", KEY, Of.NAMED]
+    programs: Annotated[Kept, "fingerprint of the set of programs that was used together", KEY]
     name: Annotated[
         PathName,
         "the name that the command uses; for a library, the name that the loader uses; for a file in the project "
@@ -801,7 +847,9 @@ class ProgramRow(NamedTuple):
         "for a program, the first line of its version text; for distributions, one name==version per line; else NULL",
     ]
     path: Annotated[PathName | None, "where it was found; several folders are separated by :", KEY]
-    sha256: Annotated[Kept | None, "SHA-256 of the file; for distributions, of their names and versions, or of their content"]
+    sha256: Annotated[
+        Kept | None, "SHA-256 of the file; for distributions, of their names and versions, or of their content", To.OBJECT
+    ]
 
 
 class ImageRow(NamedTuple):
@@ -834,6 +882,7 @@ class ImageRow(NamedTuple):
         Kept | None,
         "SHA-256 of the list of its files, which is in objects: one JSON object per line with path, type, size, sha256; NULL "
         "for variants",
+        To.OBJECT,
     ]
     size: Annotated[int, "total size of its files; 0 for variants, whose images have rows of their own", "bytes"]
     variants: Annotated[
@@ -864,7 +913,7 @@ class DeliverableRow(NamedTuple):
 class StudyRow(NamedTuple):
     """Sequential studies: a query, a rule about intervals, and the schedule of looks, recorded before the first look."""
 
-    study: Annotated[Kept, "hash of the columns batch, rule, schedule, alpha and correction"]
+    study: Annotated[Kept, "hash of the columns batch, rule, schedule, alpha and correction", About.STUDY]
     batch: Annotated[Kept, "the batch of the first look"]
     query: Annotated[Kept, "the criteria, in full"]
     rule: Annotated[Kept, "when to stop, as in ci(coverage) < 0.02: half of the interval's width, in every experiment"]
@@ -878,7 +927,7 @@ class StudyRow(NamedTuple):
 class LookRow(NamedTuple):
     """Looks of studies at the data, each with the decision that was made."""
 
-    look: Annotated[Kept, "hash of the columns study to reason and of its intervals"]
+    look: Annotated[Kept, "hash of the columns study to reason and of its intervals", About.LOOK]
     study: Annotated[Kept, "the study"]
     number: Annotated[int, "the look's number in the schedule, from 1"]
     batch: Annotated[Kept, "the batch whose runs it looked at"]
@@ -897,7 +946,7 @@ class LookRow(NamedTuple):
 class LookIntervalRow(NamedTuple):
     """Intervals that looks saw: one for each condition of the rule and each experiment."""
 
-    look: Annotated[Kept, "the look"]
+    look: Annotated[Kept, "the look", About.LOOK]
     condition: Annotated[Kept, "the condition, as in the rule"]
     ordinal: Annotated[int, "the experiment's position in the batch, from 0"]
     n: Annotated[int, "runs with a value", "1"]
@@ -916,8 +965,8 @@ class RegisteredClaimRow(NamedTuple):
     executions that count for it belong to sessions with higher Lamport numbers.
     """
 
-    claim: Annotated[Kept, "hash of the column text", KEY]
-    session: Annotated[Kept, "the session that recorded it, which has no row in sessions", KEY, Of.SESSION]
+    claim: Annotated[Kept, "hash of the column text", KEY, About.CLAIM]
+    session: Annotated[Kept, "the session that recorded it, which has no row in sessions", KEY, Of.SESSION, To.REDACTION]
     name: Annotated[Kept, "its name in sierra.toml when it was recorded", KEY]
     text: Annotated[Kept, "its sentence, its queries with their runs, and how it is decided, in normal form, as JSON"]
     registered: Annotated[datetime, "when it was recorded"]
@@ -938,11 +987,12 @@ class ImportRow(NamedTuple):
 class ImportedSessionRow(NamedTuple):
     """Sessions that came in packages: their executions were not made here."""
 
-    session: Annotated[Kept, "the session", KEY]
+    session: Annotated[Kept, "the session", KEY, About.IMPORTED_SESSION]
     batch: Annotated[Kept, "the batch that was requested; empty if the session registered claims"]
     packages: Annotated[
         list[PackageId],
         "the package that was imported, as in imports; then the package from which that one had the session, and so on",
+        To.IMPORT,
     ]
     lamport: Annotated[int, "position of the import in the logical order, as in sessions"]
 

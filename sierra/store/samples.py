@@ -32,7 +32,8 @@ from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.verified_files import verify
-from sierra.store.views import OUTCOME, files_with
+from sierra.store.view_sql import OUTCOME
+from sierra.store.views import files_with
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.scratch import scratch

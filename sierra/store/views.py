@@ -9,14 +9,14 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
-from sierra.store import stored_results
+from sierra.store import stored_results, view_sql
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.index_reader import IN_SEGMENTS, Index
 from sierra.store.listing import Listing
 from sierra.store.rest_rows import RestRows
 from sierra.store.row_types import Key
-from sierra.store.schema import DERIVED, LATER, RECORDED, columns_with
+from sierra.store.schema import DERIVED, LATER, RECORDED, Column, columns_with
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
@@ -27,26 +27,6 @@ from sierra.util.lazy_definitions import regex
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-NEEDS = {
-    "all_judgements": ("findings", "judgements", "trials"),
-    "executions": ("all_judgements",),
-    "artifacts": ("all_judgements",),
-    "all_artifacts": ("artifacts",),
-    "all_trials": ("trials",),
-    "all_candidates": ("all_judgements", "reused_executions"),
-    "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
-    "ended": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
-    "nondeterminism": ("executions", "verdicts", "imported_sessions"),
-    "robot_clocks": ("robots",),
-    "points": ("batch_runs", "experiments", "batches"),
-    "runs": ("batch_runs", "experiments", "batches", "executions", "effective", "origins"),
-}
-NEEDS_IF_IMPORTED = {
-    "all_judgements": ("imported_sessions",),
-    "origins": ("all_sessions", "all_judgements", "imported_sessions"),
-    "sessions": ("all_sessions", "imported_sessions", "origins"),
-}
-"""The tables that these need too, if any session came in a package."""
 ONCE = columns_with(Key.YES)
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 
@@ -57,17 +37,25 @@ SETTLED = "settled"
 FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
 
 
-def _needed(names: Iterable[str]) -> frozenset[str]:
-    """Return the tables of records that views need, also through other views."""
-    found = set(names)
-    for name in names:
-        found |= _needed((*NEEDS.get(name, ()), *NEEDS_IF_IMPORTED.get(name, ())))
-    return frozenset(found & RECORDED.keys())
-
-
+INVALID_TRIAL = "invalid trial"
+"""The beginning of the reasons of executions that people marked as invalid."""
 RESULTS = ("effective", "points", "runs", "counted")
 """The results that an index holds: these views, and each run's effective execution with the run's number and variables."""
-RESULTS_FROM = _needed(RESULTS)
+RESULTS_FROM = frozenset(
+    (
+        "batches",
+        "batch_runs",
+        "executions",
+        "experiments",
+        "findings",
+        "imported_sessions",
+        "judgements",
+        "reused_executions",
+        "sessions",
+        "stale_sessions",
+        "trials",
+    )
+)
 """The tables of records from which they follow."""
 
 
@@ -239,61 +227,63 @@ class Views:
             raise
 
     def _create(self, name: str) -> None:
-        if not (stored := self._stored(name)):
-            for needed in (*NEEDS.get(name, ()), *(NEEDS_IF_IMPORTED.get(name, ()) if self._imported else ())):
-                self._make(needed)
-        if stored:
-            if "experiments" in NEEDS[name]:
-                self._make("experiments")  # for its notes
-            body = f"FROM {stored}"
-        elif name in RESULTS and self._partly_stored:
-            body = self._beside_stored(name)
-        elif name == "runs":
-            body = self._runs()
-        elif name == "points":
-            body = self._points()
-        elif name == "all_candidates":
-            body = self._candidates
-        elif name == "sessions" and self._imported:
-            body = STANDING_SESSIONS
-        elif name == "origins":
-            body = ORIGINS if self._imported else NO_ORIGINS
-        elif name in DEFINED:
-            body = DEFINED[name]
-        elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions", "all_trials", KEPT_OBJECTS):
-            self._make_recorded(name)
-            return
+        """Create a view. If no file of records has the later columns, use the query that takes longer to prepare."""
+        import duckdb
+
+        if name in RECORDED or name in DERIVED or name == KEPT_OBJECTS:
+            body = self._body(name, older=False)
         elif self._spelled.get(name.lower()) == name:
             body = self._output(name)
         else:
             return
-        self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
-        self.made.append(identifier(name))
-
-    def _make_recorded(self, name: str) -> None:
-        """Create a view of records. If no file has the later columns, use the query that takes longer to prepare."""
-        import duckdb
-
+        for needed in view_sql.tables_in(body):
+            if needed != name:
+                self._make(needed)
         view = f"CREATE VIEW {identifier(name)} AS "
-        bodies: dict[str, Callable[..., str]] = {
-            "all_judgements": self._all_judgements,
-            "all_artifacts": self._all_artifacts,
-            "all_sessions": partial(self._recorded, "sessions"),
-            "all_trials": self._all_trials,
-            KEPT_OBJECTS: self._kept_objects,
-        }
-        body = bodies.get(name, partial(self._recorded, name))
         try:
-            self._connection().execute(view + body())
+            self._connection().execute(view + body)
         except duckdb.Error as error:
             check_shortage(error)
-            self._execute(view + body(older=True))
+            self._execute(view + (self._body(name, older=True) if name not in self._read else body))
         self.made.append(identifier(name))
 
-    def _recorded(self, name: str, *, older: bool = False) -> str:
+    def _body(self, name: str, *, older: bool) -> str:
+        """Return the query of a view other than an output's."""
+        if stored := self._stored(name):
+            if name != "effective":
+                self._make("experiments")  # for its notes
+            return f"FROM {stored}"
+        if name in RESULTS and self._partly_stored:
+            return self._beside_stored(name)
+        match name:
+            case "runs":
+                return self._runs()
+            case "points":
+                return self._points()
+            case "effective":
+                return view_sql.effective()
+            case "ended":
+                return view_sql.ended()
+            case "all_candidates":
+                return self._candidates
+            case "sessions" if self._imported:
+                return view_sql.query(name)
+            case "origins":
+                return view_sql.query(name) if self._imported else _empty(DERIVED[name].columns)
+            case "nondeterminism" | "robot_clocks":
+                return view_sql.query(name)
+            case "all_judgements":
+                return self._all_judgements(older=older)
+            case "all_artifacts" | "all_trials":
+                table = name.removeprefix("all_")
+                return f"SELECT * FROM {self._records(table, older=older)}" if self.holds(table) else f"FROM {table}"
+            case "all_sessions":
+                return self._recorded("sessions", older=older)
+        return self._kept_objects() if name == KEPT_OBJECTS else self._recorded(name, older=older)
+
+    def _recorded(self, name: str, *, older: bool) -> str:
         if not self.holds(name):
-            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in RECORDED[name].columns)
-            return f"SELECT {columns} WHERE false"
+            return _empty(RECORDED[name].columns)
         source = self._experiments() if name == "experiments" else self._records(name, older=older)
         if name in ONCE:
             keys = ONCE[name]
@@ -305,7 +295,8 @@ class Views:
         if name == "executions":
             return self._executions(source)
         if name == "artifacts" and self._reevaluated:
-            return f"SELECT a.* REPLACE (l.execution AS execution) FROM {source} a JOIN ({LAST}) l ON a.execution = l.judgement"
+            last = view_sql.query("last_judgements")
+            return f"SELECT a.* REPLACE (l.execution AS execution) FROM {source} a JOIN ({last}) l ON a.execution = l.judgement"
         if name == "batch_runs" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
@@ -374,7 +365,7 @@ class Views:
         if not (stored and many and stored_results.only_added(self._listing.rest, RESULTS_FROM)):
             return False
         said = len(self.notes)
-        for needed in (*NEEDS["points"], "reused_executions"):
+        for needed in ("batch_runs", "experiments", "batches", "reused_executions"):
             self._make(needed)
         same = self._fetch(f"DESCRIBE {self._points()}") == self._fetch(f"DESCRIBE FROM {stored}")
         self._unsaid = self.notes[said:]
@@ -391,7 +382,7 @@ class Views:
         if name == "effective":
             judged = stored_results.JUDGEMENTS
             candidates = {"all_judgements": judged, "all_candidates": self._candidates}
-            return stored_results.joined(name, COUNTING, batch_runs=stored_results.BY_BATCH, **candidates)
+            return stored_results.joined(name, view_sql.effective(), batch_runs=stored_results.BY_BATCH, **candidates)
         if name == "counted":
             return stored_results.joined(name, self._points_of(self._last_effective, self._points()), **by_run)
         return stored_results.joined(name, self._points() if name == "points" else self._runs(), **by_run)
@@ -399,7 +390,9 @@ class Views:
     @property
     def _candidates(self) -> str:
         """The query for judgements of the own executions of sessions, and of those that they reused."""
-        return CANDIDATES if self.holds("reused_executions") else OWN
+        if self.holds("reused_executions"):
+            return view_sql.query("all_candidates")
+        return "SELECT NULL::VARCHAR AS reusing, * FROM all_judgements"
 
     def results(self) -> Iterable[tuple[str, str]]:
         """Yield the results that an index holds, and a query for each."""
@@ -440,7 +433,7 @@ class Views:
     @property
     def _last_effective(self) -> str:
         """The query for each run's effective execution, from those of its batches."""
-        return COUNTED_BY_ORIGIN if self._imported else COUNTED
+        return view_sql.query("counted_by_origin" if self._imported else "counted")
 
     @property
     def _reevaluated(self) -> bool:
@@ -451,13 +444,14 @@ class Views:
         if not self._reevaluated:
             return "SELECT * EXCLUDE (judgement, judged_at, place, packages) FROM all_judgements"
         last_values = "l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules"
-        return f"SELECT e.* REPLACE ({last_values}) FROM {source} e JOIN ({LAST}) l USING (execution)"
+        return (
+            f"SELECT e.* REPLACE ({last_values}) FROM {source} e JOIN ({view_sql.query('last_judgements')}) l USING (execution)"
+        )
 
-    def _all_judgements(self, *, older: bool = False) -> str:
+    def _all_judgements(self, *, older: bool) -> str:
         """Return the query for all judgements, the first and the later ones, with findings that were added afterwards."""
         if not self.holds("executions"):
-            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["all_judgements"].columns)
-            return f"SELECT {columns} WHERE false"
+            return _empty(DERIVED["all_judgements"].columns)
         source = self._records("executions", older=older)
         first = f"SELECT execution AS judgement, ended AS judged_at, lamport AS place, * FROM {source}"
         if self._reevaluated:
@@ -473,24 +467,18 @@ class Views:
                 f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
             )
         if self.holds("trials"):
-            first = JUDGED_BY_PEOPLE.format(judgements=first, beginning=quote(INVALID_TRIAL))
+            first = view_sql.query("judged_by_people", judgements=first, beginning=quote(INVALID_TRIAL))
         if self._imported:
             return f"SELECT e.*, i.packages AS packages FROM ({first}) e LEFT JOIN imported_sessions i ON i.session = e.session"
         return f"SELECT *, NULL::VARCHAR[] AS packages FROM ({first})"
 
-    def _all_artifacts(self, *, older: bool = False) -> str:
-        return f"SELECT * FROM {self._records('artifacts', older=older)}" if self.holds("artifacts") else "FROM artifacts"
-
-    def _all_trials(self, *, older: bool = False) -> str:
-        return f"SELECT * FROM {self._records('trials', older=older)}" if self.holds("trials") else "FROM trials"
-
-    def _kept_objects(self, *, older: bool = False) -> str:
+    def _kept_objects(self) -> str:
         columns = [column for column in RECORDED["objects"].columns if column.type != "BLOB"]
         names = ", ".join(identifier(column.name) for column in columns)
         files = self._files.get("objects", [])
         parts = [f"SELECT {names} FROM {read_parquet(files, check='objects' not in self.unchecked)}"] if files else []
         parts += [f"SELECT {names} FROM {self._index.rows('objects')}"] if self._index and self._index.holds("objects") else []
-        return " UNION ALL ".join(parts) or f"SELECT {', '.join(f'NULL::{c.type} AS {c.name}' for c in columns)} WHERE false"
+        return " UNION ALL ".join(parts) or _empty(columns)
 
     def contents(self, digests: Iterable[str]) -> str:
         """Return the relation of `objects` in files that have all contents with these SHA-256s."""
@@ -501,7 +489,7 @@ class Views:
         files = [*self._files.get("objects", ()), *indexed]
         if files:
             return read_parquet(sorted(files, key=segment_of))
-        return f"(SELECT {', '.join(f'NULL::{c.type} AS {c.name}' for c in RECORDED['objects'].columns)} WHERE false)"
+        return f"({_empty(RECORDED['objects'].columns)})"
 
     def _of_index(self, names: Iterable[str]) -> list[str]:
         """Return the paths of recorded contents in indexed segments."""
@@ -514,34 +502,17 @@ class Views:
 
     def _runs(self) -> str:
         axes = "".join(f"{_only(_value(axis))} AS {identifier(axis)}, " for axis in self.axes())
-        return (
-            "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, lamport) AS last FROM executions "
-            "WHERE purpose <> 'capture' GROUP BY run), "
-            f"counted AS ({self._last_effective}) "
-            f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
-            f"any_value(m.spec) AS spec, CASE WHEN any_value(c.outcome) = '{SUCCESS}' THEN 'ok' "
-            "WHEN any_value(c.outcome) IS NOT NULL THEN 'accepted' "
-            "WHEN any_value(s.last) IN ('ok', 'accepted') THEN 'stale' "
-            "ELSE coalesce(any_value(s.last), 'missing') END AS status, "
-            "any_value(c.outcome) AS outcome, any_value(c.execution) AS execution, "
-            "coalesce(any_value(s.executions), 0) AS executions "
-            "FROM batch_runs m JOIN experiments x USING (batch, ordinal) LEFT JOIN batches b USING (batch) "
-            "LEFT JOIN state s USING (run) "
-            "LEFT JOIN counted c USING (run) GROUP BY m.run"
-        )
+        return view_sql.query("runs", axes=axes, counted=self._last_effective, success=view_sql.SUCCESS)
 
     def _points(self) -> str:
-        axes = [identifier(axis) for axis in self.axes()]
-        seen = "".join(f", {_value(axis)} AS {identifier(axis)}" for axis in self.axes())
-        merged = "".join(f", max({axis}) AS {axis}" for axis in axes)
-        alike = " AND ".join(f"min({axis}) IS NOT DISTINCT FROM max({axis})" for axis in axes) or "true"
-        return (
-            f"WITH seen AS (SELECT DISTINCT m.run, m.number{seen} FROM batch_runs m JOIN experiments x USING (batch, ordinal) "
-            "LEFT JOIN batches b USING (batch)), "
-            f"alike AS (SELECT run, {alike} AS alike FROM seen GROUP BY run) "
-            f"SELECT run, min(number) AS number{merged} FROM seen JOIN alike USING (run) WHERE alike GROUP BY run UNION ALL "
-            f"SELECT run, min(number) AS number{''.join(f', {axis}' for axis in axes)} FROM seen JOIN alike USING (run) "
-            "WHERE NOT alike GROUP BY ALL"
+        axes = self.axes()
+        names = [identifier(axis) for axis in axes]
+        return view_sql.query(
+            "points",
+            values="".join(f", {_value(axis)} AS {identifier(axis)}" for axis in axes),
+            merged="".join(f", max({name}) AS {name}" for name in names),
+            axes="".join(f", {name}" for name in names),
+            alike=" AND ".join(f"min({name}) IS NOT DISTINCT FROM max({name})" for name in names) or "true",
         )
 
     @property
@@ -618,166 +589,9 @@ class Views:
         return {file for file in files if segment_of(file)[:12] in batches}
 
 
-LATEST = """
-WITH asked AS (
-    SELECT batch, session, programs, ingest_rules, ended, lamport FROM sessions WHERE ingest_rules IS NOT NULL
-    UNION ALL
-    SELECT e.batch, session, programs, ingest_rules, judged_at, place
-    FROM all_judgements e LEFT JOIN origins o ON o.batch = e.batch
-    WHERE purpose = 'run' AND e.packages IS NOT DISTINCT FROM o.packages
-),
-latest AS (
-    SELECT l.batch AS batch, session, programs, ingest_rules, submitted, lamport, s.stale AS stale, o.packages AS packages
-    FROM (
-        SELECT batch, unnest(max({'lamport': lamport, 'submitted': submitted, 'session': session, 'programs': programs,
-               'ingest_rules': ingest_rules}))
-        FROM (
-            SELECT batch, session, programs, ingest_rules, max(ended) AS submitted, max(lamport) AS lamport
-            FROM asked GROUP BY batch, session, programs, ingest_rules
-        ) GROUP BY batch
-    ) l
-    LEFT JOIN (SELECT session, list(stale) AS stale FROM stale_sessions GROUP BY session) s USING (session)
-    LEFT JOIN origins o ON o.batch = l.batch
-)
-"""
-"""The relation `latest`: the programs and the rules of each batch's last session, the sessions that were stale in it, and the
-origin that counts in the batch. One commit's rows have one lamport time, so that ties are ordinary: the largest row is taken
-as a whole, in whatever order the files are read.
-"""
-
-RESULT = "e.status IN ('ok', 'accepted')"
-FITS = """e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
-    AND CASE WHEN e.reusing IS NULL THEN e.packages IS NOT DISTINCT FROM l.packages AND e.programs = l.programs
-        AND NOT coalesce(list_contains(l.stale, e.session), false)
-        ELSE e.reusing = l.session END"""
-COUNTS = f"{RESULT} AND {FITS}"
-"""The SQL condition that a candidate e may be effective in a batch with `latest` l. Of all such candidates of a run, the last
-judgement of the last execution is effective.
-"""
-
-SUCCESS = "success"
-"""The outcome of a run that was successful."""
-OUTCOME = f"CASE WHEN e.status = 'accepted' THEN e.reason ELSE '{SUCCESS}' END"
-"""The SQL expression for the outcome of a judgement e that may be effective: the end that [success] accepts, or `SUCCESS`."""
-
-INVALID_TRIAL = "invalid trial"
-"""The beginning of the reasons of executions that people marked as invalid."""
-JUDGED_BY_PEOPLE = """
-SELECT e.* REPLACE (
-    CASE WHEN t.refused AND e.status IN ('ok', 'accepted') THEN 'invalid' ELSE e.status END AS status,
-    CASE WHEN t.refused AND e.status IN ('ok', 'accepted') THEN {beginning} || coalesce(': ' || t.said, '')
-         ELSE e.reason END AS reason
-) FROM ({judgements}) e LEFT JOIN (
-    SELECT execution, NOT coalesce(valid, true) AS refused, reason AS said FROM trials
-) t ON t.execution = e.execution
-"""
-"""All judgements; the successful ones of executions whose trial is not valid have the status invalid."""
-
-OWN = "SELECT NULL::VARCHAR AS reusing, * FROM all_judgements"
-CANDIDATES = f"""
-{OWN} UNION ALL BY NAME
-SELECT r.session AS reusing, e.* REPLACE (r.run AS run) FROM reused_executions r JOIN all_judgements e USING (execution)
-"""
-
-_PLACES = ("e.lamport", "e.place", "e.judgement")
-ORDER = f"({', '.join(_PLACES)})"
-"""The order of judgements e: by their executions, then by their own positions."""
-LAST_FIRST = ", ".join(f"{place} DESC NULLS FIRST" for place in _PLACES)
-"""The same order reversed, for ORDER BY. To sort by one row of these columns takes half as much memory again."""
-
-COUNTING = f"""{LATEST}
-SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, l.submitted, l.lamport, {OUTCOME} AS outcome
-FROM batch_runs m
-JOIN latest l ON m.batch = l.batch
-JOIN all_candidates e ON e.run = m.run AND {COUNTS}
-QUALIFY row_number() OVER (PARTITION BY m.batch, m.ordinal, m.run ORDER BY {LAST_FIRST}) = 1
-"""
-
-BY_ITSELF = "e.status = 'failed' AND (e.signal IS NOT NULL OR e.exit_code <> 0)"
-"""The SQL condition that a program has ended with an error; limits and missing outputs are other failures."""
-ENDED = f"""{LATEST}
-SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.status
-FROM batch_runs m
-JOIN latest l ON m.batch = l.batch
-JOIN all_candidates e ON e.run = m.run AND ({RESULT} OR {BY_ITSELF}) AND {FITS}
-QUALIFY row_number() OVER (
-    PARTITION BY m.batch, m.ordinal, m.run ORDER BY {RESULT} DESC, {LAST_FIRST}
-) = 1
-"""
-
-LAST = """
-SELECT execution, l.judgement AS judgement, l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules
-FROM (
-    SELECT e.execution, arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason,
-           'ingest_rules': e.ingest_rules}, (e.place, e.judgement)) AS l
-    FROM all_judgements e GROUP BY e.execution
-)
-"""
-"""The last judgement of each execution."""
-
-
-ORIGINS = """
-WITH asked AS (
-    SELECT batch, session FROM all_sessions UNION SELECT batch, session FROM all_judgements WHERE purpose = 'run'
-)
-SELECT a.batch AS batch,
-       arg_min({'packages': i.packages}, (i.lamport IS NOT NULL, i.lamport, len(i.packages))).packages AS packages
-FROM asked a LEFT JOIN imported_sessions i ON i.session = a.session GROUP BY a.batch HAVING count(i.session) > 0
-"""
-"""The origin that counts in each batch with imported sessions: this store, else the first import, its own sessions first."""
-NO_ORIGINS = "SELECT NULL::VARCHAR AS batch, NULL::VARCHAR[] AS packages WHERE false"
-STANDING_SESSIONS = """
-SELECT s.* FROM all_sessions s LEFT JOIN imported_sessions i ON i.session = s.session LEFT JOIN origins o ON o.batch = s.batch
-WHERE i.packages IS NOT DISTINCT FROM o.packages
-"""
-
-
-NONDETERMINISM = """
-WITH several AS (
-    SELECT run, programs, count(*) AS executions, count(DISTINCT result) AS results
-    FROM executions e ANTI JOIN imported_sessions i ON i.session = e.session
-    WHERE status IN ('ok', 'accepted') AND purpose <> 'capture' GROUP BY run, programs HAVING min(result) < max(result)
-),
-compared AS (
-    SELECT e.run, e.programs, max(CASE v.verdict WHEN 'identical' THEN 0 WHEN 'equal' THEN 1 WHEN 'within tolerance' THEN 2
-        ELSE 3 END) AS worst
-    FROM verdicts v JOIN executions e ON e.execution = v.execution GROUP BY e.run, e.programs
-)
-SELECT s.*, CASE j.worst WHEN 0 THEN 'identical' WHEN 1 THEN 'equal' WHEN 2 THEN 'within tolerance' WHEN 3 THEN 'different'
-    END AS verdict
-FROM several s LEFT JOIN compared j USING (run, programs)
-"""
-ROBOT_CLOCKS = """
-SELECT execution, place, clock_start_ns AS clock_ns, offset_start_ns AS offset_ns,
-       CASE WHEN clock_remark IS NULL THEN (offset_end_ns - offset_start_ns) / nullif(clock_end_ns - clock_start_ns, 0) END
-           AS drift,
-       rtt_ns / 2 + coalesce(uneven_ns, abs(offset_end_ns - offset_start_ns)) AS uncertainty_ns, clock_remark AS remark
-FROM robots WHERE offset_start_ns IS NOT NULL AND clock_start_ns IS NOT NULL
-"""
-"""Old rows have no `uneven_ns`. Their clocks were not watched, and the whole change of an offset may have come at once."""
-DEFINED = {"effective": COUNTING, "ended": ENDED, "nondeterminism": NONDETERMINISM, "robot_clocks": ROBOT_CLOCKS}
-
-
-COUNTED = """
-SELECT run, c.execution AS execution, c.judgement AS judgement, c.outcome AS outcome
-FROM (
-    SELECT run, arg_max({'execution': execution, 'judgement': judgement, 'outcome': outcome}, lamport) AS c
-    FROM effective GROUP BY run
-)
-"""
-"""Each run's effective execution and its judgement, in the batch that was submitted last."""
-COUNTED_BY_ORIGIN = """
-WITH imported AS (SELECT packages, min(lamport) AS imported FROM imported_sessions GROUP BY packages)
-SELECT run, c.execution AS execution, c.judgement AS judgement, c.outcome AS outcome
-FROM (
-    SELECT run, arg_max({'execution': execution, 'judgement': judgement, 'outcome': outcome},
-           (o.packages IS NULL, -coalesce(i.imported, 0), -coalesce(len(o.packages), 0), f.lamport)) AS c
-    FROM effective f LEFT JOIN origins o USING (batch) LEFT JOIN imported i ON i.packages = o.packages GROUP BY run
-)
-"""
-"""`COUNTED` in a store with imported sessions: first the batches that were executed here, then those that were imported first.
-So an import does not change what counts for runs that the store has.
-"""
+def _empty(columns: Iterable[Column]) -> str:
+    """Return the query for no rows of these columns."""
+    return f"SELECT {', '.join(f'NULL::{column.type} AS {identifier(column.name)}' for column in columns)} WHERE false"
 
 
 def _value(axis: str) -> str:

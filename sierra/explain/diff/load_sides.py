@@ -17,7 +17,7 @@ from sierra.store.recorded_files import ChosenExecution, Place, where
 from sierra.store.row_types import BatchRow, SessionRow, SourceRow, SpecRow
 from sierra.store.spec_rows import run_spec
 from sierra.store.store import Found, Snapshot
-from sierra.store.views import COUNTS, LATEST, ORDER
+from sierra.store.view_sql import COUNTS, ORDER, latest
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 
@@ -108,7 +108,7 @@ def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool 
     named = {} if place.execution is None else {"named": place.execution}
     statement = RUNS.format(
         table=table,
-        latest=LATEST,
+        latest=latest(),
         only=place.only + only,
         order=ORDER,
         counts=f"coalesce({COUNTS}, false)",

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,40 @@ import pytest
 
 import sierra
 from sierra.maintenance import remove
-from sierra.store.row_types import About, AttemptRow, DuplicateRow, Of
+from sierra.store.row_types import (
+    ROWS,
+    About,
+    ArtifactRow,
+    AttemptRow,
+    BatchRow,
+    BatchRunRow,
+    DeliverableRow,
+    DuplicateRow,
+    EnvironmentRow,
+    ExecutionRow,
+    ExperimentRow,
+    LookIntervalRow,
+    LookRow,
+    Of,
+    ProgramRow,
+    ReplayRow,
+    SessionRow,
+    SharedFileRow,
+    SourceRow,
+    SpecRow,
+    StudyRow,
+    To,
+    TrialRow,
+    VerdictRow,
+)
 from sierra.store.schema import OUTPUTS, RECORDED, columns_with
+from sierra.store.store import Store
 from tests import projects, stores
 from tests.conftest import held
+from tests.support import rows_of_tables
+from tests.support.rows_of_tables import filled
+
+MOMENT = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 @pytest.fixture
@@ -102,8 +133,80 @@ def test_batch_is_removed_completely_but_shared_runs_stay(root: Path) -> None:
 
 
 def test_a_removal_knows_each_table() -> None:
-    """A new table says with which objects its rows are removed: beside its columns, or in this table."""
-    assert {*columns_with(*Of, *About), *remove.AROUND, "blobs", "objects"} == {*RECORDED, OUTPUTS}
+    """The columns of a new table say with which objects its rows are removed, or which columns name them."""
+    assert {*columns_with(*Of, *About), *(to.table for to in To)} == {*RECORDED, OUTPUTS}
+
+
+def test_columns_with_the_name_of_a_record_say_that_they_name_it() -> None:
+    for to in (To.ENVIRONMENT, To.ISOLATION, To.INGEST_RULES, To.PROGRAMS):
+        named = {table.name for table in RECORDED.values() if any(column.name == to.key for column in table.columns)}
+        assert {*columns_with(to), to.table} == named
+    assert all(to.key in ROWS[to.table]._fields for to in To)
+
+
+def shared_store(root: Path) -> Store:
+    """Return a store with two batches a and b. Both have the run r2; r1 is a run of a, which was replayed."""
+    rows = [filled(EnvironmentRow, environment=name) for name in ("one", "two")]
+    for batch, runs in (("a", ("r1", "r2")), ("b", ("r2", "r3"))):
+        rows += [filled(BatchRunRow, batch=batch, run=run, input=f"input of {run}", spec=f"spec {batch}") for run in runs]
+        rows += [
+            filled(BatchRow, batch=batch, experiments=1, runs=2),
+            filled(ExperimentRow, experiment=f"x{batch}", batch=batch),
+            filled(SpecRow, spec=f"spec {batch}", source="tree", image=None, shared_files=f"files of {batch}"),
+            filled(SharedFileRow, shared=f"files of {batch}", sha256="map"),
+            filled(ProgramRow, programs=f"of {batch}"),
+            filled(SessionRow, session=f"s{batch}", batch=batch, programs=f"of {batch}", source="source", build=None),
+            filled(DeliverableRow, deliverable=f"d{batch}", batch=batch, batches=["a", "b"]),
+            filled(LookRow, look=f"l{batch}", study="study", batch=batch),
+            filled(LookIntervalRow, look=f"l{batch}"),
+        ]
+    for number, batch in enumerate(("a", "a", "b"), start=1):
+        execution, run = f"e{number}", f"r{number}"
+        values = {"batch": batch, "session": f"s{batch}", "programs": f"of {batch}", "environment": "one", "isolation": None}
+        rows += [
+            filled(ExecutionRow, execution=execution, run=run, status="ok", purpose="run", **values),
+            filled(ArtifactRow, execution=execution, run=run, kind="log", sha256=f"log of {execution}"),
+            filled(TrialRow, execution=execution),
+        ]
+    rows += [
+        filled(ReplayRow, replay="replay", batch="a", environment="two", programs="of b"),
+        filled(VerdictRow, replay="replay", run="r1", recorded="e1", execution="e1"),
+        filled(SourceRow, source="source", tree="tree", files="list"),
+        filled(StudyRow, study="study", batch="a"),
+    ]
+    return rows_of_tables.store(root, rows)
+
+
+def going(store: Store, **named: AbstractSet[str]) -> dict[str, dict[str, AbstractSet[str]]]:
+    with store.snapshot() as snapshot:
+        return remove.rows_of(snapshot, store, {kind: named.get(kind, frozenset()) for kind in remove.KINDS})
+
+
+def test_rows_that_another_batch_shares_stay(tmp_path: Path) -> None:
+    rows = going(shared_store(tmp_path), batch={"a"})
+    for table in ("batches", "experiments", "batch_runs", "sessions", "deliverables"):
+        assert rows[table]["batch"] == {"a"}
+    assert (rows["executions"], rows["trials"]) == ({"execution": {"e1"}}, {"execution": {"e1"}})
+    assert (rows["replays"], rows["environments"]) == ({"replay": {"replay"}}, {"environment": {"two"}})
+    assert (rows["specs"], rows["shared_files"]) == ({"spec": {"spec a"}}, {"shared": {"files of a"}})
+    assert (rows["looks"], rows["look_intervals"]) == ({"look": {"la"}}, {"look": {"la"}})
+    assert rows["objects"] == {"sha256": {"input of r1", "log of e1"}}
+    assert not rows.keys() & {"programs", "sources", "studies"}
+
+
+def test_rows_that_batches_share_go_with_the_last_of_them(tmp_path: Path) -> None:
+    rows = going(shared_store(tmp_path), batch={"a", "b"})
+    assert (rows["executions"], rows["studies"]) == ({"execution": {"e1", "e2", "e3"}}, {"study": {"study"}})
+    assert (rows["programs"], rows["sources"]) == ({"programs": {"of a", "of b"}}, {"source": {"source"}})
+    inputs, logs = {f"input of r{number}" for number in (1, 2, 3)}, {f"log of e{number}" for number in (1, 2, 3)}
+    assert rows["objects"] == {"sha256": {*inputs, *logs, "list", "map"}}
+
+
+def test_a_run_is_removed_with_the_remarks_on_it_and_not_with_its_batches(tmp_path: Path) -> None:
+    rows = going(shared_store(tmp_path), run={"r2"})
+    assert (rows["executions"], rows["trials"]) == ({"execution": {"e2"}}, {"execution": {"e2"}})
+    assert rows["objects"] == {"sha256": {"log of e2"}}
+    assert not rows.keys() & {"batches", "batch_runs", "specs", "programs", "environments", "looks"}
 
 
 def test_what_a_cluster_did_for_a_batch_is_removed_with_it(root: Path) -> None:
@@ -111,8 +214,7 @@ def test_what_a_cluster_did_for_a_batch_is_removed_with_it(root: Path) -> None:
     opened = sierra.open(root)
     execution = rows(root, "SELECT * FROM executions JOIN sessions s USING (session) WHERE purpose = 'run' LIMIT 1")[0]
     session, batch, environment = execution["session"], execution["batch"], execution["environment"]
-    moment = datetime(2026, 1, 1, tzinfo=UTC)
-    values = {"session": session, "batch": batch, "environment": environment, "started": moment, "ended": moment}
+    values = {"session": session, "batch": batch, "environment": environment, "started": MOMENT, "ended": MOMENT}
     fields = dict.fromkeys(AttemptRow._fields) | {
         "attempt": "a 1",
         "array_task": 0,
