@@ -13,6 +13,7 @@ from sierra.config.project_file import model_of, parse
 from sierra.errors import ConfigError, QueryError
 from tests import stores
 from tests.projects import quick
+from tests.tiers import of_extension
 
 NAMED = {
     "variables": '{ set = "/a" }',
@@ -64,7 +65,10 @@ def test_all_tables_by_name_are_checked() -> None:
             "[robots]\ncount = 2\n[robots.groups]\nab = { places = [1] }\naB = { places = [2] }\n",
             "robots.groups: ab and aB: these names differ only",
         ),
-        ('[trials.commands]\nab = "true"\naB = "true"\n', "trials.commands: ab and aB: these names differ only"),
+        *of_extension(
+            "trials",
+            ('[trials.commands]\nab = "true"\naB = "true"\n', "trials.commands: ab and aB: these names differ only"),
+        ),
         (
             '[figures.ab]\ntable = "t"\ncolumn = "c"\nkind = "summary"\n[paper_tables.aB]\nsql = "SELECT 1"\n',
             "[figures.ab] and [paper_tables.aB] would have files of the same name; rename one",

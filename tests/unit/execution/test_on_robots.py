@@ -16,6 +16,7 @@ from sierra.execution.commands import CommandBuilder
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Job, Member
 from sierra.store.row_types import RobotRow
 from tests import images, projects, robots
+from tests.tiers import of_extension
 
 GROUPS = """
 [targets.robots.robots.base]
@@ -244,10 +245,13 @@ SUPERVISED = "[targets.robots.trials]\nsupervised = true\ncountdown = 0\n"
             ("robot", "arm"),
             "tb2: no place is of the group 'arm'; [robots.groups] can declare it, and there are robot, base",
         ),
-        (
-            LEADER + SUPERVISED,
-            ("robot", "leader", "robot", "robot"),
-            "a run needs 2 robots of the group 'leader', but the fleet has 1; runs of 1 to 3 robots are possible",
+        *of_extension(
+            "trials",
+            (
+                LEADER + SUPERVISED,
+                ("robot", "leader", "robot", "robot"),
+                "a run needs 2 robots of the group 'leader', but the fleet has 1; runs of 1 to 3 robots are possible",
+            ),
         ),
         (
             LEADER,
