@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
-from sierra.store import stored_results, view_sql
+from sierra.store import view_sql
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import check_shortage, first_line
 from sierra.store.index_reader import IN_SEGMENTS, Index
@@ -361,8 +361,8 @@ class Views:
     def _partly_stored(self) -> bool:
         """True if the results in the index hold for all batches but some. Then the tables with these and their runs exist."""
         stored = self._index.stored("points") if self._index and self._within is None else ""
-        many = self._index is not None and self._index.count("batch_runs") >= stored_results.LARGE
-        if not (stored and many and stored_results.only_added(self._listing.rest, RESULTS_FROM)):
+        many = self._index is not None and self._index.count("batch_runs") >= view_sql.LARGE
+        if not (stored and many and view_sql.only_added(self._listing.rest, RESULTS_FROM)):
             return False
         said = len(self.notes)
         for needed in ("batch_runs", "experiments", "batches", "reused_executions"):
@@ -372,20 +372,20 @@ class Views:
         del self.notes[said:]
         if not same:
             return False
-        for statement in stored_results.touched(self._listing.rest):
+        for statement in view_sql.touched(self._listing.rest):
             self._execute(statement)
         return True
 
     def _beside_stored(self, name: str) -> str:
         """Return the query for a result, of which the index has the part that no other segment touches."""
-        by_run = {table: stored_results.BY_RUN.format(table=table) for table in ("batch_runs", "effective", "executions")}
+        by_run = {table: view_sql.BY_RUN.format(table=table) for table in ("batch_runs", "effective", "executions")}
         if name == "effective":
-            judged = stored_results.JUDGEMENTS
+            judged = view_sql.JUDGEMENTS
             candidates = {"all_judgements": judged, "all_candidates": self._candidates}
-            return stored_results.joined(name, view_sql.effective(), batch_runs=stored_results.BY_BATCH, **candidates)
+            return view_sql.joined(name, view_sql.effective(), batch_runs=view_sql.BY_BATCH, **candidates)
         if name == "counted":
-            return stored_results.joined(name, self._points_of(self._last_effective, self._points()), **by_run)
-        return stored_results.joined(name, self._points() if name == "points" else self._runs(), **by_run)
+            return view_sql.joined(name, self._points_of(self._last_effective, self._points()), **by_run)
+        return view_sql.joined(name, self._points() if name == "points" else self._runs(), **by_run)
 
     @property
     def _candidates(self) -> str:

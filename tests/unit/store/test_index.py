@@ -19,7 +19,7 @@ import pytest
 
 import sierra
 from sierra.errors import Damaged, Missing, SqlError
-from sierra.store import index_builder, index_files, index_reader, local_connection, segments, stored_results
+from sierra.store import index_builder, index_files, index_reader, local_connection, segments, view_sql
 from sierra.store.layout import StorePaths
 from sierra.store.schema import DERIVED, RECORDED
 from sierra.store.store import Store
@@ -75,13 +75,13 @@ def test_answers_are_the_same_with_an_index_and_without(project: Path) -> None:
         assert snapshot.listing.rest == []
 
 
-@pytest.mark.parametrize("many", [0, stored_results.LARGE])
+@pytest.mark.parametrize("many", [0, view_sql.LARGE])
 def test_an_index_knows_only_the_segments_before_it(project: Path, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """New segments are read as well as it, and added to the next one.
 
     In a store with many runs, its results are used for those that the new segments do not touch.
     """
-    monkeypatch.setattr(stored_results, "LARGE", many)
+    monkeypatch.setattr(view_sql, "LARGE", many)
     assert index_builder.build(paths_of(project)) is not None
     sierra.open(project).run("population_size=7", runs=1, figures=False)
     with Store(project / ".sierra").snapshot() as snapshot:
@@ -601,12 +601,12 @@ TABLES = ("effective", "experiments", "points", "runs", "swarm", "odd")
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("many", [0, stored_results.LARGE])
+@pytest.mark.parametrize("many", [0, view_sql.LARGE])
 def test_columns_and_notes_do_not_depend_on_an_index(
     odd: tuple[Path, list[Path]], many: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither on their order, nor on axes that are called like the index's own columns."""
-    monkeypatch.setattr(stored_results, "LARGE", many)
+    monkeypatch.setattr(view_sql, "LARGE", many)
     root, indexes = odd
 
     def asked() -> list[object]:
@@ -725,7 +725,7 @@ def test_a_snapshot_that_leaves_an_index_stays_settled(project: Path) -> None:
 
 
 def test_statements_do_not_see_tables_of_touched_runs(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stored_results, "LARGE", 0)
+    monkeypatch.setattr(view_sql, "LARGE", 0)
     assert index_builder.build(paths_of(project)) is not None
     sierra.open(project).run("population_size=7", runs=1, figures=False)
     with Store(project / ".sierra").snapshot() as snapshot:
