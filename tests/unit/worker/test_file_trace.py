@@ -20,7 +20,6 @@ from sierra.worker import file_trace
 from sierra.worker.file_trace import Contents, Distributions, Environments, Names, Strace, Trace, contents, parsed, sha256_of
 from tests.pythons import python_of
 
-SOURCE = Path(file_trace.__file__).read_text("utf-8")
 ENDED = "+++ exited with 0 +++"
 
 LOG = r"""

@@ -1,0 +1,42 @@
+"""The zip of the programs for other hosts."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+from sierra.util.worker_zip import packed
+from sierra.worker.program import HERE
+
+
+def test_its_bytes_depend_only_on_the_sources() -> None:
+    first = packed()
+    packed.cache_clear()
+    assert packed() == first
+    with zipfile.ZipFile(io.BytesIO(first)) as archive:
+        members = archive.infolist()
+    assert {member.date_time for member in members} == {(1980, 1, 1, 0, 0, 0)}
+    assert [member.filename for member in members] == sorted(member.filename for member in members)
+
+
+def test_it_has_all_modules_that_nodes_need() -> None:
+    names = set(zipfile.ZipFile(io.BytesIO(packed())).namelist())
+    assert {path.name for path in Path(HERE).glob("*.py")} - names == {"__init__.py", "reproduce.py"}
+
+
+def test_its_modules_never_load_an_installed_sierra(tmp_path: Path) -> None:
+    program = tmp_path / "worker.pyz"
+    program.write_bytes(packed())
+    code = f"""
+import runpy, sys
+programs = runpy.run_path({str(program)!r})
+programs["add_package"]()
+import sierra.worker.worker, sierra.worker.robot_agent, sierra.worker.array_task
+modules = [module for name, module in sys.modules.items() if name.startswith("sierra.worker.")]
+print(sorted({{module.__file__.rpartition("/")[0] for module in modules}}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"['{program}']\n"
