@@ -12,6 +12,8 @@ from tests import projects
 from tests.support.robot_fleet import Fleet
 from tests.support.robot_project import STOP
 
+pytestmark = pytest.mark.integration
+
 
 @pytest.fixture
 def project(tmp_path: Path, fleet: Fleet) -> Path:

@@ -18,7 +18,7 @@ from sierra.testing import links
 from tests.support import robot_fleet
 from tests.support.robot_fleet import Fleet
 
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.integration, pytest.mark.real]
 MAKERS: dict[str, Callable[[str, Fleet], Link]] = {
     "fabric": lambda host, fleet: Fabric(host, LinkOptions(ssh_config=str(fleet.ssh_config))),
     "openssh": lambda host, fleet: OpenSsh(host, OpenSshOptions(ssh_config=str(fleet.ssh_config))),

@@ -28,6 +28,8 @@ from tests.support.robot_runs import Runs, job
 from tests.tiers import at_night
 from tests.waiting import until
 
+pytestmark = pytest.mark.integration
+
 SLEEP = ("1", "sleep", "2", "sleep", "3", "sleep")
 LEASE_S = 4.0
 Fault = Callable[[Fleet], None]

@@ -24,6 +24,8 @@ from tests.terminals import Terminal
 from tests.tiers import at_night
 from tests.waiting import PATIENCE_S, until
 
+pytestmark = pytest.mark.integration
+
 STEPS = {f"SIGKILL {name} {number}" for name in NAMES for number in (1, 3)}
 STEPS |= {f"SIGINT {name} 3" for name in NAMES} | {
     f"SIGKILL {step}" for step in ("arm 2", "clock 100", "journal 2", "pull 2", "done 4")

@@ -26,6 +26,8 @@ from tests.support.robot_project import LEASE_S, RUN, all_busy, all_stand, answe
 from tests.tiers import at_night
 from tests.waiting import PATIENCE_S, until
 
+pytestmark = pytest.mark.integration
+
 BIG = """
 import os, sys
 for _ in range(200 if os.environ["SIERRA_ROBOT"] == "2" else 0):

@@ -10,6 +10,8 @@ import pytest
 from tests.support.robot_fleet import REPOSITORY, Fleet, Proxy
 from tests.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.integration
+
 
 def ssh(fleet: Fleet, name: str, command: str) -> subprocess.CompletedProcess[str]:
     argv = ["ssh", "-F", str(fleet.ssh_config), "-o", "BatchMode=yes", name, command]

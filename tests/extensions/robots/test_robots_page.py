@@ -13,7 +13,7 @@ from tests.support import pages, robot_fleet, robot_project
 from tests.support.robot_fleet import Fleet
 from tests.waiting import until
 
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.integration, pytest.mark.real]
 PAGE = pages.DOCS / "how-to" / "robots.md"
 SSH = '#!/bin/sh\nexec /usr/bin/ssh -F "$HOME/.ssh/config" "$@"\n'
 

@@ -18,6 +18,8 @@ from tests.support.robot_fleet import Fleet
 from tests.support.robot_project import BROKEN, QUERY, RUN, all_move, all_stand, drive, over_openssh, rows_of
 from tests.tiers import at_night
 
+pytestmark = pytest.mark.integration
+
 Process = subprocess.Popen[str]
 ONE = (*RUN, "--runs", "1")
 FOR_EVER = 6000
