@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.cli.lazy_commands import GIVEN
+from sierra.config.extensions import GIVEN
 from tests import projects
 
 
