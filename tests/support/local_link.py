@@ -15,12 +15,19 @@ from pathlib import Path
 
 from sierra.config.field_types import Table
 from sierra.errors import Missing
-from sierra.extensions.robots.agent_link import LOCK
-from sierra.extensions.robots.push import content_name
 from sierra.runners.links.base import Ended, LinkOptions, Overdue, Unreachable
 from sierra.runners.links.commands import Commands, Lines
 from sierra.runners.links.process_stream import ProcessStream
 from sierra.worker.processes import descendants, signal_process
+
+LOCK = "sierra-robot"
+"""The lock of a robot, as `sierra.extensions.robots.agent_link` names it: tests of the core do without that extension."""
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    """Return the files of a folder, or of one with only this file, by path."""
+    files = [folder] if folder.is_file() else [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder.parent if folder.is_file() else folder)): path.read_bytes() for path in files}
 
 
 class LocalChannel:
@@ -155,7 +162,7 @@ class LocalLink:
     ) -> object:
         self._answers()
         path = self.home / target
-        if path.exists() and content_name(path) != content_name(folder):
+        if path.exists() and _content(path) != _content(folder):
             raise Missing(f"{self.name}: {target} is there already, with other contents")
         if not path.exists():
             self.pushed.append(target)

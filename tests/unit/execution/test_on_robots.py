@@ -16,7 +16,7 @@ from sierra.execution.commands import CommandBuilder
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Job, Member
 from sierra.store.row_types import RobotRow
 from tests import images, projects, robots
-from tests.tiers import of_extension
+from tests.tiers import needs_extension, of_extension
 
 GROUPS = """
 [targets.robots.robots.base]
@@ -236,6 +236,7 @@ LEADER = "[targets.robots.robots.groups.leader]\nplaces = [2, 4]\n"
 SUPERVISED = "[targets.robots.trials]\nsupervised = true\ncountdown = 0\n"
 
 
+@needs_extension("robots")
 @pytest.mark.parametrize(
     ("more", "groups", "message"),
     [
@@ -279,6 +280,7 @@ def test_a_fleet_that_cannot_take_all_places_of_all_runs_is_refused_before_anyth
     assert projects.sql(root, "SELECT count(*) AS sessions FROM sessions") == [{"sessions": 0}]
 
 
+@needs_extension("robots")
 def test_a_robot_may_be_of_a_group_of_another_target(tmp_path: Path) -> None:
     fleet = 'fleet.tb1 = { host = "tb1.invalid" }\nfleet.tb2 = { host = "tb2.invalid", group = "leader" }\n'
     other = "[targets.other.robots]\ncount = 1\ngroups.leader.places = [1]\n"
