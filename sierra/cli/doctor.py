@@ -25,6 +25,10 @@ def doctor(as_json: AsJsonList = False) -> None:
     """Show what is installed, what is missing, and how to fix it.
 
     The exit code is 3 if something that is needed is missing.
+
+    \b
+    Example:
+      sierra doctor
     """
     from sierra.setup import doctor
 
