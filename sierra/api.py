@@ -454,7 +454,7 @@ class Project:
         """
         from sierra.execution.plan import session_step
 
-        step = session_step(plan.project.config)
+        step = session_step(plan.project)
         if step is None:
             return
         from sierra.design.query import condition
@@ -469,7 +469,7 @@ class Project:
         """Return whether a run is executed twice before the batch; an extension's step executes each run once."""
         from sierra.execution.plan import session_step
 
-        return plan.project.config.determinism.probe and session_step(plan.project.config) is None
+        return plan.project.config.determinism.probe and session_step(plan.project) is None
 
     def runner_of(self, plan: Plan, runner: str | None = None, *, detach: bool = False, jobs: int | None = None) -> str:
         """Return the name of the runner of a plan: `runner`, or the one in `sierra.toml`. Raises ConfigError, UsageError.
@@ -488,7 +488,7 @@ class Project:
             raise UsageError(
                 f"cannot detach from runner {name!r}: its runs end with this process; only cluster jobs can be detached"
             )
-        if step := session_step(plan.project.config):
+        if step := session_step(plan.project):
             step.check(name, stays=stays, jobs=jobs)
         return name
 

@@ -237,7 +237,7 @@ def _until(
                 print_json(run_until.answer_plan(planned, preview))
             return
     _check(project, plan, options)
-    with watching(quiet=options.as_json or session_step(plan.project.config) is not None) as display:
+    with watching(quiet=options.as_json or session_step(plan.project) is not None) as display:
         outcome = project.study(
             plan,
             until=until,
@@ -276,7 +276,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     early = plan.notes if plan.batch.spec.robots is not None else ()
     for text in early:  # before anything moves
         note(text)
-    with watching(quiet=options.as_json or session_step(plan.project.config) is not None) as display:
+    with watching(quiet=options.as_json or session_step(plan.project) is not None) as display:
         summary = project.execute(
             plan,
             jobs=options.jobs,

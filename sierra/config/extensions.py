@@ -101,7 +101,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "trials": {
         "commands": {"trial": "command:app"},
         "sections": {"trial": "Run"},
-        "options": {"run --operator": "session:of_run"},
+        "options": {"run --operator": "option:of_run"},
         "tables": {"trials": "table:TABLE"},
         "sessions": {"trials": "session:step"},
         "report_sections": {"trials": "report_section:section"},
@@ -195,20 +195,34 @@ def home(kind: str, name: str) -> str | None:
 
 
 def belongs(name: str, home: str) -> str:
-    """Return the end of a message about a name whose extension is not there."""
-    return f"{name!r} belongs to the extension {home!r}, which is not installed; install sierra-{home}"
+    """Return the end of a message about a name whose extension, or one that this needs, is not there."""
+    lost = next((need for need in ADDS[home].get("needs", ()) if not is_there(need)), home) if _has_folder(home) else home
+    needs = "" if lost == home else f"needs {lost!r}, which "
+    return f"{name!r} belongs to the extension {home!r}, which {needs}is not installed; install sierra-{lost}"
+
+
+def lacking(table: Mapping[str, Any]) -> str | None:
+    """Return why the runs of a package cannot be executed here; None if they can.
+
+    An extension that is not there would execute them itself, with its table in these settings or in those of a target.
+    """
+    targets = table.get("targets")
+    inner = [target for target in targets.values() if isinstance(target, Mapping)] if isinstance(targets, Mapping) else []
+    owners = {key: owner for settings in (table, *inner) for key in settings if (owner := absent("tables", key))}
+    return next((belongs(key, owner) for key, owner in owners.items() if "sessions" in ADDS[owner]), None)
 
 
 def without_absent(table: Mapping[str, Any], where: str = "") -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the settings of a package without those of extensions that do not exist here, and a note for each of these.
 
     No id depends on such settings, so the package can be read and executed without them: keys, figures of kinds of extensions,
-    options of platforms that are not used, of runners and of links.
+    options of platforms that are not used, and of links. Without a table of an extension that executes runs itself, the package
+    can only be read: see `lacking`.
     """
     kept: dict[str, Any] = {}
     ignored: dict[str, str] = {}
     for key, value in table.items():
-        if key in ("figures", "platforms", "runners", "links") and isinstance(value, Mapping):
+        if key in ("figures", "platforms", "links") and isinstance(value, Mapping):
             names = {name: _kind(name, table, ()) if key == "figures" else name for name in value}
             lost = {n: owner for n, used in names.items() if used != table.get("platform") and (owner := absent(key, used))}
             kept[key] = {name: inner for name, inner in value.items() if name not in lost}
@@ -250,7 +264,11 @@ def absent(kind: str, name: str) -> str | None:
 
 def is_there(extension: str) -> bool:
     """Return whether an extension and those that it needs exist. `Path.is_dir` would take longer."""
-    return os.path.isdir(FOLDER / extension) and all(map(is_there, ADDS[extension].get("needs", ())))  # noqa: PTH112
+    return _has_folder(extension) and all(map(is_there, ADDS[extension].get("needs", ())))
+
+
+def _has_folder(extension: str) -> bool:
+    return os.path.isdir(FOLDER / extension)  # noqa: PTH112
 
 
 def _present(kind: str) -> Iterator[tuple[str, Mapping[str, str]]]:

@@ -166,7 +166,7 @@ class Kind:
         """Return the message that no plug-in has a name, with the extension that has it, or with all known names."""
         if home := extensions.home(_plural(self.word), name):
             return f"the {self.word} {extensions.belongs(name, home)}"
-        return f"unknown {self.word} {name!r}; known are {', '.join(self.names())}"
+        return f"unknown {self.word} {name!r}; known are {', '.join(self.names()) or 'none'}"
 
     def options(self, name: str, table: RawTable) -> Table:
         """Return the options of a plug-in from its table. Raises ConfigError."""

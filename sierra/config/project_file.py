@@ -497,6 +497,8 @@ class LoadedProject:
     """The bytes of the file from which this was read; none if it was made from a table."""
     notes: tuple[str, ...] = ()
     """Notes on keys of a package that are ignored."""
+    lacking: str | None = None
+    """Why the runs of a package cannot be executed here: see `sierra.config.extensions.lacking`."""
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -609,14 +611,15 @@ def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject
     """Return a project with the configuration in a table, which is that of its file or was made from it. Raises ConfigError."""
     root, file, _ = found
     notes: tuple[str, ...] = ()
+    lacking = extensions.lacking(table) if found.is_package else None
     if found.is_package:
         table, notes = extensions.without_absent(table)
     origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
     whole = parse(table, origin)
     if not whole.targets:
-        return LoadedProject(root, file, whole, notes=notes)
+        return LoadedProject(root, file, whole, notes=notes, lacking=lacking)
     chosen = whole.for_target(whole.target) if whole.target else whole
-    return LoadedProject(root, file, chosen, declared=whole, notes=notes)
+    return LoadedProject(root, file, chosen, declared=whole, notes=notes, lacking=lacking)
 
 
 def check_plugins(project: Project) -> None:

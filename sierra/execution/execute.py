@@ -60,7 +60,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
 
     check_packages(plan)
     plan = versioned(plan)
-    if session_step(plan.project.config):
+    if session_step(plan.project):
         options = replace(options, slots=1)
     make = partial(runners.find(options.runner, plan.project.config.runner_tables), options.slots)
     on_robots.check_fleet(make(), options.runner, plan)

@@ -109,8 +109,9 @@ class Executor:
         self._before: dict[str, int] | None = None
         """Number of executions at the beginning, of each run that has some and lacks a successful one."""
         self._run_states: dict[str, RunState] = {}
+        self._has_failed = False  # of 100,000 runs, `failed` would look at all
         self._file_change: Doubt | None = None
-        self._step = session_step(plan.project.config)
+        self._step = session_step(plan.project)
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -148,8 +149,11 @@ class Executor:
 
     def fail(self, runs: AbstractSet[str]) -> None:
         """Note that runs have failed, in this session or in another one."""
-        self._set(runs & self.reevaluated, RunState.REJECTED)
-        self._set(runs - self.reevaluated - self.given_up, RunState.FAILED)
+        rejected = runs & self.reevaluated
+        failed = runs - rejected - self.given_up
+        self._set(rejected, RunState.REJECTED)
+        self._set(failed, RunState.FAILED)
+        self._has_failed |= bool(rejected or failed)
 
     def _selected(self, runs: set[str]) -> set[str]:
         """Return those of the runs that `only` does not leave out."""
@@ -318,7 +322,7 @@ class Executor:
         """Check whether to execute no more runs. Runs go on while none is known to have used the files that have changed."""
         if self._tally.doubted or (self._file_change is not None and self._file_change.files is None):
             return True
-        return self._options.fail_fast and bool(self.failed or self._tally.failed)
+        return self._options.fail_fast and (self._has_failed or bool(self._tally.failed))
 
     def _inputs(self, wanted: AbstractSet[str], batch: Batch | None = None) -> Iterator[tuple[Run, Files]]:
         """Yield these runs with their input files, each run once, in the order of this batch; default: that of the plan."""

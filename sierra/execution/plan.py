@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from sierra.config import extensions
 from sierra.config.output_tables import Output, Success
-from sierra.config.project_file import LoadedProject, Project
+from sierra.config.project_file import LoadedProject
 from sierra.containers import container_setup
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import AnyImage
@@ -111,9 +111,14 @@ class Plan:
         return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted, recorded=recorded, use_git=git)
 
 
-def session_step(config: Project) -> SessionStep | None:
-    """Return the step of an extension that executes the runs of a project; None if the core executes them."""
-    return next(extensions.called("sessions", config), None)
+def session_step(project: LoadedProject) -> SessionStep | None:
+    """Return the step of an extension that executes the runs of a project; None if the core executes them.
+
+    Raises Missing if that extension is not installed.
+    """
+    if project.lacking:
+        raise Missing(project.lacking)
+    return next(extensions.called("sessions", project.config), None)
 
 
 def versioned(plan: Plan) -> Plan:

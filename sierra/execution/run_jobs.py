@@ -36,6 +36,7 @@ from sierra.runners.base import Runner, Work, Wraps, check_members, needed
 from sierra.store import ownership_marks
 from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
+from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.templates.base import Files
 from sierra.util import worker_zip
@@ -92,7 +93,8 @@ class Service:
             elsewhere=stays,
         )
         if self.isolation.box:
-            write_whole(session.paths.worker, worker_zip.packed())
+            with disk_errors(session.paths.root):
+                write_whole(session.paths.worker, worker_zip.packed())
 
     def _on_hosts(self, store: StorePaths) -> HostContainers | None:
         """Return the containers of runs on robots; None for other runs, and without containers. Raises as `contain`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-from sierra.config.project_file import Project
+from sierra.config.project_file import LoadedProject
 from sierra.errors import Missing, UsageError
 from sierra.execution.on_robots import check_places
 from sierra.execution.plan import session_step
@@ -47,9 +47,9 @@ def check(runner: Runner, name: str, of: str, inputs: Iterable[Files], groups: C
     check_places(runner, inputs, groups)
 
 
-def check_attended(of: str, config: Project) -> None:
+def check_attended(of: str, project: LoadedProject) -> None:
     """Raise Missing if robots would move without a person, although an extension executes their runs one by one."""
-    if step := session_step(config):
+    if step := session_step(project):
         raise Missing(
             f"{short(of)} has {step.runs} ([trials]), and a replay asks nobody before the robots move: use --yes if they "
             "may start at once, one run after the other"

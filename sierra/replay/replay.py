@@ -119,7 +119,7 @@ class _Prepared:
         inputs = (files for _, files in find_record.inputs(self.record, self.record.runs, self.store))
         on_robots.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
         if not self.options.unattended:
-            on_robots.check_attended(id, config)
+            on_robots.check_attended(id, self.project)
         runs = [one.run for one in self.record.runs]
         self.record.notes.append(on_robots.note(self.store, runs, judged=bool(config.equivalence)))
 

@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from sierra.config import find_project, plugin_registry, project_file, user
+from sierra.config import extensions, find_project, plugin_registry, project_file, user
 from sierra.config.execution_tables import BuildTable
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Capabilities
@@ -241,7 +241,8 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         absent = required_packages.missing(config, contained=config.container is not None)
         found = f"not installed: {', '.join(absent)}" if absent else ", ".join(config.requires)
         yield _check(f"requires{of}", not absent, found, required_packages.remedy(absent))
-    clusters = [name for name in config.runners if name not in plugin_registry.RUNNERS.names()]
+    others = plugin_registry.RUNNERS.names()
+    clusters = [name for name in config.runners if name not in others and not extensions.absent("runners", name)]
     if clusters and config.observe != "none":
         found = f"{', '.join(clusters)}: checked on the node when a run is observed"
         yield Check(f"observation on clusters{of}", "ok", found)

@@ -47,6 +47,7 @@ LAST_FIRST = ", ".join(f"{place} DESC NULLS FIRST" for place in _PLACES)
 BY_ITSELF = "e.status = 'failed' AND (e.signal IS NOT NULL OR e.exit_code <> 0)"
 """The SQL condition that a program has ended with an error; limits and missing outputs are other failures."""
 
+PART = regex(r"\{(\w+)\}")
 READ = regex(r"\b(?:FROM|JOIN) (\w+)\b")
 
 
@@ -59,10 +60,7 @@ def _text(name: str) -> str:
 
 def query(name: str, **parts: str) -> str:
     """Return the query in `sql/NAME.sql`, with these texts in the place of `{part}`."""
-    text = _text(name)
-    for part, inserted in parts.items():
-        text = text.replace(f"{{{part}}}", inserted)
-    return text
+    return PART.sub(lambda found: parts.get(found[1], found[0]), _text(name))
 
 
 def latest() -> str:

@@ -94,10 +94,10 @@ class Observations:
         For ports, two are observed, so that they overlap if runs do: a program that looks for a free port is recognised then.
         It most likely is one of the same experiment, of which the first run is observed. Runs of the sample are not followed.
         """
-        from sierra.worker import file_trace
-
         if "compares" in job or "budget" in job:
             return
+        from sierra.worker import file_trace
+
         talks = file_trace.is_doubtful(trace.channels)
         if talks or trace.reread or trace.reread_new:
             with self.lock:
@@ -118,11 +118,11 @@ class Observations:
 
     def begin(self, job: Job, folder: str) -> Observation | None:
         """Begin to observe a run, if that is requested and takes no more time than it may."""
-        from sierra.worker import file_trace
-
         if "observe" not in job or "client" in job or not self.account.allows(job.get("budget"), job.get("affordable")):
             return None
         began = time.monotonic()
+        from sierra.worker import file_trace
+
         with self.looking:
             way, self.unusable = file_trace.gentle() if job.get("waits") else self.way(job.get("helps"))
         own = [self.temporary.places[folder]] if folder in self.temporary.places else []
@@ -145,10 +145,10 @@ class Observations:
 
         Return whether it was observed, and what the observation may have changed: such a run is executed again without it.
         """
-        from sierra.worker import file_trace
-
         if running.observation is None:
             return "unobserved" in job and keep_reason(running.folder, job["unobserved"]), None
+        from sierra.worker import file_trace
+
         began = time.monotonic()
         running.observation.end(orphans)
         path = os.path.join(running.folder, OBSERVED)

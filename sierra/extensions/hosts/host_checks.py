@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from sierra.config import extensions, find_project, project_file
-from sierra.config.plugin_registry import LINKS
+from sierra.config.plugin_registry import LINKS, RUNNERS
 from sierra.config.project_file import Project
-from sierra.errors import Missing, NotFound, UsageError
+from sierra.errors import ConfigError, Missing, NotFound, UsageError
 from sierra.extensions.hosts.clock import measured
 from sierra.runners.links.base import Ended, Link, Unreachable, UntrustedHost
 from sierra.setup.doctor import Check, State
@@ -98,6 +98,9 @@ def _project() -> Project | None:
 
 
 def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> list[HostToCheck]:
+    for name, table in project.runner_tables.items() if project else ():
+        if extensions.absent("runners", name) and "scheduler" not in table:
+            raise ConfigError(RUNNERS.unknown(name))
     fleet: dict[str, HostToCheck] = {}
     for name in extensions.added("fleets") if project else ():
         fleet |= extensions.load("fleets", name)(project, link)

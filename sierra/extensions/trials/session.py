@@ -1,12 +1,10 @@
-"""The step of a session whose runs are supervised trials, and `sierra run --operator`."""
+"""The step of a session whose runs are supervised trials."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from sierra.config.extensions import given
 from sierra.errors import Missing, UsageError
@@ -80,21 +78,3 @@ def step(config: Project) -> SupervisedTrials | None:
                 f"--operator {supervision.operator}: nobody supervises these runs; set supervised = true in [trials]"
             )
     return None
-
-
-def of_run(
-    context: typer.Context,
-    operator: Annotated[
-        str | None, typer.Option("--operator", metavar="NAME", help="Who supervises the trials (default: it is asked).")
-    ] = None,
-) -> Supervision:
-    """Return the supervision of the trials of `sierra run` at a terminal."""
-    if operator is not None and context.params["inputs"] is not None:
-        raise UsageError("--inputs executes nothing; leave out --operator")
-
-    def find(trials: Trials) -> Supervisor | None:
-        from sierra.extensions.trials import terminal
-
-        return terminal.supervisor(trials, operator=operator, agreed=context.params["yes"])
-
-    return Supervision(find, operator)

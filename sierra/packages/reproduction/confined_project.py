@@ -32,7 +32,8 @@ REMOVED = {
 def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
     """Return the project in `root` without these keys, and a line for each removed key. Raises ConfigError."""
     file = next((root / name for name in (CONFIG, PYPROJECT) if (root / name).is_file()), root / CONFIG)
-    table, absent = extensions.without_absent(settings(file) or {})
+    whole = settings(file) or {}
+    table, absent = extensions.without_absent(whole)
     notes = [*absent, *_confine(table, "")]
     targets = table.get("targets")
     for name, target in targets.items() if isinstance(targets, dict) else ():
@@ -40,7 +41,8 @@ def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
             notes += _confine(target, f"targets.{name}.")
     if clusters := user.load().runners:
         table["runners"] = dict(clusters)
-    return replace(project_file.of_table(ProjectFolder(root, file), table), received=True), tuple(notes)
+    project = project_file.of_table(ProjectFolder(root, file), table)
+    return replace(project, received=True, lacking=extensions.lacking(whole)), tuple(notes)
 
 
 def _confine(table: dict[str, Any], where: str) -> Iterator[str]:

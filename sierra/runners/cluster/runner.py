@@ -137,6 +137,8 @@ class Cluster:
         submission = Submission.load(session)
         self._table = submission.cluster
         self._begin(submission, session, recorded)
+        if not session.worker.exists():  # another version of SIERRA has submitted it, with programs of other names
+            write_whole(session.worker, worker_zip.packed())
         with self._ending_on_error():
             if session.cancelled.exists():
                 self.stop()
@@ -268,9 +270,12 @@ class Cluster:
             return
         answer = self._answer([task for task in tasks if task.job not in self._submission.past])
         self._carry_out(*on_poll(self._batch, answer, self._table))
-        if self._batch.phase is Phase.PROBING or any(share.gone for share in self._batch.shares):
-            refresh(self._session.results)  # before the next answer, everything is read that was recorded before the end
+        probes, executes = (self._batch.phase is phase for phase in (Phase.PROBING, Phase.EXECUTING))
+        is_gone = executes and any(share.gone for share in self._batch.shares)
+        if probes or is_gone:
             self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
+        if is_gone or (probes and self._batch.probe_unknown > 1):
+            refresh(self._session.results)  # before the next answer, everything is read that was recorded before the end
 
     def _answer(self, tasks: Sequence[Task]) -> Answer:
         """Return these tasks with what else is known now. The results of the session's earlier submissions are recorded."""

@@ -12,7 +12,6 @@ import gzip
 import json
 import zlib
 from binascii import b2a_base64
-from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from sierra.worker.array_task import Difference
 
 LEVEL = 1
+ENCODER = json.JSONEncoder(separators=(",", ":"))
 BUFFERED = 2 << 20
 """Bytes of lines that may wait to be compressed."""
 PACKED = 4 << 20
@@ -178,7 +178,7 @@ def _line(record: Mapping[str, object]) -> bytes:
     try:
         return to_json(record) + b"\n"
     except ValueError:  # a path whose bytes are not valid text
-        return json.dumps(record, separators=(",", ":")).encode() + b"\n"
+        return ENCODER.encode(record).encode() + b"\n"
 
 
 def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Difference:
@@ -215,4 +215,11 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
 
 def _alike(one: bytes, other: bytes, most: int) -> int:
     """Return the length of the longest common beginning of two contents, at most `most`. It is found by bisection."""
-    return bisect_left(range(1, most + 1), True, key=lambda length: one[:length] != other[:length])
+    low, high = 0, most
+    while low < high:
+        middle = (low + high + 1) // 2
+        if one[low:middle] == other[low:middle]:
+            low = middle
+        else:
+            high = middle - 1
+    return low

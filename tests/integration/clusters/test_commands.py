@@ -110,6 +110,18 @@ def test_attach_follows_a_detached_batch_to_its_end(waiting: Waiting) -> None:
     assert waiting.project.executed().total() == 6
 
 
+def test_attach_gives_nodes_the_programs_of_this_version(waiting: Waiting) -> None:
+    waiting.submit()
+    waiting.project.until_executed(3)
+    [program] = waiting.project.folder.glob(".sierra/work/*/worker.pyz")
+    program.unlink()
+    attached = waiting.project.start("attach", "--no-figures")
+    until(program.exists)
+    waiting.open()
+    assert attached.wait(PATIENCE_S) == 0
+    assert waiting.good() == 6
+
+
 def test_attach_lists_accepted_ends_as_run_does(waiting: Waiting) -> None:
     script, config = waiting.project.folder / "sim.sh", waiting.project.folder / "sierra.toml"
     script.write_text(script.read_text() + 'grep -q \'size="2"\' "$1" && exit 3; exit 0\n')

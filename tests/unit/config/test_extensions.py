@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from sierra.config import extensions
-from sierra.config.project_file import parse
-from sierra.errors import ConfigError
+from sierra.config.project_file import LoadedProject, parse
+from sierra.errors import ConfigError, Missing
+from sierra.execution.plan import session_step
+from sierra.packages.reproduction import confined_project
 from tests.tiers import needs_extension, of_extension
 
 
@@ -36,6 +39,31 @@ def test_settings_of_absent_extensions_are_left_out_of_a_package(none: None) -> 
     assert kept["figures"] == {"c": figures["c"], "d": 3}
     assert kept["figure_defaults"] == {"a": figures["a"], "b": figures["b"]}
     assert [note.split()[1] for note in notes] == ["videos", "platforms.ros", "figures.a", "figures.b"]
+
+
+@pytest.mark.parametrize("table", [{"trials": {}}, {"targets": {"robots": {"trials": {}}, "sim": 3}}])
+def test_a_package_whose_runs_an_absent_extension_executes_can_only_be_read(none: None, table: dict[str, object]) -> None:
+    assert extensions.lacking({"videos": {}}) is None
+    why = extensions.lacking(table)
+    assert why == "'trials' belongs to the extension 'trials', which is not installed; install sierra-trials"
+    found = replace(LoadedProject(Path("/p"), Path("/p/sierra.toml"), parse({"command": "sim"}, "sierra.toml")), lacking=why)
+    with pytest.raises(Missing, match="install sierra-trials"):
+        session_step(found)
+
+
+def test_a_package_is_read_without_the_extension_that_executes_its_runs(none: None, tmp_path: Path) -> None:
+    (tmp_path / "sierra.toml").write_text('command = "sim"\n[trials]\nsupervised = true\n')
+    project, notes = confined_project.load(tmp_path)
+    assert project.lacking
+    assert project.lacking.endswith("install sierra-trials")
+    assert [note.split()[1] for note in notes] == ["trials"]
+
+
+def test_an_extension_is_named_with_the_one_that_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extensions, "is_there", lambda name: name != "hosts")
+    monkeypatch.setattr(extensions, "_has_folder", lambda name: name != "hosts")
+    said = "'robots' belongs to the extension 'robots', which needs 'hosts', which is not installed; install sierra-hosts"
+    assert extensions.belongs("robots", "robots") == said
 
 
 @pytest.mark.parametrize(

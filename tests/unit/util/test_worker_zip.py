@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import sys
 import zipfile
@@ -40,3 +41,17 @@ print(sorted({{module.__file__.rpartition("/")[0] for module in modules}}))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"['{program}']\n"
+
+
+def test_it_loads_the_tracer_only_for_observed_runs(tmp_path: Path) -> None:
+    program, folder = tmp_path / "worker.pyz", tmp_path / "runs"
+    program.write_bytes(packed())
+    folder.mkdir()
+    run = {"run": "a", "execution": "a", "argv": ["/bin/true"], "environment": {}, "files": {}, "limits": {}}
+    command = [sys.executable, "-X", "importtime", "-I", "-S", str(program), str(folder), "1"]
+    jobs = tmp_path / "jobs"
+    jobs.write_text(f'{json.dumps(run)}\n{{"end": true}}\n')
+    with jobs.open() as lines:
+        done = subprocess.run(command, stdin=lines, capture_output=True, text=True, check=True)
+    assert "sierra.worker.run_folder" in done.stderr
+    assert "sierra.worker.file_trace" not in done.stderr
