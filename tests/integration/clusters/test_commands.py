@@ -118,7 +118,8 @@ def test_attach_gives_nodes_the_programs_of_this_version(waiting: Waiting) -> No
     attached = waiting.project.start("attach", "--no-figures")
     until(program.exists)
     waiting.open()
-    assert attached.wait(PATIENCE_S) == 0
+    _, errors = attached.communicate(timeout=PATIENCE_S)
+    assert attached.returncode == 0, errors
     assert waiting.good() == 6
 
 
