@@ -60,7 +60,7 @@ class Job(Program):
     folders: NotRequired[Mapping[str, str]]
     """The texts that take the place of marks in the input files; NUL stands for the run's folder."""
     ahead: NotRequired[float]
-    """How many seconds this host's clock may be ahead of that of a file system with files that the run uses."""
+    """Seconds that this host's clock may be ahead of that of a file system with files that the run uses."""
     budget: NotRequired[float]
     """The run is in a sample: the part of the runs' time that observations of the sample may take."""
     affordable: NotRequired[float]

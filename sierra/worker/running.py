@@ -102,7 +102,7 @@ class Running:
         self.look_at = self.continue_at = self.started + 1.0
         self.stalled_since: float | None = None
         self.switches: dict[int, int] = {}
-        """How often each traced process had left its processor when the worker last looked at it."""
+        """Number of times that each traced process had left its processor at the last look."""
         self.over = False
         self.lock = threading.Lock()
 

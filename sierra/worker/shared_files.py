@@ -24,7 +24,7 @@ class SharedFiles:
         self.large = {name: (path, status.st_size) for path, name, status in statuses if status.st_size >= LINKED}
         """The files that may be hard links, with their sizes."""
         self.clones = True
-        """Whether the file system may make files that share their data."""
+        """True if the file system may make files that share their data."""
 
     def place(self, folder: str) -> None:
         """Copy the files to a run's folder.

@@ -73,7 +73,7 @@ class Answer(NamedTuple):
     ended: Sequence[tuple[int, Task]]
     """Elements, each with an ended task of its last submission."""
     evidence: Mapping[int, Evidence]
-    """What elements have left behind that were gone at the previous answer, and whose records have been read since.
+    """Remains of the elements that were gone at the previous answer, and whose records have been read since.
 
     They tell which runs had begun. An element with new records is left out: more may come.
     """
@@ -214,7 +214,7 @@ def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTabl
         if share.missing == len(guilty):
             continue
         share.tries = 0 if guilty else share.tries
-        share.suspects = [] if timed else [one for one in _suspects(share, table.attempts - 1) if one not in guilty]
+        share.suspects = [] if timed else [run for run in _suspects(share, table.attempts - 1) if run not in guilty]
         if share.tries >= table.attempts * (2 if share.suspects else 1):
             times = f"{share.tries} times" if share.tries > 1 else "once"
             ended = f"array task {index} was executed {times} and ended before any of its runs ended: {why[index]}"

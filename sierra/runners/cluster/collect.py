@@ -82,7 +82,7 @@ class Share:
 
 
 class Evidence(NamedTuple):
-    """What an element that is gone has left behind."""
+    """Remains of an element that is gone."""
 
     message: str
     """The last line of its log."""

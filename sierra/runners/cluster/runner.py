@@ -145,7 +145,7 @@ class Cluster:
             elif not any(session.sent.iterdir()):  # the submitting process died before it submitted
                 self._submit_all()
             else:  # or it died after it had sharded the runs that follow the calibration
-                sent = {index for one in submission_record.sent(session) for index in one.elements}
+                sent = {index for job in submission_record.sent(session) for index in job.elements}
                 if never := tuple(index for index in range(len(self._batch.shares)) if index not in sent):
                     self._submit_tasks(never, "")
 
@@ -270,11 +270,11 @@ class Cluster:
             return
         answer = self._answer([task for task in tasks if task.job not in self._submission.past])
         self._carry_out(*on_poll(self._batch, answer, self._table))
-        probes, executes = (self._batch.phase is phase for phase in (Phase.PROBING, Phase.EXECUTING))
-        is_gone = executes and any(share.gone for share in self._batch.shares)
-        if probes or is_gone:
+        probing = self._batch.phase is Phase.PROBING
+        is_gone = self._batch.phase is Phase.EXECUTING and any(share.gone for share in self._batch.shares)
+        if probing or is_gone:
             self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
-        if is_gone or (probes and self._batch.probe_unknown > 1):
+        if is_gone or (probing and self._batch.probe_unknown > 1):
             refresh(self._session.results)  # before the next answer, everything is read that was recorded before the end
 
     def _answer(self, tasks: Sequence[Task]) -> Answer:
