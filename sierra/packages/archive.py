@@ -59,7 +59,7 @@ CREATED = reproduce.Folder.created
 """The folder for the results of an evaluator."""
 
 
-class Content(Protocol):
+class MemberData(Protocol):
     """The content of a member, which can be read once."""
 
     @property
@@ -70,7 +70,7 @@ class Content(Protocol):
         """Return a binary stream from the beginning of the content."""
 
 
-def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str] = (), scratch: Path | None = None) -> str:
+def write(path: Path, contents: Mapping[str, MemberData], executable: Iterable[str] = (), scratch: Path | None = None) -> str:
     """Write a package with these members; return its id. The file appears complete or not at all.
 
     `executable`: the names of programs. `scratch`: a folder of the same file system for the unfinished file. Raises Damaged for
@@ -104,7 +104,7 @@ def _name(unfinished: Path, path: Path) -> None:
     unfinished.rename(path)
 
 
-def _add(file: zipfile.ZipFile, name: str, content: Content, *, executable: bool) -> str:
+def _add(file: zipfile.ZipFile, name: str, content: MemberData, *, executable: bool) -> str:
     digest = hashlib.sha256()
     member_info, large = info(name, _method(name), executable=executable), content.size > LARGEST_PLAIN
     with content.open() as source, file.open(member_info, "w", force_zip64=large) as member:

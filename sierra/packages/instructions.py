@@ -84,7 +84,7 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield DIFFERENCES
     yield "## Contents\n"
     there = (*members, README, CRATE, MANIFEST)
-    yield from (f"- `{name}`: {about}" for name, about in PLACES.items() if any(one.startswith(name) for one in there))
+    yield from (f"- `{name}`: {about}" for name, about in PLACES.items() if any(path.startswith(name) for path in there))
     yield "\n## Other parameters\n"
     yield "A copy of `project/` is an ordinary project of SIERRA. In it, `sierra run` executes a query; other values make new"
     yield "runs."
@@ -112,7 +112,7 @@ def beginning(version: str, members: Mapping[str, Member], seconds: float | None
     yield f"SIERRA {version} wrote this package. To install it for Python 3.11 or newer, in the extracted package:\n"
     if any(name.startswith(WHEELS) for name in members):
         yield f"- without a network, for the versions of Python and the processors that `{WHEELS}` has:\n"
-        places = " ".join(f"--find-links {place.rstrip('/')}" for place in (WHEELS, SIERRA))
+        places = " ".join(f"--find-links {folder.rstrip('/')}" for folder in (WHEELS, SIERRA))
         yield _sh(f"{PIP} --no-index {places} --require-hashes -r {REQUIREMENTS}")
         yield "- for others, with a network:\n"
     yield _sh(f"{PIP} {_installed(version, members)}")
@@ -125,8 +125,8 @@ FOR_ONE = regex(r"-cp3(\d{1,2})-cp3\d{1,2}-\S*?_(x86_64|aarch64)\.whl")
 
 def _fitting(members: Iterable[str]) -> str:
     """Return the Pythons and processors for which a package has wheels, in words; "" if none is for a certain one."""
-    found = sorted({(int(match[1]), match[2]) for name in members if (match := FOR_ONE.search(name))})
-    return " and ".join(f"Python 3.{minor} on {machine}" for minor, machine in found)
+    targets = sorted({(int(match[1]), match[2]) for name in members if (match := FOR_ONE.search(name))})
+    return " and ".join(f"Python 3.{minor} on {machine}" for minor, machine in targets)
 
 
 def _installed(version: str, members: Mapping[str, Member]) -> str:
@@ -147,9 +147,10 @@ def _claims(described: PackageManifest) -> Iterator[str]:
     if described.claims:
         yield "\n## Claims\n"
         yield "| claim | in the paper | registered | recorded verdict | command | time |\n|---|---|---|---|---|---|"
-        for one in described.claims:
-            known = (f"`sierra reproduce . --claim {one.name}`", _time(SPARE * one.seconds)) if one.batches else ("–", "–")
-            cells = (_text(one.says), _text(one.shown), _text(one.registration), f"{one.verdict}: {_text(one.text)}", *known)
+        for claim in described.claims:
+            last = (f"`sierra reproduce . --claim {claim.name}`", _time(SPARE * claim.seconds)) if claim.batches else ("–", "–")
+            texts = map(_text, (claim.says, claim.shown, claim.registration))
+            cells = (*texts, f"{claim.verdict}: {_text(claim.text)}", *last)
             yield f"| {' | '.join(cells)} |"
         yield f"\nEach command executes the runs behind a claim again. The time is that of one core of {SLOWER} speed."
         yield "In a copy of `project/`, `sierra claims` decides claims about the source there by the recorded data, in seconds."
@@ -157,17 +158,17 @@ def _claims(described: PackageManifest) -> Iterator[str]:
 
 def _needs(described: PackageManifest, members: Mapping[str, Member]) -> Iterator[str]:
     """Yield the needs as they were measured."""
-    content = sum(one.size for one in members.values())
+    content = sum(member.size for member in members.values())
     measured = [batch.needs for batch in described.batches if batch.needs]
     yield f"- disk: {size(content)} for the extracted package, and about as much again for new results"
-    if memory := max((one.memory or 0 for one in measured), default=0):
+    if memory := max((needs.memory or 0 for needs in measured), default=0):
         yield f"- memory: {size(memory)} for each run that is executed at the same time (measured)"
     if measured:
-        total = sum(one.seconds for one in measured)
-        longest = max(one.longest for one in measured)
+        total = sum(needs.seconds for needs in measured)
+        longest = max(needs.longest for needs in measured)
         yield f"- time: {_time(total)} for all runs one after the other; the longest took {_time(longest)} (measured)"
     yield f"- network: {_network(members)}"
-    yield from (f"- measured on: {_machine(one)}" for one in described.machines)
+    yield from (f"- measured on: {_machine(machine)}" for machine in described.machines)
 
 
 def _network(members: Mapping[str, Member]) -> str:
@@ -177,11 +178,11 @@ def _network(members: Mapping[str, Member]) -> str:
     return "only to install SIERRA, for which pip fetches packages; none to check the package and to execute its runs"
 
 
-def _machine(one: Machine) -> str:
-    processor = " with ".join(filter(None, (one.cpu, counted(one.cores, "core") if one.cores else None)))
-    memory = f"{size(one.memory)} of memory" if one.memory else None
-    image = f"in the image {one.image[:19]}" if one.image else None
-    parts = filter(None, (processor, one.architecture, memory, one.os, *one.gpus, image))
+def _machine(machine: Machine) -> str:
+    processor = " with ".join(filter(None, (machine.cpu, counted(machine.cores, "core") if machine.cores else None)))
+    memory = f"{size(machine.memory)} of memory" if machine.memory else None
+    image = f"in the image {machine.image[:19]}" if machine.image else None
+    parts = filter(None, (processor, machine.architecture, memory, machine.os, *machine.gpus, image))
     return _text(", ".join(parts)) or "a machine that was not recorded"
 
 
@@ -190,7 +191,7 @@ def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
     yield f"Check the files by `python3 {PROGRAM}`, which takes seconds. Then execute a few runs of each batch again. Both"
     yield "commands state what they execute, and ask first. SIERRA compares values and decides the claims. Without it, bytes"
     yield "are compared:\n"
-    shortest = SPARE * sum(one.needs.shortest for one in batches if one.needs)
+    shortest = SPARE * sum(batch.needs.shortest for batch in batches if batch.needs)
     yield f"```sh\nsierra reproduce . --budget {QUICK_S // MINUTE_S}m\n```\n"
     yield f"```sh\npython3 reproduce.py --execute --budget {QUICK_S // MINUTE_S}m\n```\n"
     if shortest <= QUICK_S:
@@ -200,7 +201,7 @@ def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
 
 
 def _full(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
-    total = SPARE * sum(one.needs.seconds for one in batches if one.needs)
+    total = SPARE * sum(batch.needs.seconds for batch in batches if batch.needs)
     yield "```sh\nsierra reproduce .\n```\n"
     yield f"It executes all runs again: {_time(total)} on one core of {SLOWER} speed, less if several run at the same time."
     yield "The exit status is 0 if everything was reproduced, 1 if anything differs, and 3 if something needed is missing."

@@ -37,7 +37,7 @@ from sierra.packages.parts import (
     verifier,
     wheels,
 )
-from sierra.packages.subject import Made, Member, Options, Part, Subject
+from sierra.packages.subject import Member, Options, Part, PartResult, Subject
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.scratch import scratch
@@ -145,11 +145,11 @@ def check_needs(project: LoadedProject, path: Path, options: Options, *, anonymo
 def _batches(store: Store, prefixes: Sequence[str]) -> tuple[str, ...]:
     """Return the ids of the named batches in the order in which they were requested."""
     named = [store.resolve(prefix) for prefix in prefixes]
-    for prefix, found in zip(prefixes, named, strict=True):
-        if found.kind != "batch":
-            raise UsageError(f"{prefix} is the id of a {found.kind}; sierra package takes batches: see sierra ls")
+    for prefix, resolved in zip(prefixes, named, strict=True):
+        if resolved.kind != "batch":
+            raise UsageError(f"{prefix} is the id of a {resolved.kind}; sierra package takes batches: see sierra ls")
     known = store.values(str, "SELECT batch FROM batches ORDER BY lamport, batch")
-    return tuple(batch for batch in known if batch in {found.id for found in named})
+    return tuple(batch for batch in known if batch in {resolved.id for resolved in named})
 
 
 def _date(project: LoadedProject, store: Store) -> str:
@@ -166,12 +166,12 @@ def _collect(subject: Subject) -> tuple[dict[str, Member], tuple[str, ...], tupl
     facts: list[str] = []
     problems: list[str] = []
     for part in PARTS:
-        made: Made = part(subject, members)
-        for member in made.members:
+        result: PartResult = part(subject, members)
+        for member in result.members:
             members.setdefault(member.name, member)
-        notes += made.notes
-        facts += made.facts
-        problems += made.problems
+        notes += result.notes
+        facts += result.facts
+        problems += result.problems
     if problems:
         raise UsageError("; ".join(problems))
     return members, tuple(notes), tuple(facts)

@@ -77,7 +77,7 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class PartResult:
     """The result of a part."""
 
     members: Iterable[Member]
@@ -89,5 +89,5 @@ class Made:
     """One line for each reason why the package must not be written."""
 
 
-Part = Callable[[Subject, Mapping[str, Member]], Made]
+Part = Callable[[Subject, Mapping[str, Member]], PartResult]
 """A part of a package: a function of the subject and the members of all parts before it."""

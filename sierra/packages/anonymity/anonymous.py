@@ -21,7 +21,7 @@ from sierra.packages.anonymity.identifying_words import words
 from sierra.packages.anonymity.redact_store import rewrite
 from sierra.packages.anonymity.word_search import Search
 from sierra.packages.layout import PROJECT, SIERRA, STORED
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
 from sierra.store.store import Store
@@ -63,10 +63,10 @@ class Anonymity:
 
     def subject(self, subject: Subject) -> Subject:
         """Return a subject whose `[package]` names nobody; collect the words first, which its records show."""
-        found, general = words(self.project, subject.store)
-        self.searched = tuple(f"{word.text} ({word.kind})" for word in found)
+        identifying, general = words(self.project, subject.store)
+        self.searched = tuple(f"{word.text} ({word.kind})" for word in identifying)
         self.general = tuple(general)
-        self.search = Search(found, self.accepted)
+        self.search = Search(identifying, self.accepted)
         package = anonymous(self.project.config.package)
         declared = self.project.declared
         project = replace(
@@ -95,15 +95,15 @@ class Anonymity:
         return tuple(f"not all of it can be searched for names: {line}" for line in search.unread)
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Rewrite the subject's records, and return the project's file without authors; nothing if the package is not anonymous."""
     if not subject.redacted:
-        return Made(())
+        return PartResult(())
     submodules = sorted({path for text in subject.store.values(str, SUBMODULES) for path in json.loads(text)})
     rewrite(subject.store, subject.folder / "redacted", subject.date)
     notes = (COMMITS.format(few(submodules, 5)),) if submodules else ()
     name = PROJECT + subject.project.file.name
-    return Made([Member(name, anonymous_file(subject.project).encode(), "file that SIERRA reads")], notes)
+    return PartResult([Member(name, anonymous_file(subject.project).encode(), "file that SIERRA reads")], notes)
 
 
 def anonymous_file(project: LoadedProject) -> str:
@@ -127,25 +127,25 @@ def without_authors(text: str, package: Package, *, in_tool: bool) -> str:
     wanted = _without(tomllib.loads(text), in_tool=in_tool)
     while (begin := _begin(lines, prefix)) is not None:
         lines = _cut(lines, begin)
-    made = "".join(lines).rstrip("\n") + "\n\n" + _table(package, prefix)
-    found = _loaded(made)
-    if found is None or _without(found, in_tool=in_tool) != wanted:
+    changed = "".join(lines).rstrip("\n") + "\n\n" + _table(package, prefix)
+    content = _loaded(changed)
+    if content is None or _without(content, in_tool=in_tool) != wanted:
         raise ConfigError(
             f"[{prefix}package] must be a table of its own for an anonymous package: a line [{prefix}package], then its keys"
         )
-    return made
+    return changed
 
 
 def _begin(lines: Sequence[str], prefix: str) -> int | None:
     """Return the place of the first header of `[package]`, or of a table in it."""
     header = re.compile(rf"\s*\[\[?\s*{re.escape(prefix)}package\s*[.\]]")
-    return next((place for place, line in enumerate(lines) if header.match(line)), None)
+    return next((index for index, line in enumerate(lines) if header.match(line)), None)
 
 
 def _cut(lines: Sequence[str], begin: int) -> list[str]:
     """Return the lines without the table that begins there, which ends before the first header with complete TOML before it."""
-    ends = (place for place in range(begin + 1, len(lines) + 1) if place == len(lines) or HEADER.match(lines[place]))
-    end = next((place for place in ends if _loaded("".join(lines[begin:place]))), len(lines))
+    ends = (index for index in range(begin + 1, len(lines) + 1) if index == len(lines) or HEADER.match(lines[index]))
+    end = next((index for index in ends if _loaded("".join(lines[begin:index]))), len(lines))
     return [*lines[:begin], *lines[end:]]
 
 

@@ -43,7 +43,7 @@ from sierra.packages.anonymity.file_parts import (
     length,
 )
 from sierra.packages.anonymity.identifying_words import Word
-from sierra.packages.anonymity.word_search import Found, Search
+from sierra.packages.anonymity.word_search import Occurrence, Search
 from sierra.store.segments import own_table
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import one_line
@@ -105,12 +105,12 @@ OBJECTS = ["sha256", "part", "size", "content"]
 class Hit:
     """A word in a file."""
 
-    place: str
+    location: str
     text: str
     word: Word
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.text!r} ({self.word.kind})"
+        return f"{self.location}: {self.text!r} ({self.word.kind})"
 
 
 @dataclass(slots=True)
@@ -127,11 +127,11 @@ class _Reading:
         for word in {hit.word.text for hit in hits}:
             bisect.insort(self.shown.setdefault(word, []), (begin, end))
 
-    def is_shown(self, found: Found) -> bool:
+    def is_shown(self, match: Occurrence) -> bool:
         """Return whether a word in the bytes is one that was found before."""
-        ranges = self.shown.get(found.word.text, [])
-        place = bisect.bisect_right(ranges, (found.offset, sys.maxsize)) - 1
-        return place >= 0 and found.offset < ranges[place][1]
+        ranges = self.shown.get(match.word.text, [])
+        index = bisect.bisect_right(ranges, (match.offset, sys.maxsize)) - 1
+        return index >= 0 and match.offset < ranges[index][1]
 
 
 class ContentSearch:
@@ -147,120 +147,120 @@ class ContentSearch:
         self.unread: list[str] = []
         """One line for each file of which not all could be searched."""
 
-    def name(self, name: str, place: str) -> None:
+    def name(self, name: str, location: str) -> None:
         """Search the name of a file."""
-        self.hits += [Hit(f"name of {place}", one.text, one.word) for one in self._search.text(name)]
+        self.hits += [Hit(f"name of {location}", match.text, match.word) for match in self._search.text(name)]
 
-    def file(self, stream: IO[bytes], place: str, depth: int = 0) -> None:
+    def file(self, stream: IO[bytes], location: str, depth: int = 0) -> None:
         """Search a file from its beginning. The stream must be seekable."""
         outer, self._allowance = self._allowance, Allowance(length(stream))
-        self._file(stream, place, depth)
+        self._file(stream, location, depth)
         self._allowance = outer
 
     def known(self, digest: str) -> None:
         """Leave out objects of this SHA-256, because a file with this content is searched."""
         self._known.add(bytes.fromhex(digest))
 
-    def _file(self, stream: IO[bytes], place: str, depth: int) -> None:
+    def _file(self, stream: IO[bytes], location: str, depth: int) -> None:
         """Search a file that may be in another one: first what can be opened, then all bytes that were not."""
         size, reading = length(stream), _Reading()
         stream.seek(0)
         beginning = stream.read(BEGINNING)
         if depth > DEEPEST:
-            self.unread.append(f"{place} is in too many other files")
+            self.unread.append(f"{location} is in too many other files")
         else:
             try:
-                self._open(stream, beginning, place, depth, reading)
+                self._open(stream, beginning, location, depth, reading)
             except UNREADABLE as error:
-                self.unread.append(f"{place}: {_line(error)}")
+                self.unread.append(f"{location}: {_line(error)}")
         is_text = not (reading.done or reading.shown) and b"\0" not in beginning
-        self.hits += self._hits(place, self._raw(stream, reading, size), by_line=is_text)
+        self.hits += self._hits(location, self._raw(stream, reading, size), by_line=is_text)
         if is_text and depth <= DEEPEST:
             try:
-                self._base64(Window(stream, 0, size), place, depth)
+                self._base64(Window(stream, 0, size), location, depth)
             except UNREADABLE as error:
-                self.unread.append(f"{place}: {_line(error)}")
+                self.unread.append(f"{location}: {_line(error)}")
 
-    def _raw(self, stream: IO[bytes], reading: _Reading, size: int) -> Iterator[Found]:
+    def _raw(self, stream: IO[bytes], reading: _Reading, size: int) -> Iterator[Occurrence]:
         """Yield the words in the bytes of a file that were not read in another way, or of which a part was not."""
         for begin, end in gaps(reading.done, size):
             low = max(0, begin - BESIDE)
-            for found in self._search.stream(Window(stream, low, min(size, end + BESIDE))):
-                here = found._replace(offset=low + found.offset)
+            for match in self._search.stream(Window(stream, low, min(size, end + BESIDE))):
+                here = match._replace(offset=low + match.offset)
                 if begin < here.offset + here.size and here.offset < end and not reading.is_shown(here):
                     yield here
 
-    def _named(self, name: str, place: str, reading: _Reading) -> None:
+    def _named(self, name: str, location: str, reading: _Reading) -> None:
         """Search the name of a file in an archive."""
         before = len(self.hits)
-        self.name(name, place)
+        self.name(name, location)
         reading.show(0, sys.maxsize, self.hits[before:])
 
-    def _open(self, stream: IO[bytes], beginning: bytes, place: str, depth: int, reading: _Reading) -> None:
+    def _open(self, stream: IO[bytes], beginning: bytes, location: str, depth: int, reading: _Reading) -> None:
         """Search what is in a file; add the ranges that were read to `reading`."""
         for magic, reason in HIDING.items():
             if beginning.startswith(magic):
-                self.unread.append(f"{place}: {reason}")
-        if found := [magic for magic in COMPRESSED if beginning.startswith(magic)]:
-            self._compressed(stream, found[0], place, depth, reading)
+                self.unread.append(f"{location}: {reason}")
+        if magics := [magic for magic in COMPRESSED if beginning.startswith(magic)]:
+            self._compressed(stream, magics[0], location, depth, reading)
         elif beginning.startswith(ZSTD):
-            self._zstd(stream, place, depth, reading)
+            self._zstd(stream, location, depth, reading)
         elif beginning.startswith((b"PK\x03\x04", b"PK\x05\x06")) or (beginning[:2] in PROGRAMS and zipfile.is_zipfile(stream)):
-            self._zip(stream, place, depth, reading)
+            self._zip(stream, location, depth, reading)
         elif beginning[8:12] == b"DUCK":
-            self.unread.append(f"{place}: a database of DuckDB may have compressed text")
+            self.unread.append(f"{location}: a database of DuckDB may have compressed text")
         elif beginning[257:262] == b"ustar":
-            self._tar(stream, place, depth, reading)
+            self._tar(stream, location, depth, reading)
         else:
-            self._open_single(stream, beginning, place, depth, reading)
+            self._open_single(stream, beginning, location, depth, reading)
 
-    def _open_single(self, stream: IO[bytes], beginning: bytes, place: str, depth: int, reading: _Reading) -> None:
+    def _open_single(self, stream: IO[bytes], beginning: bytes, location: str, depth: int, reading: _Reading) -> None:
         """Search a file of a form that is not an archive."""
         if beginning.startswith(b"PAR1"):
-            self._parquet(stream, place, depth, reading)
+            self._parquet(stream, location, depth, reading)
         elif beginning.startswith(b"ARROW1"):
-            self._arrow(stream, place, depth)
+            self._arrow(stream, location, depth)
         elif (reader := _reader(beginning)) is not None:
             stream.seek(0)
             known: dict[str, set[str]] = {}
             for part in reader(stream, self._allowance):
-                self._part(part, place, depth, reading, known)
+                self._part(part, location, depth, reading, known)
 
-    def _part(self, part: Part | str, place: str, depth: int, reading: _Reading, known: dict[str, set[str]]) -> None:
-        """Search a part of a file. `known`: the words of hits by place, of which none and no part is shown again."""
+    def _part(self, part: Part | str, location: str, depth: int, reading: _Reading, known: dict[str, set[str]]) -> None:
+        """Search a part of a file. `known`: the words of hits by location, of which none and no part is shown again."""
         if isinstance(part, str):
-            self.unread.append(f"{place}: {part}")
+            self.unread.append(f"{location}: {part}")
             return
         before = len(self.hits)
         if part.content is not None and part.is_file:
             self._allowance.open()
-            self._file(io.BytesIO(part.content), f"{place}: {part.place}", depth + 1)
+            self._file(io.BytesIO(part.content), f"{location}: {part.location}", depth + 1)
         elif part.content is not None:
-            self._text(part.content, f"{place}: {part.place}", depth)
+            self._text(part.content, f"{location}: {part.location}", depth)
         if part.is_all:
             reading.done.append((part.begin, part.end))
         else:
             reading.show(part.begin, part.end, self.hits[before:])
-        seen = known.setdefault(part.place, set())
+        seen = known.setdefault(part.location, set())
         new = [hit for hit in self.hits[before:] if not any(hit.word.text.casefold() in word for word in seen)]
         self.hits[before:] = new
         seen |= {hit.word.text.casefold() for hit in new}
 
-    def _hits(self, place: str, found: Iterable[Found], *, by_line: bool | None, after: str = "") -> list[Hit]:
-        """Return the first place of each word, with the number of the others. `by_line`: None if the place is enough."""
-        first: dict[str, Found] = {}
+    def _hits(self, location: str, matches: Iterable[Occurrence], *, by_line: bool | None, after: str = "") -> list[Hit]:
+        """Return the first location of each word, with the number of the others. `by_line`: None if the location is enough."""
+        first: dict[str, Occurrence] = {}
         counts: dict[str, int] = {}
-        for one in found:
-            first.setdefault(one.word.text, one)
-            counts[one.word.text] = counts.get(one.word.text, 0) + 1
+        for match in matches:
+            first.setdefault(match.word.text, match)
+            counts[match.word.text] = counts.get(match.word.text, 0) + 1
         hits = []
-        for text, one in first.items():
-            where = "" if by_line is None else f", line {one.line}" if by_line else f", byte {one.offset}"
+        for text, match in first.items():
+            where = "" if by_line is None else f", line {match.line}" if by_line else f", byte {match.offset}"
             more = f" and {counts[text] - 1} more" if counts[text] > 1 else ""
-            hits.append(Hit(f"{place}{where}{after}{more}", one.text, one.word))
+            hits.append(Hit(f"{location}{where}{after}{more}", match.text, match.word))
         return hits
 
-    def _compressed(self, stream: IO[bytes], magic: bytes, place: str, depth: int, reading: _Reading) -> None:
+    def _compressed(self, stream: IO[bytes], magic: bytes, location: str, depth: int, reading: _Reading) -> None:
         """Search the content of a file of one or more compressed streams."""
         begin, size = 0, length(stream)
         with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
@@ -273,9 +273,9 @@ class ContentSearch:
                     reading.done.append((begin + header, begin + unpacking.used))
                     begin += unpacking.used
             finally:
-                self._file(content, f"{place} (decompressed)", depth + 1)
+                self._file(content, f"{location} (decompressed)", depth + 1)
 
-    def _zstd(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
+    def _zstd(self, stream: IO[bytes], location: str, depth: int, reading: _Reading) -> None:
         import pyarrow as pa
 
         with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
@@ -284,18 +284,18 @@ class ContentSearch:
                 self._copy(pa.CompressedInputStream(pa.PythonFile(packed, "r"), "zstd"), content)
                 reading.done.append((0, _end_of_zstd(stream)))
             finally:
-                self._file(content, f"{place} (decompressed)", depth + 1)
+                self._file(content, f"{location} (decompressed)", depth + 1)
 
     def _copy(self, source: IO[bytes], target: IO[bytes]) -> None:
         while block := source.read(1 << 20):
             self._allowance.unpack(len(block))
             target.write(block)
 
-    def _zip(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
+    def _zip(self, stream: IO[bytes], location: str, depth: int, reading: _Reading) -> None:
         with zipfile.ZipFile(stream) as file:
             for info in file.infolist():
                 self._allowance.open()
-                inner = f"{place}: {one_line(info.filename)}"
+                inner = f"{location}: {one_line(info.filename)}"
                 self._named(info.filename, inner, reading)
                 try:
                     reading.done.append(self._zip_member(file, stream, info, inner, depth))
@@ -303,7 +303,7 @@ class ContentSearch:
                     self.unread.append(f"{inner}: {_line(error)}")
 
     def _zip_member(
-        self, file: zipfile.ZipFile, stream: IO[bytes], info: zipfile.ZipInfo, place: str, depth: int
+        self, file: zipfile.ZipFile, stream: IO[bytes], info: zipfile.ZipInfo, location: str, depth: int
     ) -> tuple[int, int]:
         """Search a member, and return the range of its data. Raises one of UNREADABLE if it is damaged, after the search."""
         header = at(stream, info.header_offset, 30)
@@ -325,15 +325,15 @@ class ContentSearch:
                     with file.open(info) as member:
                         self._copy(member, content)
             finally:
-                self._file(content, place, depth + 1)
+                self._file(content, location, depth + 1)
         return begin, end
 
-    def _tar(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
+    def _tar(self, stream: IO[bytes], location: str, depth: int, reading: _Reading) -> None:
         stream.seek(0)
         with tarfile.open(fileobj=stream, mode="r:") as file:
             for info in file:
                 self._allowance.open()
-                inner = f"{place}: {one_line(info.name)}"
+                inner = f"{location}: {one_line(info.name)}"
                 self._named(info.name, inner, reading)
                 if info.isreg() and (member := file.extractfile(info)) is not None:
                     with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
@@ -342,16 +342,16 @@ class ContentSearch:
                     if not info.issparse():
                         reading.done.append((info.offset_data, info.offset_data + info.size))
 
-    def _text(self, content: bytes, place: str, depth: int, *, by_line: bool | None = None) -> None:
+    def _text(self, content: bytes, location: str, depth: int, *, by_line: bool | None = None) -> None:
         """Search a text in a file; without `by_line`, the line is shown if it has several."""
         if by_line is None:
             by_line = True if b"\n" in content.strip() else None
-        self.hits += self._hits(place, self._search.stream(io.BytesIO(content)), by_line=by_line)
-        self._base64(Window(io.BytesIO(content), 0, len(content)), place, depth)
+        self.hits += self._hits(location, self._search.stream(io.BytesIO(content)), by_line=by_line)
+        self._base64(Window(io.BytesIO(content), 0, len(content)), location, depth)
 
     # base64
 
-    def _base64(self, text: Window, place: str, depth: int) -> None:
+    def _base64(self, text: Window, location: str, depth: int) -> None:
         """Search what is encoded in a text. The rest after the first NUL is none."""
         rest, line, is_whole = b"", 1, True
         while block := text.read(MOST_TEXT):
@@ -361,78 +361,78 @@ class ContentSearch:
                 return
             is_whole, cut = is_whole and cut > 0, cut or len(content)
             rest, content = content[cut:], content[:cut]
-            self.hits += self._hits(place, self._encoded(content, line, place, depth), by_line=True, after=", base64")
+            self.hits += self._hits(location, self._encoded(content, line, location, depth), by_line=True, after=", base64")
             line += content.count(b"\n")
         if not is_whole:
-            self.unread.append(f"{place}: a text in base64 is too long, and is searched in pieces")
+            self.unread.append(f"{location}: a text in base64 is too long, and is searched in pieces")
 
-    def _encoded(self, content: bytes, line: int, place: str, depth: int) -> Iterator[Found]:
-        """Yield the words that are encoded in a text, with the place of the code; search encoded files."""
+    def _encoded(self, content: bytes, line: int, location: str, depth: int) -> Iterator[Occurrence]:
+        """Yield the words that are encoded in a text, with the location of the code; search encoded files."""
         pieces: dict[bool, list[encoded_texts.Decoded]] = {True: [], False: []}
         for piece in encoded_texts.decoded(content):
             if piece.is_file:
                 self._allowance.open()
-                where = f"{place}, line {line + content.count(NEWLINE, 0, piece.begin)}, base64"
+                where = f"{location}, line {line + content.count(NEWLINE, 0, piece.begin)}, base64"
                 self._file(io.BytesIO(piece.content), where, depth + 1)
             else:
                 pieces[piece.is_text].append(piece)
         for is_text, some in pieces.items():
             between = b"\n\n" if is_text else b"\0" * 8
             ends = list(itertools.accumulate(len(piece.content) + len(between) for piece in some))
-            for found in self._search.stream(io.BytesIO(between.join(piece.content for piece in some))):
-                begin = some[bisect.bisect_right(ends, found.offset)].begin
-                yield found._replace(offset=begin, line=line + content.count(NEWLINE, 0, begin))
+            for match in self._search.stream(io.BytesIO(between.join(piece.content for piece in some))):
+                begin = some[bisect.bisect_right(ends, match.offset)].begin
+                yield match._replace(offset=begin, line=line + content.count(NEWLINE, 0, begin))
 
     # tables
 
-    def _arrow(self, stream: IO[bytes], place: str, depth: int) -> None:
+    def _arrow(self, stream: IO[bytes], location: str, depth: int) -> None:
         import pyarrow as pa
 
         with pa.ipc.open_file(stream) as file:
-            self._schema(file.schema, place)
-            self._batches((file.get_batch(number) for number in range(file.num_record_batches)), place, depth)
+            self._schema(file.schema, location)
+            self._batches((file.get_batch(number) for number in range(file.num_record_batches)), location, depth)
 
-    def _parquet(self, stream: IO[bytes], place: str, depth: int, reading: _Reading) -> None:
+    def _parquet(self, stream: IO[bytes], location: str, depth: int, reading: _Reading) -> None:
         import pyarrow.parquet as pq
 
         before = len(self.hits)
         with pq.ParquetFile(stream) as file:
             if table := own_table(file.metadata):
-                place = f"{place} (table {table})"
-            self._schema(file.schema_arrow, place)
+                location = f"{location} (table {table})"
+            self._schema(file.schema_arrow, location)
             described = {**(file.metadata.metadata or {}), b"created by": (file.metadata.created_by or "").encode()}
             self._text(
-                b"\n".join(itertools.chain.from_iterable(described.items())), f"{place} (footer)", DEEPEST, by_line=False
+                b"\n".join(itertools.chain.from_iterable(described.items())), f"{location} (footer)", DEEPEST, by_line=False
             )
             groups = (file.iter_batches(ROWS, row_groups=[group]) for group in range(file.num_row_groups))
             search = self._objects if file.schema_arrow.names == OBJECTS else self._batches
-            search(itertools.chain.from_iterable(groups), place, depth)
+            search(itertools.chain.from_iterable(groups), location, depth)
             reading.done += _searched_pages(file.metadata)
             footer = length(stream) - 8 - int.from_bytes(at(stream, length(stream) - 8, 4), "little")
             reading.done.append((footer, length(stream)))  # its statistics repeat values, as the first bytes of pictures
             reading.show(0, sys.maxsize, self.hits[before:])
 
-    def _schema(self, schema: pa.Schema, place: str) -> None:
+    def _schema(self, schema: pa.Schema, location: str) -> None:
         metadata = b"\n".join(itertools.chain.from_iterable((schema.metadata or {}).items()))
-        self._text(metadata, f"{place} (metadata)", DEEPEST, by_line=False)
+        self._text(metadata, f"{location} (metadata)", DEEPEST, by_line=False)
         for name in schema.names:
-            self.name(name, f"a column of {place}")
+            self.name(name, f"a column of {location}")
 
-    def _batches(self, batches: Iterable[pa.RecordBatch], place: str, depth: int) -> None:
+    def _batches(self, batches: Iterable[pa.RecordBatch], location: str, depth: int) -> None:
         first: dict[tuple[str, str], Hit] = {}
         row = 1
         for batch in batches:
             for name, column in zip(batch.schema.names, batch.columns, strict=True):
-                where = f"{place}, column {name}, row"
+                where = f"{location}, column {name}, row"
                 for number, value in enumerate(column.to_pylist() if _is_binary(column.type) else ()):
                     if value:
                         self._file(io.BytesIO(value), f"{where} {row + number}", depth + 1)
-                for number, one in self._column(column, f"{place}, column {name}", depth):
-                    first.setdefault((name, one.word.text), Hit(f"{where} {row + number}", one.text, one.word))
+                for number, match in self._column(column, f"{location}, column {name}", depth):
+                    first.setdefault((name, match.word.text), Hit(f"{where} {row + number}", match.text, match.word))
             row += batch.num_rows
         self.hits += first.values()
 
-    def _column(self, column: pa.Array, place: str, depth: int) -> Iterator[tuple[int, Found]]:
+    def _column(self, column: pa.Array, location: str, depth: int) -> Iterator[tuple[int, Occurrence]]:
         """Yield the words in a column, each with the position of its row. Numbers and times have none."""
         import pyarrow as pa
         from pyarrow import types
@@ -440,20 +440,20 @@ class ContentSearch:
         kind = column.type
         if types.is_string(kind) or types.is_large_string(kind):
             encoded = column.cast(pa.large_string()).dictionary_encode()
-            for number, one in self._texts(encoded.dictionary.to_pylist(), place, depth):
-                yield encoded.indices.index(number).as_py(), one
+            for number, match in self._texts(encoded.dictionary.to_pylist(), location, depth):
+                yield encoded.indices.index(number).as_py(), match
         elif not (types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind) or _is_binary(kind)):
-            yield from self._texts([str(value) for value in column.to_pylist()], place, depth)
+            yield from self._texts([str(value) for value in column.to_pylist()], location, depth)
 
-    def _texts(self, texts: list[str], place: str, depth: int) -> Iterator[tuple[int, Found]]:
+    def _texts(self, texts: list[str], location: str, depth: int) -> Iterator[tuple[int, Occurrence]]:
         """Yield the words in texts, each with the position of its text."""
         pieces = [text.encode("utf-8", "surrogatepass") for text in texts]
         begins = list(itertools.accumulate((len(piece) + 1 for piece in pieces), initial=0))
         content = b"\n".join(pieces)
-        for one in itertools.chain(self._search.stream(io.BytesIO(content)), self._encoded(content, 1, place, depth)):
-            yield bisect.bisect_right(begins, one.offset) - 1, one
+        for match in itertools.chain(self._search.stream(io.BytesIO(content)), self._encoded(content, 1, location, depth)):
+            yield bisect.bisect_right(begins, match.offset) - 1, match
 
-    def _objects(self, batches: Iterable[pa.RecordBatch], place: str, depth: int) -> None:
+    def _objects(self, batches: Iterable[pa.RecordBatch], location: str, depth: int) -> None:
         """Search the files in a file of objects, each only once."""
         rows = (row for batch in batches for row in zip(*(batch.column(name) for name in OBJECTS), strict=True))
         for digest, parts in itertools.groupby(rows, lambda row: row[0].as_py()):
@@ -465,7 +465,7 @@ class ContentSearch:
                 for part in parts:
                     content.write(part[3].as_buffer())
                 content.seek(0)
-                self.file(content, f"{place} ({self._name_of(digest)})", depth + 1)
+                self.file(content, f"{location} ({self._name_of(digest)})", depth + 1)
 
 
 def _is_binary(kind: pa.DataType) -> bool:
@@ -481,8 +481,8 @@ def _reader(beginning: bytes) -> Reader | None:
         b"\xff\xd8\xff": media_parts.jpeg,
         b"%PDF": pdf_parts.pdf,
     }
-    found = next((reader for magic, reader in readers.items() if beginning.startswith(magic)), None)
-    return found or (media_parts.mp4 if beginning[:1] == b"\0" and beginning[4:8] in media_parts.FIRST else None)
+    of_magic = next((reader for magic, reader in readers.items() if beginning.startswith(magic)), None)
+    return of_magic or (media_parts.mp4 if beginning[:1] == b"\0" and beginning[4:8] in media_parts.FIRST else None)
 
 
 def _searched_pages(metadata: pq.FileMetaData) -> Iterator[tuple[int, int]]:

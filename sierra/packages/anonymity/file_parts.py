@@ -44,7 +44,7 @@ class Part(NamedTuple):
     begin: int
     end: int
     """The part has the bytes from `begin` to before `end`."""
-    place: str = ""
+    location: str = ""
     content: bytes | None = None
     """Its content, unpacked; None for compressed data, as of pictures, that hold no text."""
     is_file: bool = False
@@ -160,16 +160,16 @@ def long_texts(pieces: Iterable[bytes]) -> bytes:
 
     Raises ValueError if there are too many.
     """
-    found, rest, count = [], b"", 0
+    long_runs, rest, count = [], b"", 0
     for piece in pieces:
         content = rest + piece
         rest = content[len(content.rstrip(PRINTABLE)) :][-BLOCK:]
         for text in LONG_RUN.findall(content[: len(content) - len(rest)]):
-            found.append(text)
+            long_runs.append(text)
             count += len(text)
         if count > LARGEST_TEXT:
             raise ValueError("it has texts where pixels should be")
-    return b"\r".join([*found, *LONG_RUN.findall(rest)])
+    return b"\r".join([*long_runs, *LONG_RUN.findall(rest)])
 
 
 def readable(name: bytes) -> str:

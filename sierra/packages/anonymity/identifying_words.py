@@ -66,7 +66,7 @@ class Word(NamedTuple):
 
 def words(project: LoadedProject, store: Store) -> tuple[list[Word], list[str]]:
     """Return the words that identify, each once, and those that are too general to be searched."""
-    found: dict[str, Word] = {}
+    identifying: dict[str, Word] = {}
     general: dict[str, None] = {}
     for word in _all(project, store):
         key = word.text.strip().casefold()
@@ -77,8 +77,8 @@ def words(project: LoadedProject, store: Store) -> tuple[list[Word], list[str]]:
         ):
             general |= {word.text: None} if key else {}
         else:
-            found.setdefault(key, word._replace(text=word.text.strip()))
-    return list(found.values()), list(general)
+            identifying.setdefault(key, word._replace(text=word.text.strip()))
+    return list(identifying.values()), list(general)
 
 
 def _all(project: LoadedProject, store: Store) -> Iterator[Word]:
@@ -113,7 +113,7 @@ def _of_package(package: Package) -> Iterator[Word]:
         for text, kind in ((author.orcid, "ORCID"), (author.affiliation, "affiliation"), (author.ror, "affiliation")):
             if text:
                 yield Word(text.removeprefix("https://"), kind)
-    for identifier in filter(None, (package.doi, *(one.identifier for one in package.related))):
+    for identifier in filter(None, (package.doi, *(publication.identifier for publication in package.related))):
         yield Word(re.sub(r"^https?://", "", identifier), "publication")
     yield from _of_address(package.repository)
 
@@ -158,14 +158,14 @@ def _of_mail(mail: str) -> Iterator[Word]:
 def _of_address(address: str) -> Iterator[Word]:
     """Yield the host and the owner in the address of a repository, and the address without its scheme; or an absolute path."""
     address = address.removeprefix("file://")
-    found = ADDRESS.fullmatch(address)
-    if found is None or address.startswith((".", "/", "~")):
+    match = ADDRESS.fullmatch(address)
+    if match is None or address.startswith((".", "/", "~")):
         yield Word(address if address.startswith("/") else "", "address of a repository")
         return
-    path = found["path"].removesuffix(".git").strip("/")
-    yield Word(found["host"], "host of a repository")
-    yield Word(f"{found['host']}/{path}", "address of a repository")
-    yield Word(f"{found['host']}:{path}", "address of a repository")
+    path = match["path"].removesuffix(".git").strip("/")
+    yield Word(match["host"], "host of a repository")
+    yield Word(f"{match['host']}/{path}", "address of a repository")
+    yield Word(f"{match['host']}:{path}", "address of a repository")
     if "/" in path:
         yield Word(path.partition("/")[0], "owner of a repository")
 

@@ -83,24 +83,24 @@ def png(stream: IO[bytes], allowance: Allowance) -> Iterator[Part]:
 
 def _png_text(kind: bytes, content: bytes, data: tuple[int, int], allowance: Allowance) -> Iterator[Part]:
     """Yield the keyword and the text of a chunk."""
-    place = f"{kind.decode()} chunk"
+    location = f"{kind.decode()} chunk"
     if kind == b"eXIf":
-        yield from exif(content, data, place)
+        yield from exif(content, data, location)
         return
     keyword, _, rest = content.partition(b"\0")
-    place += f' "{readable(keyword)}"'
+    location += f' "{readable(keyword)}"'
     if kind == b"iTXt":
         is_packed, (language, translated, text) = rest[:1] == b"\1", (rest[2:].split(b"\0", 2) + [b""] * 3)[:3]
         keyword = b"\n".join((keyword, language, translated))
     else:
         is_packed, text = kind != b"tEXt", rest[kind != b"tEXt" :]
-    yield Part(*data, place, keyword, is_all=False)
+    yield Part(*data, location, keyword, is_all=False)
     if is_packed:
         unpacking = Unpacking([text], zlib.decompressobj(), allowance)
         unpacked = b"".join(unpacking)
-        yield Part(data[0], data[1] - len(text) + unpacking.used, place, unpacked)
+        yield Part(data[0], data[1] - len(text) + unpacking.used, location, unpacked)
     else:
-        yield Part(*data, place, text)
+        yield Part(*data, location, text)
 
 
 def jpeg(stream: IO[bytes], allowance: Allowance) -> Iterator[Part]:
@@ -147,7 +147,7 @@ def _end_of_scan(content: bytes, begin: int) -> int:
     raise EOFError("its pixels are cut off")
 
 
-def exif(content: bytes, data: tuple[int, int], place: str) -> Iterator[Part]:
+def exif(content: bytes, data: tuple[int, int], location: str) -> Iterator[Part]:
     """Yield the texts of Exif, which has the form of TIFF."""
     order = {b"II": "<", b"MM": ">"}.get(content[:2])
     offsets = list(struct.unpack(f"{order}I", content[4:8])) if order and len(content) >= 8 else []
@@ -166,7 +166,7 @@ def exif(content: bytes, data: tuple[int, int], place: str) -> Iterator[Part]:
             elif kind in (BYTES, ASCII, UNDEFINED):
                 text = value[:size] if size <= 4 else content[pointer : pointer + size]
                 name = TAGS.get(tag, f"field 0x{tag:04X}")
-                yield Part(*data, f"{place}, {name}", _exif_text(tag, text), is_all=False)
+                yield Part(*data, f"{location}, {name}", _exif_text(tag, text), is_all=False)
         following = content[offset + 2 + 12 * count : offset + 6 + 12 * count]
         offsets += struct.unpack(f"{order}I", following) if len(following) == 4 else ()
 
@@ -196,7 +196,7 @@ def mp4(stream: IO[bytes], allowance: Allowance) -> Iterator[Part]:
     if frames and b"moov" not in names:
         raise ValueError("it describes no tracks")
     if kinds <= WITHOUT_TEXT:
-        yield from (Part(*one, "frames", long_texts(blocks(stream, *one))) for one in frames)
+        yield from (Part(*frame, "frames", long_texts(blocks(stream, *frame))) for frame in frames)
 
 
 def _boxes(stream: IO[bytes], begin: int, end: int, above: tuple[bytes, ...]) -> Iterator[tuple[tuple[bytes, ...], int, int]]:

@@ -47,14 +47,14 @@ def pdf(stream: IO[bytes], allowance: Allowance) -> Iterator[Part | str]:
         if word.start() < begin:
             continue  # within a stream
         yield from _objects(content, begin, word.start())
-        one = _stream(content, word.start(), word.end())
+        encoded = _stream(content, word.start(), word.end())
         try:
-            for part in _stream_parts(content, one, allowance):
+            for part in _stream_parts(content, encoded, allowance):
                 is_coded = is_coded or (isinstance(part, Part) and OWN_CODES.search(part.content or b"") is not None)
                 yield part
         except UNREADABLE as error:
-            yield f"{one.place}: {error}"
-        begin = one.end
+            yield f"{encoded.location}: {error}"
+        begin = encoded.end
     yield from _objects(content, begin, len(content))
     if is_coded:
         yield "text in fonts with numbered glyphs cannot be read"
@@ -62,7 +62,7 @@ def pdf(stream: IO[bytes], allowance: Allowance) -> Iterator[Part | str]:
 
 def _objects(content: bytes, begin: int, end: int) -> Iterator[Part]:
     """Yield the strings of the objects in a range."""
-    heads = [(found.start(), found[1].decode()) for found in NUMBER.finditer(content, begin, end)]
+    heads = [(match.start(), match[1].decode()) for match in NUMBER.finditer(content, begin, end)]
     for (low, number), (high, _) in itertools.pairwise([(begin, ""), *heads, (end, "")]):
         if text := strings(content[low:high]):
             yield Part(low, high, f"object {number}" if number else f"strings after byte {low}", text, is_all=False)
@@ -72,7 +72,7 @@ def _objects(content: bytes, begin: int, end: int) -> Iterator[Part]:
 class _Stream:
     """A stream of a PDF."""
 
-    place: str
+    location: str
     begin: int
     end: int
     filters: tuple[bytes, ...]
@@ -91,44 +91,44 @@ def _stream(content: bytes, word: int, begin: int) -> _Stream:
         end = content.find(b"endstream", begin)
     if end == -1:
         end = len(content)
-    found = FILTER.search(dictionary)
-    filters = tuple(found[1].strip(b"[]").replace(b"/", b" ").split()) if found else ()
-    if found is None and b"/Filter" in dictionary and content[begin : begin + 1] != b"x":
+    match = FILTER.search(dictionary)
+    filters = tuple(match[1].strip(b"[]").replace(b"/", b" ").split()) if match else ()
+    if match is None and b"/Filter" in dictionary and content[begin : begin + 1] != b"x":
         filters = (b"an indirect filter",)
-    place = f"object {numbers[-1].decode()}" if numbers else f"stream at byte {begin}"
-    return _Stream(place, begin, end, filters, IMAGE.search(dictionary) is not None)
+    location = f"object {numbers[-1].decode()}" if numbers else f"stream at byte {begin}"
+    return _Stream(location, begin, end, filters, IMAGE.search(dictionary) is not None)
 
 
-def _stream_parts(content: bytes, one: _Stream, allowance: Allowance) -> Iterator[Part | str]:
-    data, end = content[one.begin : one.end], one.end
-    for place, name in enumerate(one.filters or (b"",)):
+def _stream_parts(content: bytes, stream: _Stream, allowance: Allowance) -> Iterator[Part | str]:
+    data, end = content[stream.begin : stream.end], stream.end
+    for position, name in enumerate(stream.filters or (b"",)):
         match name:
             case b"FlateDecode" | b"Fl" | b"":
                 if not name and data[:1] != b"x":
                     break
                 unpacking = Unpacking([data], zlib.decompressobj(), allowance)
                 data = b"".join(unpacking)
-                end = one.begin + unpacking.used if place == 0 else end
+                end = stream.begin + unpacking.used if position == 0 else end
             case b"ASCII85Decode" | b"A85":
                 coded, mark, _ = data.partition(b"~>")
-                end = one.begin + len(coded + mark) if place == 0 else end
+                end = stream.begin + len(coded + mark) if position == 0 else end
                 data = base64.a85decode(coded.strip().removeprefix(b"<~"))
             case b"ASCIIHexDecode" | b"AHx":
                 coded, mark, _ = data.partition(b">")
-                end = one.begin + len(coded + mark) if place == 0 else end
+                end = stream.begin + len(coded + mark) if position == 0 else end
                 data = binascii.unhexlify(b"".join(coded.split()))
             case _ if name in PICTURES:
                 is_jpeg = name in (b"DCTDecode", b"DCT")
-                yield Part(one.begin, end, one.place, data if is_jpeg else None, is_file=is_jpeg)
+                yield Part(stream.begin, end, stream.location, data if is_jpeg else None, is_file=is_jpeg)
                 return
             case _:
-                yield f"{one.place}: data of {name.decode('latin-1')[:40]} cannot be read"
+                yield f"{stream.location}: data of {name.decode('latin-1')[:40]} cannot be read"
                 return
-    if one.is_image:
-        yield Part(one.begin, end)
+    if stream.is_image:
+        yield Part(stream.begin, end)
     else:
-        yield Part(one.begin, one.end, one.place, strings(data), is_all=False)
-        yield Part(one.begin, end, one.place, data)
+        yield Part(stream.begin, stream.end, stream.location, strings(data), is_all=False)
+        yield Part(stream.begin, end, stream.location, data)
 
 
 def strings(content: bytes) -> bytes:
@@ -169,8 +169,8 @@ def _number(text: bytes | None) -> float:
 
 
 def _literal(content: bytes) -> bytes:
-    def escaped(found: object) -> bytes:
-        text: bytes = found[1]  # type: ignore[index]
+    def escaped(match: object) -> bytes:
+        text: bytes = match[1]  # type: ignore[index]
         return bytes([int(text, 8) & 255]) if text[:1].isdigit() and text < b"8" else ESCAPES.get(text, text)
 
     return decoded(ESCAPE.sub(escaped, content) if b"\\" in content else content)

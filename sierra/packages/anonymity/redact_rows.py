@@ -73,7 +73,7 @@ class RowRedactor:
         self.robot = Pseudonyms("robot-{}", snapshot.values(str, ROBOTS))
         self.package = Pseudonyms("package-{}", snapshot.values(str, PACKAGES))
         self.attempt = Pseudonyms("attempt-{}", snapshot.values(str, ATTEMPTS))
-        paths = (_on_robot(one)[1] for path in snapshot.values(str, PATHS) for one in path.split(":"))
+        paths = (_on_robot(part)[1] for path in snapshot.values(str, PATHS) for part in path.split(":"))
         self._folder = Pseudonyms(f"{REDACTED}{{}}", (_folder(path) for path in paths if not _is_general(path)))
         self._environments = _by_id(snapshot, EnvironmentRow, self._environment)
         self._sources = _by_id(snapshot, SourceRow, _source)
@@ -107,7 +107,7 @@ class RowRedactor:
 
         The last part stays, because programs are identified by it.
         """
-        return ":".join(self._robot_of(robot) + self._place(one) for robot, one in map(_on_robot, path.split(":")))
+        return ":".join(self._robot_of(robot) + self._place(part) for robot, part in map(_on_robot, path.split(":")))
 
     def _place(self, path: str) -> str:
         return path if _is_general(path) else f"{self._folder(_folder(path))}/{_name(path)}"
@@ -129,11 +129,11 @@ class RowRedactor:
 
     def _add_set(self, identity: str, rows: list[FileReadRow]) -> None:
         """Remember the new id of a set of files, and the listings that it needs."""
-        kept = [one for row in rows if (one := self._file_read(row)) is not None]
+        kept = [redacted for row in rows if (redacted := self._file_read(row)) is not None]
         if len(kept) < len(rows):
             self._reduced.add(identity)
-        self._listings.update(one.sha256 for one in kept if one.use == "listed" and one.sha256 is not None)
-        self._files[identity] = file_set(one[1:] for one in kept)
+        self._listings.update(redacted.sha256 for redacted in kept if redacted.use == "listed" and redacted.sha256 is not None)
+        self._files[identity] = file_set(redacted[1:] for redacted in kept)
 
     def _file_read(self, row: FileReadRow) -> FileReadRow | None:
         if not _is_general(_on_robot(row.path)[1]) and row.use not in LOADED:
@@ -171,8 +171,8 @@ def _fields(row: EnvironmentRow | SourceRow | IsolationRow, names: Iterable[str]
 
 def _variables(text: str) -> str:
     """Return environment variables as JSON without values that contain paths, or that show where somebody lives."""
-    found = json.loads(text or "{}")
-    kept = {name: HIDDEN if "/" in value or LOCAL.fullmatch(name) else value for name, value in found.items()}
+    variables = json.loads(text or "{}")
+    kept = {name: HIDDEN if "/" in value or LOCAL.fullmatch(name) else value for name, value in variables.items()}
     return json.dumps(kept, sort_keys=True)
 
 

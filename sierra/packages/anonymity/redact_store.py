@@ -71,10 +71,10 @@ def rewrite(store: Store, folder: Path, date: str) -> None:
 
 def rule(table: str, column: str) -> Redaction:
     """Return the decision about a column. Raises Damaged if there is none."""
-    found = RULES.get(table, {}).get(column)
-    if found is None:
+    decision = RULES.get(table, {}).get(column)
+    if decision is None:
         raise Damaged(f"the table {table} has a column {column!r} that this SIERRA cannot make anonymous")
-    return found
+    return decision
 
 
 class _Redactor:
@@ -116,7 +116,7 @@ class _Redactor:
     def _rewritten(self, name: str, table: pa.Table) -> pa.Table:
         change = self._rows.by_table.get(name)
         if change is not None:
-            return pa.Table.from_pylist([row for one in table.to_pylist() if (row := change(one))], schema=table.schema)
+            return pa.Table.from_pylist([row for record in table.to_pylist() if (row := change(record))], schema=table.schema)
         columns = [self._column(rule(name, column), table.column(column)) for column in table.column_names]
         return pa.table(columns, names=table.column_names)
 
@@ -139,7 +139,7 @@ class _Redactor:
             for table, key in MARKED.items()
             if table in segment.files
         ]
-        pairs = {(str(session), str(batch)) for one in named for session, batch in self._snapshot.run(one)}
+        pairs = {(str(session), str(batch)) for statement in named for session, batch in self._snapshot.run(statement)}
         return [RedactionRow(session, batch, VERSION) for session, batch in sorted(pairs)]
 
 
@@ -151,7 +151,7 @@ def _shift(snapshot: Snapshot, date: str) -> timedelta:
         for name, decision in columns.items()
         if decision is Redaction.TIME
     ]
-    last = max((found for one in times for (found,) in snapshot.run(one) if found is not None), default=0)
+    last = max((time for statement in times for (time,) in snapshot.run(statement) if time is not None), default=0)
     moment = datetime.fromisoformat(date)
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     return moment - (datetime.fromtimestamp(0, UTC) + timedelta(microseconds=last))

@@ -51,7 +51,7 @@ class Readable(Protocol):
     def read(self, count: int, /) -> bytes: ...
 
 
-class Found(NamedTuple):
+class Occurrence(NamedTuple):
     """A word in a content."""
 
     word: Word
@@ -85,15 +85,15 @@ class Search:
             for form in _forms(word.text):
                 whole = word.whole or len(form) <= WHOLE
                 for encoding in _encodings(form):
-                    text, core = (_lower(one.encode(encoding, "replace")) for one in (form, _core(form)))
+                    text, core = (_lower(spelling.encode(encoding, "replace")) for spelling in (form, _core(form)))
                     needles.setdefault(text, _Needle(text, word, whole, encoding, core))
-        self._narrow = _by_core(one for one in needles.values() if WIDTHS[one.encoding] == 1)
+        self._narrow = _by_core(needle for needle in needles.values() if WIDTHS[needle.encoding] == 1)
         self._all = _by_core(needles.values())
         texts = {_lower(form.encode(code)) for text in accepted for form in _cased(text) for code in _encodings(form)}
         self._accepted = sorted(filter(None, texts))
         self._margin = 2 * max(map(len, (*needles, *self._accepted, b"")), default=0) + 64
 
-    def stream(self, stream: Readable) -> Iterator[Found]:
+    def stream(self, stream: Readable) -> Iterator[Occurrence]:
         """Yield all words in a stream from its position, in their order."""
         content, begin, base, line = b"", 0, 0, 1
         is_marked = None
@@ -108,18 +108,18 @@ class Search:
                     line += content.count(b"\n", counted, offset)
                     counted = offset
                     text = content[offset:stop].replace(b"\0", b"").decode("utf-8", "replace")
-                    yield Found(word, text, base + offset, line, stop - offset)
+                    yield Occurrence(word, text, base + offset, line, stop - offset)
             if not block:
                 return
             line += content.count(b"\n", counted, end)
             cut = max(0, end - self._margin)
             content, base, begin = content[cut:], base + cut, end - cut
 
-    def text(self, text: str) -> list[Found]:
+    def text(self, text: str) -> list[Occurrence]:
         """Return the words in a text."""
         content = text.encode("utf-8", "surrogatepass")
         return [
-            Found(word, content[offset:stop].decode("utf-8", "replace"), offset, 1, stop - offset)
+            Occurrence(word, content[offset:stop].decode("utf-8", "replace"), offset, 1, stop - offset)
             for offset, stop, word in self._places(content)
         ]
 
@@ -130,7 +130,7 @@ class Search:
         """
         lower = _lower(content)
         binary = b"\0" in content
-        found = [
+        occurrences = [
             (offset, -len(needle.text), needle.word)
             for core, needles in (self._all if binary else self._narrow).items()
             if core in lower
@@ -139,7 +139,7 @@ class Search:
             if _counts(lower, offset, needle, binary=binary and not is_marked)
         ]
         last = 0
-        for offset, size, word in sorted(found, key=lambda one: one[:2]):
+        for offset, size, word in sorted(occurrences, key=lambda occurrence: occurrence[:2]):
             stop = offset - size
             if offset >= last and not self._is_accepted(lower, offset, stop):
                 yield offset, stop, word
@@ -165,10 +165,10 @@ def _by_core(needles: Iterable[_Needle]) -> dict[bytes, list[_Needle]]:
     """Return needles by the shortest core that is in their own one."""
     listed = list(needles)
     cores = sorted({needle.core for needle in listed}, key=len)
-    found: dict[bytes, list[_Needle]] = {}
+    grouped: dict[bytes, list[_Needle]] = {}
     for needle in listed:
-        found.setdefault(next(core for core in cores if core in needle.core), []).append(needle)
-    return found
+        grouped.setdefault(next(core for core in cores if core in needle.core), []).append(needle)
+    return grouped
 
 
 def _core(form: str) -> str:
@@ -239,23 +239,23 @@ def _forms(text: str) -> set[str]:
         spelled |= {separator.join(parts) for separator in SEPARATORS}
         if len(parts) <= PARTS:
             spelled |= {separator.join(order) for order, separator in product(permutations(parts), SEPARATORS)}
-    found: set[str] = set()
-    for one in spelled:
-        for cased in _cased(one):
+    forms: set[str] = set()
+    for spelling in spelled:
+        for cased in _cased(spelling):
             spelled_out = unicodedata.normalize("NFC", cased).translate(LETTERS)
-            found |= {cased, *map(_plain, (cased, spelled_out)), _escaped(cased), quote(cased, safe="/:@"), escape(cased)}
-            found.add(cased.encode("ascii", "xmlcharrefreplace").decode())
-            found.add(cased.replace("/", "\\/"))
-    return {one for one in found if one}
+            forms |= {cased, *map(_plain, (cased, spelled_out)), _escaped(cased), quote(cased, safe="/:@"), escape(cased)}
+            forms.add(cased.encode("ascii", "xmlcharrefreplace").decode())
+            forms.add(cased.replace("/", "\\/"))
+    return {form for form in forms if form}
 
 
 def _cased(text: str) -> set[str]:
-    return {unicodedata.normalize(form, one) for form in ("NFC", "NFD") for one in (text, text.lower(), text.upper())}
+    return {unicodedata.normalize(form, spelling) for form in ("NFC", "NFD") for spelling in (text, text.lower(), text.upper())}
 
 
 def _plain(text: str) -> str:
     """Return a text without accents."""
-    return "".join(one for one in unicodedata.normalize("NFD", text) if not unicodedata.combining(one))
+    return "".join(character for character in unicodedata.normalize("NFD", text) if not unicodedata.combining(character))
 
 
 def _escaped(text: str) -> str:

@@ -95,7 +95,7 @@ class _Executed(NamedTuple):
 
     @property
     def batches(self) -> list[str]:
-        return list(dict.fromkeys(place.partition(" ")[0] for place in self.places))
+        return list(dict.fromkeys(experiment.partition(" ")[0] for experiment in self.places))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,22 +129,22 @@ def add(graph: Graph, store: Store, around: Around) -> list[Entity]:
     """Add all actions, and return references to them. A value's parameter is `parameter(name)`."""
     each = store.values(int, COUNT)[0] <= MOST
     values = _values(graph, store, around.batches)
-    found: list[Entity] = []
+    actions: list[Entity] = []
     controls: dict[str, list[Entity]] = {}
     for row in _executed(store, "execution" if each else "experiment"):
-        objects = _unique(one for place in row.places for one in values.get(place, ()))
+        objects = _unique(value for experiment in row.places for value in values.get(experiment, ()))
         key = local("run" if each else "experiment", row.key)
         action = graph.add(_action(key, row, objects, around, single=each))
         steps = _unique(around.steps[spec] for spec in row.specs)
         started = {"@type": "ControlAction", "name": f"start of {key[1:15]}", "instrument": steps, "object": action}
         control = graph.add({"@id": f"{key}-control", **started})
-        found += [action, control]
+        actions += [action, control]
         for owner in row.batches:
             controls.setdefault(owner, []).append(control)
     for batch in around.batches:
-        used = _unique(one for place, some in values.items() if place.startswith(batch.batch) for one in some)
-        found += _organized(graph, batch, used, controls.get(batch.batch, []), around, each=each)
-    return found
+        used = _unique(value for experiment, some in values.items() if experiment.startswith(batch.batch) for value in some)
+        actions += _organized(graph, batch, used, controls.get(batch.batch, []), around, each=each)
+    return actions
 
 
 def _executed(store: Store, key: str) -> list[_Executed]:
@@ -167,7 +167,7 @@ def parameter(name: str) -> str:
 def _values(graph: Graph, store: Store, packed: Sequence[Batch]) -> dict[str, list[Entity]]:
     """Add the values of the variables, and return references to those of each experiment, by its place."""
     axes = {batch.batch: batch.axes for batch in packed}
-    found: dict[str, list[Entity]] = {}
+    refs: dict[str, list[Entity]] = {}
     numbers: dict[tuple[str, str], int] = {}
     for row in store.rows("SELECT * FROM experiments ORDER BY batch, ordinal"):
         batch = str(row["batch"])
@@ -175,8 +175,8 @@ def _values(graph: Graph, store: Store, packed: Sequence[Batch]) -> dict[str, li
             if (value := _plain(row.get(name))) is not None:
                 number = numbers.setdefault((name, repr(value)), len(numbers) + 1)
                 fields = {"@type": "PropertyValue", "name": name, "value": value, "exampleOfWork": ref(parameter(name))}
-                found.setdefault(f"{batch} {row['ordinal']!s}", []).append(graph.add({"@id": local("value", number), **fields}))
-    return found
+                refs.setdefault(f"{batch} {row['ordinal']!s}", []).append(graph.add({"@id": local("value", number), **fields}))
+    return refs
 
 
 def _plain(value: object) -> str | int | float | None:
@@ -221,7 +221,7 @@ def _organized(
     missing = batch.runs - batch.good
     times = {"startTime": moment(batch.started), "endTime": moment(batch.ended)}
     template = [around.templates[batch.template]] if batch.template in around.templates else []
-    made = {
+    action = {
         "@id": local("batch", batch.batch),
         "@type": "CreateAction",
         "name": name,
@@ -234,7 +234,7 @@ def _organized(
         **times,
         **_status(f"{missing} of {batch.runs} runs have no successful execution" if missing else ""),
     }
-    result = graph.add(made)
+    result = graph.add(action)
     organized = {
         "@id": local("organize", batch.batch),
         "@type": "OrganizeAction",

@@ -23,7 +23,7 @@ from sierra.packages import instructions
 from sierra.packages.crates.actions import Around, Batch, add, batches, parameter
 from sierra.packages.crates.graph import Entity, Graph, local, moment, purl, ref
 from sierra.packages.layout import CRATE, INSTRUCTIONS, PROJECT, README, STORED
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.util.version import __version__
 
 RUN = "https://w3id.org/ro/wfrun/"
@@ -114,19 +114,19 @@ class Image(NamedTuple):
     variants: list[str] | None = None
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return `README.md`, and the crate, which describes it, all members in `found`, and all executed runs."""
-    readme = Member(README, _readme(subject, found), "first text to read")
-    graph = _graph(subject, {**found, README: readme})
-    return Made([readme, Member(CRATE, graph.written(), "the package as a Provenance Run Crate")])
+    readme = Member(README, _readme(subject, packed), "first text to read")
+    graph = _graph(subject, {**packed, README: readme})
+    return PartResult([readme, Member(CRATE, graph.written(), "the package as a Provenance Run Crate")])
 
 
-def _readme(subject: Subject, found: Mapping[str, Member]) -> bytes:
+def _readme(subject: Subject, packed: Mapping[str, Member]) -> bytes:
     """Return the text that the profile for workflows recommends, and that archives show first."""
     package = subject.project.config.package
     parts = (
         f"# {package.title}",
-        "\n".join(instructions.beginning(__version__, found)),
+        "\n".join(instructions.beginning(__version__, packed)),
         package.description.strip(),
         REDACTED if subject.redacted else "",
         f"`{INSTRUCTIONS}` tells how to check the results, and what that needs.",
@@ -136,23 +136,23 @@ def _readme(subject: Subject, found: Mapping[str, Member]) -> bytes:
     return ("\n\n".join(filter(None, parts)) + "\n").encode()
 
 
-def _graph(subject: Subject, found: Mapping[str, Member]) -> Graph:
+def _graph(subject: Subject, packed: Mapping[str, Member]) -> Graph:
     """Return all entities. The first entity with an id counts, so that files with a role are added before all files."""
     graph = Graph()
     package = subject.project.config.package
     licence = _licence(package)
-    agents = [_person(graph, number, one) for number, one in enumerate(package.authors, 1)]
-    publisher = [_organization(graph, one) for one in package.authors if one.affiliation][:1]
+    agents = [_person(graph, number, author) for number, author in enumerate(package.authors, 1)]
+    publisher = [_organization(graph, author) for author in package.authors if author.affiliation][:1]
     graph.add(_descriptor(licence))
     graph.add(licence)
     for address, (name, version) in PROFILES.items():
         graph.add({"@id": address, "@type": "CreativeWork", "name": name, "version": version})
     workflow = ref(_address(PROJECT + subject.project.file.name))
-    around = _around(graph, subject, found, agents, workflow)
-    graph.add({**_file(found[README]), "about": ref("./")})
-    graph.add(_workflow(graph, subject, found, around, publisher))
-    files = [graph.add(_file(member)) for name, member in sorted(found.items()) if name != CRATE]
-    graph.add(_results([one for one in files if one["@id"].startswith(STORED)]))
+    around = _around(graph, subject, packed, agents, workflow)
+    graph.add({**_file(packed[README]), "about": ref("./")})
+    graph.add(_workflow(graph, subject, packed, around, publisher))
+    files = [graph.add(_file(member)) for name, member in sorted(packed.items()) if name != CRATE]
+    graph.add(_results([file for file in files if file["@id"].startswith(STORED)]))
     actions = add(graph, subject.store, around)
     graph.add(_root(graph, subject, [*files, around.results], actions, agents, publisher, workflow))
     return graph
@@ -178,7 +178,7 @@ def _root(
     workflow: Entity,
 ) -> Entity:
     package = subject.project.config.package
-    papers = [one.identifier for one in package.related if one.relation == "isSupplementTo"]
+    papers = [publication.identifier for publication in package.related if publication.relation == "isSupplementTo"]
     return {
         "@id": "./",
         "@type": "Dataset",
@@ -235,13 +235,13 @@ def _organization(graph: Graph, author: Author) -> Entity:
     return graph.add({"@id": address, "@type": "Organization", "name": author.affiliation, "url": author.ror})
 
 
-def _around(graph: Graph, subject: Subject, found: Mapping[str, Member], agents: Sequence[Entity], workflow: Entity) -> Around:
+def _around(graph: Graph, subject: Subject, packed: Mapping[str, Member], agents: Sequence[Entity], workflow: Entity) -> Around:
     specs = subject.store.select(_Spec, SPECS)
     programs = subject.store.select(_Program, PROGRAMS)
     recorded = subject.store.select(Image, IMAGES)
     each = {image.image: graph.add(described(image)) for image in recorded if not image.variants}
-    parts = {image.image: [one.partition("=")[2] for one in image.variants or ()] or [image.image] for image in recorded}
-    images = {name: [each[one] for one in ids if one in each] for name, ids in parts.items()}
+    parts = {image.image: [pair.partition("=")[2] for pair in image.variants or ()] or [image.image] for image in recorded}
+    images = {name: [each[part] for part in ids if part in each] for name, ids in parts.items()}
     tools = {spec.spec: _tool(graph, spec, specs, programs) for spec in specs}
     rows = batches(subject.store)
     return Around(
@@ -250,7 +250,7 @@ def _around(graph: Graph, subject: Subject, found: Mapping[str, Member], agents:
         sierra=graph.add(_sierra()),
         agents=agents,
         results=ref(RESULTS),
-        templates=_templates(graph, rows, found),
+        templates=_templates(graph, rows, packed),
         tools=tools,
         steps={spec.spec: _step(graph, number, spec, tools[spec.spec], workflow) for number, spec in enumerate(specs, 1)},
         images={spec.spec: images[spec.image] for spec in specs if spec.image in images},
@@ -269,11 +269,11 @@ def _sierra() -> Entity:
     }
 
 
-def _templates(graph: Graph, rows: Sequence[Batch], found: Mapping[str, Member]) -> dict[str, Entity]:
+def _templates(graph: Graph, rows: Sequence[Batch], packed: Mapping[str, Member]) -> dict[str, Entity]:
     """Add the packed templates, each with its parameter, and return references by path in the project."""
     templates: dict[str, Entity] = {}
     for path in dict.fromkeys(batch.template for batch in rows):
-        if member := found.get(PROJECT + path):
+        if member := packed.get(PROJECT + path):
             file = _file(member)
             inputs = graph.add(_parameter(local("template", path), path, "File", file["encodingFormat"]))
             templates[path] = graph.add({**file, "exampleOfWork": inputs})
@@ -288,8 +288,8 @@ def _step(graph: Graph, number: int, spec: _Spec, tool: Entity, workflow: Entity
 
 def _tool(graph: Graph, spec: _Spec, specs: Sequence[_Spec], programs: Sequence[_Program]) -> Entity:
     """Add what a specification executes: its source, which needs the programs, or else its program."""
-    same = {one.spec for one in specs if one.source == spec.source} if spec.source else {spec.spec}
-    used = {one.name: graph.add(_program(one)) for one in programs if one.spec in same}
+    same = {other.spec for other in specs if other.source == spec.source} if spec.source else {spec.spec}
+    used = {program.name: graph.add(_program(program)) for program in programs if program.spec in same}
     if spec.source is None:
         name = spec.command[0]
         return used.get(name) or next(iter(used.values()), None) or graph.add(_program(_Program("", name, None, None)))
@@ -322,8 +322,8 @@ def _program(program: _Program) -> Entity:
 
 def described(image: Image) -> Entity:
     """Return the entity of a container image. A name without a registry is one of this machine, or a file."""
-    place, _, name = (image.name or image.image).rpartition("/")
-    registry, _, folder = place.partition("/")
+    prefix, _, name = (image.name or image.image).rpartition("/")
+    registry, _, folder = prefix.partition("/")
     remote = re.search(r"[.:]|^localhost$", registry) is not None
     name, _, tag = name.partition("@")[0].partition(":")
     form, _, digest = image.image.partition(":")
@@ -333,7 +333,7 @@ def described(image: Image) -> Entity:
         "additionalType": ref(TERMS + ("DockerImage" if image.kind == "oci" else "SIFImage")),
         "identifier": image.image,
         "registry": registry if remote else "localhost",
-        "name": "/".join(filter(None, (folder if remote else place, name))),
+        "name": "/".join(filter(None, (folder if remote else prefix, name))),
         "tag": tag,
         "sha256": digest if form == "sha256" else image.sha256,
     }
@@ -353,14 +353,14 @@ def _parameter(address: str, name: str, kind: str, encoding: str | None = None) 
 
 
 def _workflow(
-    graph: Graph, subject: Subject, found: Mapping[str, Member], around: Around, publisher: Sequence[Entity]
+    graph: Graph, subject: Subject, packed: Mapping[str, Member], around: Around, publisher: Sequence[Entity]
 ) -> Entity:
     package = subject.project.config.package
     axes = dict.fromkeys(name for batch in around.batches for name in batch.axes)
     inputs = [graph.add(_parameter(parameter(name), name, "PropertyValue")) for name in axes]
     inputs += [ref(local("template", path)) for path in around.templates]
     return {
-        **_file(found[PROJECT + subject.project.file.name]),
+        **_file(packed[PROJECT + subject.project.file.name]),
         "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"],
         "name": package.title,
         "description": "declares variables, outputs and figures; sierra run executes queries by it",

@@ -29,7 +29,7 @@ class Graph:
 
     def written(self) -> bytes:
         """Return the content of the crate's file. It depends only on the entities and their order."""
-        graph = [{name: value for key, found in one.items() for name, value in _present(key, found)} for one in self.all()]
+        graph = [{name: value for key, entry in node.items() for name, value in _present(key, entry)} for node in self.all()]
         return (
             json.dumps({"@context": CONTEXT, "@graph": graph}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         ).encode()

@@ -17,7 +17,7 @@ from pathlib import Path
 from sierra.packages.archive import STORED
 from sierra.packages.layout import PROJECT
 from sierra.packages.parts.secret_shapes import kinds, variables
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.util.hashing import CHUNK, short
 from sierra.util.text import few, size
 
@@ -51,12 +51,12 @@ ORDER BY 1
 """SQL: distributions that were installed as links to a folder. Others have an address, and other folders have no version."""
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, found: Mapping[str, Member]) -> PartResult:
     """Return no members, but the reasons why these must not be published as they are, and files to confirm."""
     editable = subject.store.values(str, EDITABLE, root=str(subject.project.root))
     facts = [f"editable installs, whose code is hashed and not packed: {few(editable, SHOWN)}"] if editable else []
     problems = secret_problems(subject, _secrets(subject, found))
-    return Made((), notes=tuple(_large(subject, found.values())), facts=tuple(facts), problems=tuple(problems))
+    return PartResult((), notes=tuple(_large(subject, found.values())), facts=tuple(facts), problems=tuple(problems))
 
 
 def _large(subject: Subject, found: Iterable[Member]) -> Iterator[str]:
@@ -77,7 +77,7 @@ def _secrets(subject: Subject, found: Mapping[str, Member]) -> Iterator[tuple[st
 def secret_problems(subject: Subject, places: Iterable[tuple[str, str]]) -> Iterator[str]:
     """Yield one line that names secrets by their places and kinds, without those of `[package] no_secrets`."""
     allowed = subject.project.config.package.no_secrets
-    lines = dict.fromkeys(f"{place} ({kind})" for place, kind in places if not any(fnmatchcase(place, one) for one in allowed))
+    lines = dict.fromkeys(f"{name} ({kind})" for name, kind in places if not any(fnmatchcase(name, glob) for glob in allowed))
     if lines:
         remedy = "remove them, and record the batch again; or list what is no secret in [package] no_secrets"
         yield f"packages must not contain secrets, and these look like some: {few(list(lines), SHOWN)}; {remedy}"
@@ -111,13 +111,13 @@ def _of_records(subject: Subject) -> Iterator[tuple[str, str]]:
         yield from ((name, "a recorded variable") for name in variables(json.loads(text)))
 
 
-def _of_objects(subject: Subject, found: Mapping[str, Member]) -> Iterator[tuple[str, str]]:
+def _of_objects(subject: Subject, packed: Mapping[str, Member]) -> Iterator[tuple[str, str]]:
     """Yield secrets in recorded files: inputs, outputs, logs. Those of sources are named by their members."""
     known: set[str] | None = None
     for path in sorted(subject.store.paths.segments.glob("*/objects.parquet")):
         for sha256, blocks in _objects(path):
             for kind in sorted(kinds(blocks)):
-                known = {one.sha256() for one in found.values() if member_kinds(one)} if known is None else known
+                known = {member.sha256() for member in packed.values() if member_kinds(member)} if known is None else known
                 if sha256 not in known:
                     named = subject.store.values(str, USES, sha256=sha256)
                     yield named[0] if named else f"recorded file {short(sha256)}", kind

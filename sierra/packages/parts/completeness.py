@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.util.hashing import short
 from sierra.util.text import counted
 
@@ -30,16 +30,16 @@ class _Study(NamedTuple):
     """The number of the last packed look."""
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return no members, but a fact for each batch without some results, and a note for each study without some looks."""
     batches = subject.store.select(_Batch, BATCHES)
     facts = (
-        f"batch {short(one.batch)}: {one.runs - one.successful:,} of {counted(one.runs, 'run')} without a successful execution"
-        for one in batches
+        f"batch {short(row.batch)}: {row.runs - row.successful:,} of {counted(row.runs, 'run')} without a successful execution"
+        for row in batches
     )
     studies = subject.store.select(_Study, LOOKS)
     notes = (
-        f"study {short(one.study)}: {one.looks - one.packed} of {counted(one.looks, 'look')} not packed; name their batches too"
-        for one in studies
+        f"study {short(row.study)}: {row.looks - row.packed} of {counted(row.looks, 'look')} not packed; name their batches too"
+        for row in studies
     )
-    return Made((), notes=tuple(notes), facts=tuple(facts))
+    return PartResult((), notes=tuple(notes), facts=tuple(facts))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from sierra.packages.layout import PROJECT
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.store.layout import BASELINES, LOCK
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, found: Mapping[str, Member]) -> PartResult:
     """Return the files of the project that are not part of its source."""
-    return Made(_members(subject))
+    return PartResult(_members(subject))
 
 
 def _members(subject: Subject) -> Iterator[Member]:

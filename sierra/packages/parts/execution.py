@@ -6,7 +6,6 @@ executes them. If the runs of a batch need more than that program provides, the 
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,7 +25,7 @@ from sierra.packages.layout import EXECUTION, EXECUTOR, PLAN, PROJECT
 from sierra.packages.members import unsafe
 from sierra.packages.parts import recorded_jobs
 from sierra.packages.parts.sources import folders
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.provenance.dependency_model import Kind
 from sierra.provenance.source.manifest import LINK, parts, read
 from sierra.runners import local
@@ -41,14 +40,15 @@ IN_PROJECT = "{project}/"
 FILES = (Kind.PROGRAM, Kind.LIBRARY, Kind.FILE)
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the programs, the plan, and the jobs of each batch. The reason why a batch has no jobs is a fact."""
-    batches = [_Batch(subject, found, batch) for batch in subject.batches]
-    plan = {"format": execute_runs.FORMAT, "batches": [one.plan for one in batches]}
+    batches = [_Batch(subject, packed, batch) for batch in subject.batches]
+    plan = {"format": execute_runs.FORMAT, "batches": [part.plan for part in batches]}
     described = Member(PLAN, json.dumps(plan, indent=1).encode() + b"\n", "plan of the runs for execution without SIERRA")
-    obstacles = ((one.plan["batch"], one.plan["obstacle"]) for one in batches)
+    obstacles = ((part.plan["batch"], part.plan["obstacle"]) for part in batches)
     facts = (f"only SIERRA can execute batch {short(batch)} again: {reason}" for batch, reason in obstacles if reason)
-    return Made([*_programs(), described, *itertools.chain.from_iterable(one.members for one in batches)], facts=tuple(facts))
+    jobs = (member for part in batches for member in part.members)
+    return PartResult([*_programs(), described, *jobs], facts=tuple(facts))
 
 
 def _programs() -> list[Member]:
@@ -60,9 +60,9 @@ def _programs() -> list[Member]:
 class _Batch:
     """The plan and the files of one batch."""
 
-    def __init__(self, subject: Subject, found: Mapping[str, Member], batch: str) -> None:
+    def __init__(self, subject: Subject, packed: Mapping[str, Member], batch: str) -> None:
         self._subject = subject
-        self._found = found
+        self._found = packed
         self.members: list[Member] = []
         self.plan: dict[str, Any] = {"batch": batch, "obstacle": ""}
         try:
@@ -86,7 +86,7 @@ class _Batch:
         self.plan |= {
             "project": folder.rstrip("/"),
             "programs": [
-                name[len(folder) :] for name, one in self._found.items() if name.startswith(folder) and one.executable
+                name[len(folder) :] for name, member in self._found.items() if name.startswith(folder) and member.executable
             ],
             "files": self._files(recalled, folder),
             "beside": self._beside(recalled, folder),
@@ -114,7 +114,7 @@ class _Batch:
 
     def _files(self, recalled: Recalled, folder: str) -> dict[str, dict[str, Any]]:
         """Return the project's files that runs used and that the folder lacks, with the members that have them."""
-        recorded = {one.name: one.sha256 for one in recalled.programs if one.sha256 and one.kind in FILES}
+        recorded = {used.name: used.sha256 for used in recalled.programs if used.sha256 and used.kind in FILES}
         files: dict[str, dict[str, Any]] = {}
         for path, sha256 in sorted((recorded | dict(recalled.observed)).items()):
             name = path.removeprefix(IN_PROJECT)
@@ -172,10 +172,10 @@ def _needs(recalled: Recalled) -> list[dict[str, str]]:
     The interpreter behind a script of the machine (`python3: interpreter`) counts as the script.
     """
     versions: dict[str, str] = {}
-    for one in recalled.programs:
-        if one.kind == Kind.PROGRAM and not one.name.startswith(IN_PROJECT):
-            name = one.program().called.partition(":")[0]
-            versions[name] = one.version or versions.get(name, "")
+    for used in recalled.programs:
+        if used.kind == Kind.PROGRAM and not used.name.startswith(IN_PROJECT):
+            name = used.program().called.partition(":")[0]
+            versions[name] = used.version or versions.get(name, "")
     return [{"name": name, "version": version} for name, version in sorted(versions.items())]
 
 
@@ -192,7 +192,7 @@ def _executed(image: AnyImage | None, store: Store, batch: str) -> Image | None:
     used = store.values(str, EXECUTED, b=batch)
     if len(used) != 1:
         raise Missing(f"its runs were executed in {len(used)} of the images {image.name}, one for each processor")
-    return next(one for one in image.known.values() if one.id == used[0])
+    return next(variant for variant in image.known.values() if variant.id == used[0])
 
 
 def _image(image: Image | None) -> dict[str, str] | None:

@@ -14,32 +14,32 @@ from sierra.deliverables.report.results import REPORT
 from sierra.errors import Missing
 from sierra.packages.layout import drawn
 from sierra.packages.members import unsafe
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.store import deliverable_records
 from sierra.util.hashing import short
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the files of the recorded deliverables of all packed batches that follow from the packed records.
 
     `Options.without` leaves kinds out.
     """
-    made: list[Member] = []
+    collected: list[Member] = []
     done: set[Checked] = set()
     notes: list[str] = []
     without = (REPORT, *subject.options.without)
     for batch in subject.batches:
         try:
-            for one in check(subject.project, subject.store, batch, without=without):
-                if one in done:  # it shows several batches
+            for checked in check(subject.project, subject.store, batch, without=without):
+                if checked in done:  # it shows several batches
                     continue
-                done.add(one)
-                reason = one.problem or next(filter(None, map(unsafe, one.files)), "")
-                made += () if reason else _files(subject, one)
-                notes += [f"{one.kind} {one.name!r} of batch {short(batch)} is not packed: {reason}"] if reason else []
+                done.add(checked)
+                reason = checked.problem or next(filter(None, map(unsafe, checked.files)), "")
+                collected += () if reason else _files(subject, checked)
+                notes += [f"{checked.kind} {checked.name!r} of batch {short(batch)} is not packed: {reason}"] if reason else []
         except Missing as error:
             notes.append(f"no figure of batch {short(batch)} is packed: {error}")
-    return Made(made, notes=tuple(notes), facts=tuple(_left_out(subject)))
+    return PartResult(collected, notes=tuple(notes), facts=tuple(_left_out(subject)))
 
 
 def _left_out(subject: Subject) -> Iterator[str]:

@@ -20,7 +20,7 @@ from sierra.packages.layout import HISTORY
 from sierra.packages.parts.checks import secret_problems
 from sierra.packages.parts.secret_shapes import kinds
 from sierra.packages.parts.sources import folders
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.provenance.source.git import Git, in_repository
 from sierra.util.text import counted
 
@@ -45,28 +45,28 @@ LARGEST = 100 << 20
 """The largest number of bytes of an object in which secrets are sought."""
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the bundle with the history of all recorded commits; nothing outside git.
 
     Each commit is a branch `recorded-<12 digits>`; HEAD is that of the newest batch.
     """
     commits = [] if subject.redacted else _commits(subject)
     if not commits or not subject.project.config.package.history:
-        return Made(())
+        return PartResult(())
     root = subject.project.root
     if not in_repository(root):
-        return Made((), facts=("the project is not in git, so the history of its commits is not packed",))
+        return PartResult((), facts=("the project is not in git, so the history of its commits is not packed",))
     if reason := _incomplete(root, commits):
-        return Made((), notes=(f"the history of the commits is not packed: {reason}",))
+        return PartResult((), notes=(f"the history of the commits is not packed: {reason}",))
     git = Git(root)
     try:
         objects = dict(_objects(git, commits))
         problems = tuple(secret_problems(subject, _secrets(git, objects)))
         bundle = _bundle(git, commits, subject.folder)
     except Missing as error:
-        return Made((), notes=(f"the history of the commits is not packed: {error}",))
+        return PartResult((), notes=(f"the history of the commits is not packed: {error}",))
     fact = f"{HISTORY} has the history of {counted(len(commits), 'commit')}: {counted(len(objects), 'object')}, of all folders"
-    return Made([Member(HISTORY, bundle, "history of the source, for git clone")], facts=(fact,), problems=problems)
+    return PartResult([Member(HISTORY, bundle, "history of the source, for git clone")], facts=(fact,), problems=problems)
 
 
 def _commits(subject: Subject) -> list[str]:
@@ -96,16 +96,16 @@ def _objects(git: Git, commits: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 def _secrets(git: Git, objects: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Yield secrets in files and messages of the history."""
-    listing = git("cat-file", "--batch-check", "--buffer", given="".join(f"{one}\n" for one in objects).encode()).decode()
-    sizes = [(one, int(size)) for one, kind, size in map(str.split, listing.splitlines()) if kind != "tree"]
-    for group in _groups([(one, size) for one, size in sizes if size <= LARGEST]):
-        content = git("cat-file", "--batch", "--buffer", given="".join(f"{one}\n" for one, _ in group).encode())
+    listing = git("cat-file", "--batch-check", "--buffer", given="".join(f"{sha}\n" for sha in objects).encode()).decode()
+    sizes = [(sha, int(size)) for sha, kind, size in map(str.split, listing.splitlines()) if kind != "tree"]
+    for group in _groups([(sha, size) for sha, size in sizes if size <= LARGEST]):
+        content = git("cat-file", "--batch", "--buffer", given="".join(f"{sha}\n" for sha, _ in group).encode())
         at = 0
-        for one, size in group:
+        for sha, size in group:
             at = content.index(b"\n", at) + 1
             for kind in sorted(kinds([content[at : at + size]])):
                 yield (
-                    objects[one] or f"commit {one[:DIGITS]}",
+                    objects[sha] or f"commit {sha[:DIGITS]}",
                     f"{kind} in the history, which [package] history = false leaves out",
                 )
             at += size + 1

@@ -21,7 +21,7 @@ from sierra.containers.images.image_contents import opened, rootfs
 from sierra.errors import Damaged, Missing
 from sierra.packages.layout import IMAGE_FILES, IMAGES, PROJECT
 from sierra.packages.members import unsafe
-from sierra.packages.subject import ImageForm, Made, Member, Subject
+from sierra.packages.subject import ImageForm, Member, PartResult, Subject
 from sierra.store.layout import StorePaths
 from sierra.store.row_types import ImageRow
 from sierra.store.store import Store
@@ -42,24 +42,24 @@ OPTIONAL = ("variants",)
 """The columns that are only described where they have a value."""
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the description of the images, their recipes, and their files if they are requested.
 
     Raises Missing for an image that is neither in its file nor in podman's storage, Damaged if one is not the recorded one.
     """
     rows = subject.store.select(ImageRow, USED)
     if not rows:
-        return Made(())
-    made = [Member(IMAGES, _description(rows), "container images of the runs")]
+        return PartResult(())
+    collected = [Member(IMAGES, _description(rows), "container images of the runs")]
     notes: list[str] = []
     for row in rows:
         recipe = _Recipe(subject, row)
-        made += [*recipe.members, *(() if row.variants else _files(subject, _image(row)))]
+        collected += [*recipe.members, *(() if row.variants else _files(subject, _image(row)))]
         notes += recipe.notes
     lacking = (
         "" if subject.options.image != "none" else f"container images are not packed, only described in {IMAGES}: see --image"
     )
-    return Made(made, notes=tuple(notes), facts=(lacking,) if lacking else ())
+    return PartResult(collected, notes=tuple(notes), facts=(lacking,) if lacking else ())
 
 
 def check(root: Path, store: Store, batches: Iterable[str], wanted: ImageForm) -> None:

@@ -10,22 +10,22 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.util.lazy_definitions import regex
 
 TEXT = regex(r"(?:LICEN[CS]E|COPYING|UNLICENSE)(?:[-.][A-Za-z0-9.+-]+)?", re.IGNORECASE)
 """Names of licence files, as hosts of repositories recognize them."""
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the licence files of the project, else a fact that there are none."""
     for folder in _folders(subject.project.root):
         if files := sorted(path for path in folder.iterdir() if TEXT.fullmatch(path.name) and path.is_file()):
             if subject.redacted:
-                return Made((), facts=(f"{files[0].name} is not packed, because it names who holds the rights",))
-            return Made([Member(path.name, path, "licence") for path in files])
+                return PartResult((), facts=(f"{files[0].name} is not packed, because it names who holds the rights",))
+            return PartResult([Member(path.name, path, "licence") for path in files])
     name = subject.project.config.package.license
-    return Made((), facts=(f"the project has no file with the text of its licence, {name}: add it as LICENSE",))
+    return PartResult((), facts=(f"the project has no file with the text of its licence, {name}: add it as LICENSE",))
 
 
 def _folders(root: Path) -> list[Path]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from sierra.config.package_table import DOI, Package
 from sierra.errors import ConfigError
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass
@@ -47,12 +47,12 @@ def compare(package: Package, root: Path, *, write: bool) -> Metadata:
 
     Raises ConfigError if `[package]` lacks what every package needs, Missing if a file cannot be written.
     """
-    made, found = files(package), own(root)
-    absent = tuple(name for name in made if name not in found)
+    generated, existing = files(package), own(root)
+    absent = tuple(name for name in generated if name not in existing)
     for name in absent if write else ():
         with disk_errors(root):
-            write_whole(root / name, made[name])
-    wrong = {name: differences(package, {name: content}) for name, content in found.items()}
+            write_whole(root / name, generated[name])
+    wrong = {name: differences(package, {name: content}) for name, content in existing.items()}
     return Metadata(
         written=absent if write else (),
         equal=tuple(name for name, lines in wrong.items() if not lines),
@@ -71,13 +71,13 @@ def files(package: Package, date: str = "") -> dict[str, bytes]:
     return {CITATION: citation(package, package.date or date)}
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the metadata files of a package: the project's own ones, or those made from `[package]`."""
     package = subject.project.config.package
     theirs = {} if subject.redacted else own(subject.project.root)
-    made = {**files(package, subject.date), **theirs}
-    parts = [Member(name, content, "metadata for archives and citations") for name, content in made.items()]
-    return Made(parts, notes=tuple(differences(package, theirs)))
+    contents = {**files(package, subject.date), **theirs}
+    parts = [Member(name, content, "metadata for archives and citations") for name, content in contents.items()]
+    return PartResult(parts, notes=tuple(differences(package, theirs)))
 
 
 def citation(package: Package, date: str) -> bytes:
@@ -85,10 +85,10 @@ def citation(package: Package, date: str) -> bytes:
     import yaml
 
     identifiers = [
-        {"type": "doi" if DOI.fullmatch(one.identifier) else "url", "value": one.identifier, "description": one.relation}
-        for one in package.related
+        {"type": "doi" if DOI.fullmatch(work.identifier) else "url", "value": work.identifier, "description": work.relation}
+        for work in package.related
     ]
-    found: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "cff-version": "1.2.0",
         "message": "If you use this package, please cite it as below.",
         "type": "dataset",
@@ -97,13 +97,13 @@ def citation(package: Package, date: str) -> bytes:
         "authors": [
             _present(
                 {
-                    "family-names": one.family,
-                    "given-names": one.given,
-                    "orcid": one.orcid and f"https://orcid.org/{one.orcid}",
-                    "affiliation": one.affiliation,
+                    "family-names": author.family,
+                    "given-names": author.given,
+                    "orcid": author.orcid and f"https://orcid.org/{author.orcid}",
+                    "affiliation": author.affiliation,
                 }
             )
-            for one in package.authors
+            for author in package.authors
         ],
         "license": package.license,
         "keywords": list(package.keywords),
@@ -113,7 +113,7 @@ def citation(package: Package, date: str) -> bytes:
         "repository-code": package.repository,
         "identifiers": identifiers,
     }
-    text: str = yaml.safe_dump(_present(found), sort_keys=False, allow_unicode=True, width=100)
+    text: str = yaml.safe_dump(_present(fields), sort_keys=False, allow_unicode=True, width=100)
     return text.encode()
 
 
@@ -134,15 +134,15 @@ def differences(package: Package, files: Mapping[str, bytes]) -> list[str]:
 
 def _differences(package: Package, name: str, content: bytes) -> Iterator[str]:
     try:
-        found = _parsed(content)
+        existing = _parsed(content)
     except ValueError as error:
         yield f"{name} cannot be read: {str(error).splitlines()[0]}"
         return
-    made = _parsed(citation(package, package.date or ""))
+    generated = _parsed(citation(package, package.date or ""))
     for key in ("title", "license", "version", "doi", "keywords"):
-        if key in made and key in found and _plain(found[key]) != _plain(made[key]):
-            yield f"{name} has {key} {found[key]!r}, but [package] says {made[key]!r}"
-    if (others := _names(found.get("authors"))) != (ours := _names(made["authors"])):
+        if key in generated and key in existing and _plain(existing[key]) != _plain(generated[key]):
+            yield f"{name} has {key} {existing[key]!r}, but [package] says {generated[key]!r}"
+    if (others := _names(existing.get("authors"))) != (ours := _names(generated["authors"])):
         yield f"{name} names the authors {', '.join(others) or 'nobody'}, but [package] {', '.join(ours)}"
 
 
@@ -151,24 +151,24 @@ def _parsed(content: bytes) -> dict[str, Any]:
     import yaml
 
     try:
-        found = yaml.safe_load(content)
+        fields = yaml.safe_load(content)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"it is no YAML: {error}") from error
-    if not isinstance(found, dict):
+    if not isinstance(fields, dict):
         raise ValueError("it is no object")
-    return found
+    return fields
 
 
 def _names(people: object) -> list[str]:
     """Return the names of people or organizations, as `family, given`."""
     listed = people if isinstance(people, list) else [people]
-    found = []
-    for one in listed:
-        if not isinstance(one, dict):
+    names = []
+    for person in listed:
+        if not isinstance(person, dict):
             continue
-        family, given = one.get("family-names"), one.get("given-names")
-        found.append(", ".join(filter(None, (family, given))) if family else str(one.get("name", "")))
-    return found
+        family, given = person.get("family-names"), person.get("given-names")
+        names.append(", ".join(filter(None, (family, given))) if family else str(person.get("name", "")))
+    return names
 
 
 def _plain(value: object) -> object:

@@ -24,7 +24,7 @@ from sierra.errors import Missing
 from sierra.packages.archive import info
 from sierra.packages.layout import OWN_REQUIREMENTS, SIERRA
 from sierra.packages.parts.python_packages import DRAWING, READING
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.provenance.dependency_model import normalized
 from sierra.provenance.pythons import OWN
 from sierra.util.hashing import sha256_file
@@ -51,19 +51,19 @@ class Locked(NamedTuple):
     """The names of the packages that need it."""
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return SIERRA's wheel and its requirements, or a fact if it cannot be made of this installation."""
     try:
         own = metadata.distribution(OWN)
         path = wheel(own, subject.folder / "sierra")
     except (metadata.PackageNotFoundError, Missing):
-        return Made((), facts=("SIERRA itself is not packed: pip or a like program has not installed it here",))
+        return PartResult((), facts=("SIERRA itself is not packed: pip or a like program has not installed it here",))
     name = SIERRA + path.name
-    listed = f"./{name} \\\n    --hash=sha256:{sha256_file(path)}\n" + "".join(one.requirement for one in needed(own))
+    listed = f"./{name} \\\n    --hash=sha256:{sha256_file(path)}\n" + "".join(package.requirement for package in needed(own))
     facts = ["SIERRA's wheel is made from an editable installation, and is not searched for names"]
     facts = facts if subject.redacted and is_editable(own) else []
     facts += [] if own.read_text(LOCK) else ["the Python packages that SIERRA needs are not locked: it has no lock here"]
-    return Made(
+    return PartResult(
         [
             Member(name, path, "SIERRA, which wrote this package; pip installs it"),
             Member(
@@ -135,9 +135,9 @@ def _record(files: Mapping[str, bytes], own_name: str) -> bytes:
 
 def needed(own: metadata.Distribution) -> list[Locked]:
     """Return the packages of the lock that SIERRA needs for reading, drawing and executing, in order; none without a lock."""
-    every = {one.name: one for one in locked(own.read_text(LOCK) or "")}
+    every = {package.name: package for package in locked(own.read_text(LOCK) or "")}
     wanted = set(_required(own))
-    while more := {one.name for one in every.values() if one.via & wanted} - wanted:
+    while more := {package.name for package in every.values() if package.via & wanted} - wanted:
         wanted |= more
     return [every[name] for name in sorted(wanted & every.keys())]
 
@@ -146,9 +146,9 @@ def _required(own: metadata.Distribution) -> Iterator[str]:
     """Yield the names of the packages that SIERRA requires itself, with the extras for reading and drawing."""
     from packaging.requirements import Requirement
 
-    for one in map(Requirement, own.requires or ()):
-        if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in ("", *DRAWING, *READING.values())):
-            yield normalized(one.name)
+    for spec in map(Requirement, own.requires or ()):
+        if spec.marker is None or any(spec.marker.evaluate({"extra": extra}) for extra in ("", *DRAWING, *READING.values())):
+            yield normalized(spec.name)
 
 
 def locked(text: str) -> Iterable[Locked]:

@@ -67,21 +67,21 @@ def needed(requires: Iterable[str], target: Target, recorded: Mapping[str, str],
     """
     from packaging.requirements import Requirement
 
-    found: dict[str, str] = {}
+    lines: dict[str, str] = {}
     waiting = [Requirement(f"{OWN}[{','.join(sorted(extras))}]"), *_that_apply(requires, "", target)]
     seen: set[tuple[str, str]] = set()
     while waiting:
-        one = waiting.pop()
-        name = normalized(one.name)
+        requirement = waiting.pop()
+        name = normalized(requirement.name)
         installed = _installed(name)
         if installed is None:
-            found.setdefault(name, f"{name}{one.specifier}")
+            lines.setdefault(name, f"{name}{requirement.specifier}")
             continue
-        found[name] = f"{name}=={_version(installed, recorded)}"
-        for extra in {"", *one.extras} - {of for of_name, of in seen if of_name == name}:
+        lines[name] = f"{name}=={_version(installed, recorded)}"
+        for extra in {"", *requirement.extras} - {of for of_name, of in seen if of_name == name}:
             seen.add((name, extra))
             waiting += _that_apply(installed.requires or (), extra, target)
-    return dict(sorted(found.items()))
+    return dict(sorted(lines.items()))
 
 
 def _version(installed: metadata.Distribution, recorded: Mapping[str, str]) -> str:
@@ -106,9 +106,9 @@ def _that_apply(texts: Iterable[str], extra: str, target: Target) -> Iterator[Re
         "implementation_version": f"{target.python}.0",
         "platform_machine": target.machine,
     }
-    for one in map(Requirement, texts):
-        if one.marker is None or one.marker.evaluate({**environment, "extra": extra}):
-            yield one
+    for requirement in map(Requirement, texts):
+        if requirement.marker is None or requirement.marker.evaluate({**environment, "extra": extra}):
+            yield requirement
 
 
 def extras(libraries: Iterable[str], formats: Iterable[str]) -> set[str]:
@@ -120,7 +120,7 @@ def extras(libraries: Iterable[str], formats: Iterable[str]) -> set[str]:
     drawing = {
         extra
         for extra in DRAWING
-        for one in requirements
-        if one.marker and f'extra == "{extra}"' in str(one.marker) and normalized(one.name) in wanted
+        for requirement in requirements
+        if requirement.marker and f'extra == "{extra}"' in str(requirement.marker) and normalized(requirement.name) in wanted
     }
     return drawing | {READING[format] for format in formats if format in READING}

@@ -81,15 +81,15 @@ class Jobs:
     """Writer of the jobs of a batch."""
 
     def __init__(self, store: Store, project: LoadedProject, recalled: Recalled, image: Image | None) -> None:
-        place = Path(execute_runs.PROJECT_MARK)
+        root = Path(execute_runs.PROJECT_MARK)
         self._store = store
         self._builder = CommandBuilder(
             recalled.spec,
-            place,
+            root,
             engines.find("none"),
             commands.limits(project.config),
             "",
-            place,
+            root,
             image=image,
             success=sorted(recalled.success.statuses),
             accept=sorted(recalled.success.accepted_statuses),
@@ -113,10 +113,10 @@ class Jobs:
     @property
     def patterns(self) -> dict[str, list[str]]:
         """Return the patterns of outputs whose names may differ, and the names that other outputs have."""
-        declared = [one.model_copy(update={"file": one.archive}) if one.archive else one for one in self._declared.values()]
-        unnumbered = [one for one in declared if has_open_names(one) and not one.ticks]
-        patterns = [f"{escape(one.base)}{OLDER_PART}" if one.rotated else one.base for one in unnumbered]
-        named = [one.base for one in declared if one.rotated or not has_open_names(one)]
+        declared = [out.model_copy(update={"file": out.archive}) if out.archive else out for out in self._declared.values()]
+        unnumbered = [out for out in declared if has_open_names(out) and not out.ticks]
+        patterns = [f"{escape(out.base)}{OLDER_PART}" if out.rotated else out.base for out in unnumbered]
+        named = [out.base for out in declared if out.rotated or not has_open_names(out)]
         return {"patterns": patterns, "named": named} if patterns else {}
 
     def write(self, batch: str, path: Path) -> None:
@@ -131,38 +131,38 @@ class Jobs:
         before: dict[str, str] = {}
         for some in _some(self._store, batch):
             left = _outputs(self._store, some)
-            for one, files in zip(some, _inputs(self._store, some), strict=True):
+            for run, files in zip(some, _inputs(self._store, some), strict=True):
                 texts = {name: content.decode("latin-1") for name, content in files}
-                outputs = left.get(one.judgement, ())
-                yield self._line(one, files) | {
+                outputs = left.get(run.judgement, ())
+                yield self._line(run, files) | {
                     "files": {name: execute_runs.changes(before.get(name), text) for name, text in texts.items()},
                     "outputs": {each.path: each.sha256 for each in outputs},
                 }
                 before = texts
                 self.by_value.update({each.path: reason for each in outputs if (reason := self._reason(each))})
 
-    def _line(self, one: Taken, files: Files) -> dict[str, Any]:
-        job = self._builder.job(Run(one.run, one.ordinal, one.number, one.seed, (), b""), files)
+    def _line(self, run: Taken, files: Files) -> dict[str, Any]:
+        job = self._builder.job(Run(run.run, run.ordinal, run.number, run.seed, (), b""), files)
         variables = {name: value for name, value in job.environment.items() if name not in self._left_out}
         self.environment = self.environment or variables
         names = {*variables, *self.environment}
         line = {
-            "run": one.run,
-            "experiment": one.ordinal,
-            "number": one.number,
-            "seconds": round(one.wall_s, 3),
+            "run": run.run,
+            "experiment": run.ordinal,
+            "number": run.number,
+            "seconds": round(run.wall_s, 3),
             "argv": job.argv,
             "environment": {
                 name: variables.get(name) for name in sorted(names) if variables.get(name) != self.environment.get(name)
             },
         }
-        line |= {"ended": one.ended} if one.ended is not None else {}
+        line |= {"ended": run.ended} if run.ended is not None else {}
         return line | ({"folders": dict(job.folders)} if job.folders else {})
 
     def _reason(self, left: _Left) -> str:
         """Return why the bytes of an output may differ legitimately; "" if they may not."""
         rules = self._declared.get(left.output or "") or next(
-            (one for one in self._declared.values() if one.matches(left.path)), None
+            (output for output in self._declared.values() if output.matches(left.path)), None
         )
         if rules and (declared := _declared(rules)):
             return declared
@@ -204,7 +204,7 @@ def _outputs(store: Store, some: Sequence[Taken]) -> dict[str, list[_Left]]:
     left: dict[str, list[_Left]] = {}
     with store.snapshot() as snapshot:
         snapshot.views.make(("all_artifacts",))
-        snapshot.add_table("some_runs", execution=[one.judgement for one in some])
+        snapshot.add_table("some_runs", execution=[run.judgement for run in some])
         for row in snapshot.select(_Left, OUTPUTS):
             left.setdefault(row.execution, []).append(row)
     return left

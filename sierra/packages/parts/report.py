@@ -12,31 +12,31 @@ from sierra.deliverables.report.moving_pictures import Read
 from sierra.deliverables.report.reproduce import Received
 from sierra.errors import DamagedFile, SierraError
 from sierra.packages.layout import REPORT, drawn
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the report of all packed batches. `Options.report` leaves it out."""
     if not subject.options.report:
-        return Made(())
+        return PartResult(())
     package = subject.project.config.package
     received = Received(package.model_copy(update={"date": package.date or subject.date}))
-    source = make.Source(subject.project, subject.store, received=received, read=_from_members(found))
+    source = make.Source(subject.project, subject.store, received=received, read=_from_members(packed))
     try:
-        made = make.of_batches(source, subject.batches, every=package.title or f"{len(subject.batches)} batches")
+        report = make.of_batches(source, subject.batches, every=package.title or f"{len(subject.batches)} batches")
     except DamagedFile:
         raise
     except SierraError as error:
-        return Made((), notes=(f"no report is packed: {error}",))
-    page = Member(REPORT, recorded.named(made), "report of all batches, for a browser")
-    return Made([page], notes=() if made.complete else tuple(made.notes))
+        return PartResult((), notes=(f"no report is packed: {error}",))
+    page = Member(REPORT, recorded.named(report), "report of all batches, for a browser")
+    return PartResult([page], notes=() if report.complete else tuple(report.notes))
 
 
-def _from_members(found: Mapping[str, Member]) -> Read:
+def _from_members(packed: Mapping[str, Member]) -> Read:
     """Return a function that reads deliverables that are packed."""
 
     def read(name: str, most: int) -> bytes | None:
-        member = found.get(drawn(name))
+        member = packed.get(drawn(name))
         if member is None or member.size > most:
             return None
         with member.open() as file:

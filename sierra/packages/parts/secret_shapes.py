@@ -58,15 +58,15 @@ SHAPES = (
 
 def kinds(blocks: Iterable[bytes]) -> set[str]:
     """Return the kinds of secrets in a text that is read in blocks; none if it is no text."""
-    found: set[str] = set()
+    present: set[str] = set()
     before = None
     for block in blocks:
         if before is None and b"\0" in block[:TEXT]:
             return set()
         text = (before or b"")[-LONGEST:] + block
-        found.update(shape.kind for shape in SHAPES if shape.literal in text and shape.form.search(text))
+        present.update(shape.kind for shape in SHAPES if shape.literal in text and shape.form.search(text))
         before = text
-    return found
+    return present
 
 
 def variables(table: object) -> Iterator[str]:
@@ -75,7 +75,7 @@ def variables(table: object) -> Iterator[str]:
         if isinstance(value, str) and value and NAMED.fullmatch(name) and not PLACEHOLDER.fullmatch(value):
             yield name
         elif isinstance(value, list):
-            for one in value:
-                yield from variables(one)
+            for item in value:
+                yield from variables(item)
         else:
             yield from variables(value)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from sierra.errors import Missing
 from sierra.packages.layout import PROJECT, SOURCE
 from sierra.packages.members import unsafe
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.provenance import source
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_hash, written
@@ -29,7 +29,7 @@ from sierra.store.row_types import BlobRow
 from sierra.util.hashing import sha256
 from sierra.util.regular_files import read_regular
 
-Content = Path | bytes
+PathOrBytes = Path | bytes
 """A content in a file or in memory."""
 PROGRAM = "100755"
 """Git's mode of programs."""
@@ -59,24 +59,24 @@ def _digits(tree: Tree) -> str:
     return tree.tree.rpartition(":")[2]
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Write the sources' files to the subject's store, and return them as folders.
 
     Raises Missing for a file that is gone.
     """
-    made: list[Member] = []
+    collected: list[Member] = []
     notes: list[str] = []
     problems: list[str] = []
-    contents: dict[str, Content] = {}
+    contents: dict[str, PathOrBytes] = {}
     for name, tree in folders(subject).items():
         folder = _Folder(subject, tree, name)
-        made += folder.members()
+        collected += folder.members()
         notes += folder.notes
         problems += folder.problems
         contents.update(folder.contents if tree.vcs == "git" else {})
     if not problems:
         _keep(subject, contents)
-    return Made(made, notes=tuple(notes), problems=tuple(problems))
+    return PartResult(collected, notes=tuple(notes), problems=tuple(problems))
 
 
 class _Folder:
@@ -90,7 +90,7 @@ class _Folder:
         self._name = name
         self.notes: list[str] = []
         self.problems: list[str] = []
-        self.contents: dict[str, Content] = {}
+        self.contents: dict[str, PathOrBytes] = {}
         """The files by git's hash; see `sierra.provenance.source.stored_repositories` for others."""
         root, git = subject.project.root, subject.project.config.source.git or tree.vcs == "git"
         source.restore(tree.tree, manifest, root, self._root, subject.store.blob, commit=tree.commit, use_git=git)
@@ -103,33 +103,33 @@ class _Folder:
         """Yield the files of a repository in a folder of the source."""
         repository = _Repository(self._subject, self._subject.project.root / folder)
         for path, what in sorted(files.items()):
-            place = folder / os.fsdecode(path)
+            file = folder / os.fsdecode(path)
             mode, blob = parts(what)
             if mode == REPOSITORY:
-                below, objects = _Repository(self._subject, self._subject.project.root / place).nested(blob)
+                below, objects = _Repository(self._subject, self._subject.project.root / file).nested(blob)
                 self.contents.update(objects)
-                yield from self._below(below, place)
+                yield from self._below(below, file)
             elif mode == LINK:
-                self.notes.append(f"{self._name}{place} is a symbolic link; it is in the store only")
-                self.contents[blob] = self._root / place
-            elif reason := self._unproved(repository, place, blob):
+                self.notes.append(f"{self._name}{file} is a symbolic link; it is in the store only")
+                self.contents[blob] = self._root / file
+            elif reason := self._unproved(repository, file, blob):
                 self.problems.append(reason)
-            elif reason := unsafe(self._name + place.as_posix()):
-                self.notes.append(f"{self._name}{place.as_posix()!a} is in the store only: {reason}")
+            elif reason := unsafe(self._name + file.as_posix()):
+                self.notes.append(f"{self._name}{file.as_posix()!a} is in the store only: {reason}")
             else:
-                name = self._name + place.as_posix()
-                yield Member(name, self._root / place, "source of the runs", executable=mode == PROGRAM)
+                name = self._name + file.as_posix()
+                yield Member(name, self._root / file, "source of the runs", executable=mode == PROGRAM)
 
-    def _unproved(self, repository: _Repository, place: Path, blob: str) -> str:
+    def _unproved(self, repository: _Repository, file: Path, blob: str) -> str:
         """Add a file to the contents; return the reason if the recorded hash does not prove it, else ""."""
-        content = read_regular(self._root / place)
+        content = read_regular(self._root / file)
         if is_blob(content, blob):
-            self.contents[blob] = self._root / place
+            self.contents[blob] = self._root / file
             return ""
         pointer = repository.blob(blob)
         if pointed(pointer) != sha256(content):
-            return f"git changes {place} when it checks it out (line endings, or another filter)"
-        self.contents.update({blob: pointer, pointed(pointer): self._root / place})
+            return f"git changes {file} when it checks it out (line endings, or another filter)"
+        self.contents.update({blob: pointer, pointed(pointer): self._root / file})
         return ""
 
 
@@ -147,19 +147,19 @@ class _Repository:
         found = self._store.blob(blob)
         return self._git("cat-file", "blob", blob, optional=True) if found is None and self._git is not None else found or b""
 
-    def nested(self, thing: str) -> tuple[Files, dict[str, Content]]:
+    def nested(self, thing: str) -> tuple[Files, dict[str, PathOrBytes]]:
         """Return the files of a commit or a tree, and what proves them. Raises Missing if neither git nor the store has it."""
         if (files := nested(thing, self._store.blob)) is not None:
-            return files, {one: found for one in (thing,) if (found := self._store.blob(one)) is not None}
+            return files, {sha: content for sha in (thing,) if (content := self._store.blob(sha)) is not None}
         if self._git is None:
             raise Missing(f"the submodule with {thing[:12]} is not checked out; run git submodule update --init")
         files = of_tree(self._git, thing)
         commit = self._git("cat-file", "commit", thing, optional=True)
-        objects: dict[str, Content] = {thing: commit} if commit else {}
+        objects: dict[str, PathOrBytes] = {thing: commit} if commit else {}
         return files, objects | {tree_hash(files): written(files)}
 
 
-def _keep(subject: Subject, contents: Mapping[str, Content]) -> None:
+def _keep(subject: Subject, contents: Mapping[str, PathOrBytes]) -> None:
     """Add files to the store, by git's hash."""
     writer = subject.store.writer(subject.folder / "blobs", subject.batches[-1])
     objects = Objects(writer.path("objects"))
@@ -169,7 +169,7 @@ def _keep(subject: Subject, contents: Mapping[str, Content]) -> None:
         subject.store.publish(writer)
 
 
-def _content(path: Content) -> bytes:
+def _content(path: PathOrBytes) -> bytes:
     if isinstance(path, bytes):
         return path
     return os.fsencode(path.readlink()) if path.is_symlink() else read_regular(path)

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sierra.packages.layout import STORED
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 
 FILES = ("format", ".gitignore", "CACHEDIR.TAG")
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the files of the subject's store."""
     root = subject.store.paths.root
     files = [root / name for name in FILES]
     for segment in sorted(subject.store.paths.segments.iterdir()):
         files += sorted(segment.iterdir())
-    return Made([Member(STORED + file.relative_to(root).as_posix(), file, "records of the packed batches") for file in files])
+    return PartResult(
+        [Member(STORED + file.relative_to(root).as_posix(), file, "records of the packed batches") for file in files]
+    )
 
 
 def is_record(name: str) -> bool:

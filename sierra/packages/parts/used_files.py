@@ -13,7 +13,7 @@ from typing import NamedTuple
 from sierra.model import IN_PROJECT
 from sierra.packages.layout import PROJECT, USED
 from sierra.packages.members import unsafe
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.store.store import Snapshot
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
@@ -39,12 +39,12 @@ class _Used(NamedTuple):
     sha256: str
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the project's files that runs used and no source has, and the list of the machine's files."""
     with subject.store.snapshot() as snapshot:
         snapshot.views.make(("files_read", "programs", "blobs", "effective", "observations"))
         snapshot.run(USED_FILES)
-        made, notes = _of_project(subject, snapshot, found)
+        collected, notes = _of_project(subject, snapshot, packed)
         machine = snapshot.select(_Used, MACHINE)
         [(unobserved,)] = snapshot.run(UNOBSERVED)
     lines = "".join(f"{used.sha256}  {used.path!a}\n" for used in machine)
@@ -52,15 +52,15 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     if unobserved:
         facts.append(f"{counted(unobserved, 'execution')} not observed: files that only they used may be missing")
     listing = Member(USED, lines.encode(), "files of the machine that runs used, with their SHA-256")
-    return Made([*made, listing], notes=tuple(notes), facts=tuple(facts))
+    return PartResult([*collected, listing], notes=tuple(notes), facts=tuple(facts))
 
 
-def _of_project(subject: Subject, snapshot: Snapshot, found: Mapping[str, Member]) -> tuple[list[Member], list[str]]:
-    made: list[Member] = []
+def _of_project(subject: Subject, snapshot: Snapshot, packed: Mapping[str, Member]) -> tuple[list[Member], list[str]]:
+    collected: list[Member] = []
     notes: list[str] = []
     for used in snapshot.select(_Used, OF_PROJECT):
         name = used.path.removeprefix(IN_PROJECT)
-        member = found.get(PROJECT + name)
+        member = packed.get(PROJECT + name)
         if member is not None and member.sha256() == used.sha256:
             continue
         if reason := _missing(subject, name, used.sha256, packed=member is not None):
@@ -68,8 +68,8 @@ def _of_project(subject: Subject, snapshot: Snapshot, found: Mapping[str, Member
         else:
             path = subject.project.root / name
             executable = bool(path.stat().st_mode & 0o100)
-            made.append(Member(PROJECT + name, path, "file that runs used, outside the source", executable=executable))
-    return made, notes
+            collected.append(Member(PROJECT + name, path, "file that runs used, outside the source", executable=executable))
+    return collected, notes
 
 
 def _missing(subject: Subject, name: str, sha256: str, *, packed: bool) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sierra.packages.layout import PROGRAM
-from sierra.packages.subject import Made, Member, Subject
+from sierra.packages.subject import Member, PartResult, Subject
 from sierra.util.hashing import sha256_file
 from sierra.worker import reproduce
 
@@ -16,6 +16,6 @@ def is_ours(digest: str | None) -> bool:
     return digest == sha256_file(Path(reproduce.__file__))
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, found: Mapping[str, Member]) -> PartResult:
     """Return the program, which is the same in all packages of a version."""
-    return Made([Member(PROGRAM, Path(reproduce.__file__), "program that verifies the package; it needs only Python")])
+    return PartResult([Member(PROGRAM, Path(reproduce.__file__), "program that verifies the package; it needs only Python")])

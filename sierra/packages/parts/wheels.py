@@ -24,7 +24,7 @@ from sierra.ingest.recording_context import rules_of
 from sierra.packages.layout import REQUIREMENTS, WHEELS
 from sierra.packages.parts import own_wheel
 from sierra.packages.parts.python_packages import Target, extras, needed, target
-from sierra.packages.subject import Made, Member, Options, Subject
+from sierra.packages.subject import Member, Options, PartResult, Subject
 from sierra.provenance.dependency_model import normalized, versions
 from sierra.provenance.pythons import OWN
 from sierra.store import deliverable_records
@@ -51,23 +51,23 @@ class Wheel(NamedTuple):
     path: Path
 
 
-def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the requested wheels and their lock. Raises Missing if pip does not find one, UsageError for a wrong target."""
     if not subject.options.wheels:
-        return Made(())
+        return PartResult(())
     targets = _targets(subject.options)
     recorded = versions("".join(subject.store.values(str, RECORDED)))
     own = own_wheel.wheel(metadata.distribution(OWN), subject.folder / "sierra")
     used = extras(_libraries(subject), _formats(subject))
     wheels = {}
-    for one in targets:
-        wanted = needed(subject.project.config.requires, one, recorded, used)
-        wheels[one] = _download(subject.folder / f"wheels-{one.python}-{one.machine}", one, wanted, own)
+    for machine in targets:
+        wanted = needed(subject.project.config.requires, machine, recorded, used)
+        wheels[machine] = _download(subject.folder / f"wheels-{machine.python}-{machine.machine}", machine, wanted, own)
     if HERE in wheels:
         _resolve(subject.folder, wheels[HERE])
     files = {wheel.path.name: wheel.path for ones in wheels.values() for wheel in ones if wheel.path != own}
-    made = [Member(WHEELS + name, path, "Python package") for name, path in sorted(files.items())]
-    return Made([*made, Member(REQUIREMENTS, lock(wheels).encode(), "versions and SHA-256 of the Python packages")])
+    collected = [Member(WHEELS + name, path, "Python package") for name, path in sorted(files.items())]
+    return PartResult([*collected, Member(REQUIREMENTS, lock(wheels).encode(), "versions and SHA-256 of the Python packages")])
 
 
 def _libraries(subject: Subject) -> Iterator[str]:
@@ -102,13 +102,13 @@ def _targets(options: Options) -> list[Target]:
 
 def lock(wheels: Mapping[Target, Sequence[Wheel]]) -> str:
     """Return requirements with hashes. Packages that not all targets need have markers. pip itself is not among them."""
-    found: dict[tuple[str, str], dict[Target, str]] = {}
-    for one, of_target in wheels.items():
+    pinned: dict[tuple[str, str], dict[Target, str]] = {}
+    for machine, of_target in wheels.items():
         for wheel in of_target:
-            found.setdefault((wheel.name, wheel.version), {})[one] = wheel.sha256
+            pinned.setdefault((wheel.name, wheel.version), {})[machine] = wheel.sha256
     lines = []
-    for (name, version), hashes in sorted(found.items()):
-        marker = "" if len(hashes) == len(wheels) else " ; " + " or ".join(one.marker for one in sorted(hashes))
+    for (name, version), hashes in sorted(pinned.items()):
+        marker = "" if len(hashes) == len(wheels) else " ; " + " or ".join(machine.marker for machine in sorted(hashes))
         named = [f"--hash=sha256:{digest}" for digest in sorted(set(hashes.values()))]
         lines += [" \\\n    ".join([f"{name}=={version}{marker}", *named])] if name != PIP else []
     return "".join(f"{line}\n" for line in lines)
@@ -142,7 +142,7 @@ def _resolve(folder: Path, wheels: Sequence[Wheel]) -> None:
     """Let pip resolve the lock with nothing but the wheels. Raises Missing for a package that is lacking."""
     requirements = folder / "requirements.lock"
     requirements.write_text(lock({HERE: wheels}), "utf-8")
-    places = [word for place in sorted({str(wheel.path.parent) for wheel in wheels}) for word in ("--find-links", place)]
+    places = [word for path in sorted({str(wheel.path.parent) for wheel in wheels}) for word in ("--find-links", path)]
     words = ["--only-binary", ":all:", "--no-index", *places, "--require-hashes", "--requirement", str(requirements)]
     _pip(str(HERE), "download", *words, "--dest", str(folder / "resolved"), isolated=True)
 

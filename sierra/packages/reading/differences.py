@@ -44,7 +44,7 @@ ROWS = ("row", "row_number")
 """The names of the column with the number of a row, which depends on the order in which runs were recorded."""
 
 
-class Side(NamedTuple):
+class PackageOrBatch(NamedTuple):
     """One of two things that are compared."""
 
     id: str
@@ -73,19 +73,19 @@ class PackageDifferences:
     same: tuple[str, ...]
 
 
-def of_package(package: Received) -> Side:
+def of_package(package: Received) -> PackageOrBatch:
     """Return a whole package as a side."""
-    return Side(package.id, package.store, package.manifest)
+    return PackageOrBatch(package.id, package.store, package.manifest)
 
 
 @contextlib.contextmanager
-def of_batch(store: Store, batch: str) -> Iterator[Side]:
+def of_batch(store: Store, batch: str) -> Iterator[PackageOrBatch]:
     """Yield a batch of a store as a side, until the end of the context: the records that a package of it would have."""
     with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
-        yield Side(batch, extract(store, (batch,), Path(folder, "store")))
+        yield PackageOrBatch(batch, extract(store, (batch,), Path(folder, "store")))
 
 
-def compare(before: Side, after: Side) -> PackageDifferences:
+def compare(before: PackageOrBatch, after: PackageOrBatch) -> PackageDifferences:
     """Return the differences of two packages or batches. Raises Damaged and SqlError if records cannot be read."""
     kinds = {kind: lines for kind, lines in KINDS.items() if kind != METADATA or (before.manifest and after.manifest)}
     found = [Difference(kind, line) for kind, lines in kinds.items() for line in lines(before, after)]
@@ -93,17 +93,17 @@ def compare(before: Side, after: Side) -> PackageDifferences:
     return PackageDifferences(before.id, after.id, tuple(found), tuple(kind for kind in kinds if kind not in differing))
 
 
-def _metadata(before: Side, after: Side) -> Iterator[str]:
+def _metadata(before: PackageOrBatch, after: PackageOrBatch) -> Iterator[str]:
     for name in ("title", "date", "sierra", "redacted"):
         was, now = getattr(before.manifest, name), getattr(after.manifest, name)
         if was != now:
             yield f"{name}: {was} → {now}"
 
 
-def _sets(statement: str) -> Callable[[Side, Side], Iterator[str]]:
+def _sets(statement: str) -> Callable[[PackageOrBatch, PackageOrBatch], Iterator[str]]:
     """Return a function that names what only one of two sides has, by a statement for the names."""
 
-    def lines(before: Side, after: Side) -> Iterator[str]:
+    def lines(before: PackageOrBatch, after: PackageOrBatch) -> Iterator[str]:
         was, now = (set(one.store.values(str, statement)) for one in (before, after))
         for only, where in ((was - now, "first"), (now - was, "second")):
             if only:
@@ -129,7 +129,7 @@ def _effective(store: Store) -> dict[str, _State]:
     return {row.run: row for row in store.select(_State, EFFECTIVE)}
 
 
-def _results(before: Side, after: Side) -> Iterator[str]:
+def _results(before: PackageOrBatch, after: PackageOrBatch) -> Iterator[str]:
     """Yield whether runs in both have the same results, and for some runs that have not, how far their values are apart."""
     old, new = _effective(before.store), _effective(after.store)
     both = old.keys() & new.keys()
@@ -149,25 +149,25 @@ def _results(before: Side, after: Side) -> Iterator[str]:
 
 def _files(before: Store, after: Store, pairs: Mapping[str, tuple[str, str]]) -> dict[str, list[str]]:
     """Return the paths of the outputs that differ between two executions of each run, without those that differ in name."""
-    was = _artifacts(before, [one for one, _ in pairs.values()])
-    now = _artifacts(after, [one for _, one in pairs.values()])
+    was = _artifacts(before, [execution for execution, _ in pairs.values()])
+    now = _artifacts(after, [execution for _, execution in pairs.values()])
     declared = _declared(before) | _declared(after)
-    found: dict[str, list[str]] = {}
+    paths: dict[str, list[str]] = {}
     for run, (old, new) in pairs.items():
         ours = was.get(old, {})
         theirs = pair(ours, now.get(new, {}), declared).found
         same = {path for path in ours.keys() & theirs.keys() if ours[path].sha256 == theirs[path].sha256}
-        found[run] = sorted((ours.keys() | theirs.keys()) - same)
-    return found
+        paths[run] = sorted((ours.keys() | theirs.keys()) - same)
+    return paths
 
 
 def _artifacts(store: Store, executions: list[str]) -> dict[str, dict[str, ArtifactRow]]:
     """Return the outputs of executions, by execution and path."""
-    found: dict[str, dict[str, ArtifactRow]] = {}
+    outputs: dict[str, dict[str, ArtifactRow]] = {}
     statement = "SELECT * FROM artifacts WHERE kind <> 'log' AND list_contains($e, execution)"
     for row in store.select(ArtifactRow, statement, e=executions):
-        found.setdefault(row.execution, {})[row.path] = row
-    return found
+        outputs.setdefault(row.execution, {})[row.path] = row
+    return outputs
 
 
 def _declared(store: Store) -> dict[str, Output]:
@@ -202,7 +202,7 @@ def _tables(store: Store) -> set[str]:
     return set(store.outputs())
 
 
-KINDS: dict[str, Callable[[Side, Side], Iterator[str]]] = {
+KINDS: dict[str, Callable[[PackageOrBatch, PackageOrBatch], Iterator[str]]] = {
     METADATA: _metadata,
     "batches": _sets("SELECT left(batch, 10) || ' (' || query || ')' FROM batches"),
     "runs": _sets("SELECT DISTINCT left(run, 10) FROM batch_runs"),

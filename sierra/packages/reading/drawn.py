@@ -47,17 +47,17 @@ def find(package: Received, names: Sequence[str] = (), kind: str = "") -> list[D
     `kind`: only those of this kind.
     """
     known = {row.sha256: row for row in package.store.select(_File, RECORDED)}
-    found: dict[tuple[str, str, str], list[str]] = {}
+    grouped: dict[tuple[str, str, str], list[str]] = {}
     with Archive(package.path) as archive:
         for member in archive.names(DRAWN):
             row = known.get(archive.hashes[member])
             key = (row.batch, row.name, row.kind) if row else ("", PurePosixPath(member).stem, UNKNOWN)
-            found.setdefault(key, []).append(member)
-    drawn = [Drawn(name, of, batch, tuple(files)) for (batch, name, of), files in found.items() if kind in ("", of)]
+            grouped.setdefault(key, []).append(member)
+    drawn = [Drawn(name, of, batch, tuple(files)) for (batch, name, of), files in grouped.items() if kind in ("", of)]
     for name in names:
-        if name not in (has := sorted({one.name for one in drawn})):
+        if name not in (has := sorted({figure.name for figure in drawn})):
             raise NotFound(f"the package has no {kind or 'figure'} {name!r}; {like(name, has) if has else 'it has none'}")
-    return [one for one in drawn if not names or one.name in names]
+    return [figure for figure in drawn if not names or figure.name in names]
 
 
 def write(package: Received, drawn: Sequence[Drawn], folder: Path) -> list[Path]:

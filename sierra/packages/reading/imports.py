@@ -123,12 +123,12 @@ def import_package(store: Store, path: Path, observer: Observer | None = None) -
     with transaction.changing(store.paths) as session:
         received = _received(path, session.paths.root / "package")
         session.take_number()
-        made: list[_Change] = []
+        changes: list[_Change] = []
 
         def prepare(adding: Compaction) -> AbstractSet[str]:
-            made.append(_change(store, received, stamp(session.number, session.id)))
-            _write(adding, received, made[-1], stamp(session.number, session.id))
-            return made[-1].seen
+            changes.append(_change(store, received, stamp(session.number, session.id)))
+            _write(adding, received, changes[-1], stamp(session.number, session.id))
+            return changes[-1].seen
 
         def valid(now: AbstractSet[str], seen: AbstractSet[str]) -> bool:
             """Allow records that sessions have added meanwhile, but no removal and no other import."""
@@ -137,7 +137,7 @@ def import_package(store: Store, path: Path, observer: Observer | None = None) -
 
         transaction.publish(store.paths, session, prepare, valid=valid)
         index_builder.keep_up(store.paths)
-        return _result(store, received, made[-1])
+        return _result(store, received, changes[-1])
 
 
 def _received(path: Path, folder: Path) -> _Received:
@@ -245,7 +245,7 @@ def _check_against(own: Snapshot, theirs: Snapshot, received: _Received) -> None
     """Raise UsageError if records of the package claim to be of this store, or differ from records here with the same id."""
     rows = theirs.run("SELECT DISTINCT execution, run, result, session FROM all_judgements")
     own.add_table(
-        "theirs", **{name: [row[place] for row in rows] for place, name in enumerate(("execution", "run", "result", "session"))}
+        "theirs", **{name: [row[nth] for row in rows] for nth, name in enumerate(("execution", "run", "result", "session"))}
     )
     if other := own.run(OTHER):
         raise UsageError(
@@ -272,12 +272,12 @@ AND t.session NOT IN (SELECT session FROM imported_sessions) LIMIT 1
 def _write(adding: Compaction, received: _Received, change: _Change, lamport: int) -> None:
     """Write the new records. Each new segment also says where they came from, so that the loss of another one hides nothing."""
     described = received.described
-    made = ImportRow(received.id, described.title, described.date, received.batches, datetime.now(UTC), lamport)
+    row = ImportRow(received.id, described.title, described.date, received.batches, datetime.now(UTC), lamport)
     segments = [_imported(segment) for segment in received.store.segments()]
     for group in groups(segment for segment in segments if segment.files):
         writer = adding.add(group, change.drop)
         if any(writer.folder.iterdir()):
-            writer.records([made])
+            writer.records([row])
             writer.records(change.sessions)
 
 

@@ -72,12 +72,12 @@ def batches(store: Store) -> list[str]:
 
 def records(archive: Opened) -> list[str]:
     """Return the names of the files of a package's store. Raises Damaged if it has none, or has other files than records."""
-    found = archive.names(STORED)
-    if strange := [name for name in found if not is_record(name)]:
+    names = archive.names(STORED)
+    if strange := [name for name in names if not is_record(name)]:
         raise Damaged(f"{archive.path}: the member {strange[0]!r} is no record, but it is in the store")
-    if not found:
+    if not names:
         raise Damaged(f"{archive.path} has no store")
-    return found
+    return names
 
 
 def _keep(archive: Archive, folder: Path) -> None:

@@ -23,9 +23,9 @@ def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Wr
     files.check(file)
     about = _about(package)
     with package.project.plugins():
-        made = make.of_batches(source(package), batches(package.store), tell, about.package.title or package.path.name)
-    files.write(file, recorded.named(made))
-    return Written(file, tuple(made.batches), tuple(made.notes))
+        report = make.of_batches(source(package), batches(package.store), tell, about.package.title or package.path.name)
+    files.write(file, recorded.named(report))
+    return Written(file, tuple(report.batches), tuple(report.notes))
 
 
 def source(package: Received) -> make.Source:

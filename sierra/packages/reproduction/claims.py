@@ -37,11 +37,11 @@ def named(project: LoadedProject, names: Sequence[str]) -> tuple[str, ...]:
 def rest(project: LoadedProject, store: Store, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Return the packed batches of the claims with these names, none for a claim without. Starts nothing of the package."""
     packed = received.batches(store)
-    found: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
-    for name in found:
+    needed: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
+    for name in needed:
         with contextlib.suppress(SierraError):  # the evaluation says why
-            found[name] = evaluate.batches(project, store, (name,), among=packed)[name]
-    return found
+            needed[name] = evaluate.batches(project, store, (name,), among=packed)[name]
+    return needed
 
 
 def decide(
@@ -52,18 +52,18 @@ def decide(
     `replays` are those, by batch, in which all runs with a result were executed again.
     """
     grounds = {name: _ground([replays.get(batch) for batch in batches]) for name, batches in rests.items()}
-    changed = [one for replay in replays.values() if replay.verdict is not Verdict.IDENTICAL for one in replay.sessions]
+    changed = [session for replay in replays.values() if replay.verdict is not Verdict.IDENTICAL for session in replay.sessions]
     new = store.replayed(changed) if changed else store
     packed = received.batches(store)
-    found: dict[str, Evaluated] = {}
+    decided: dict[str, Evaluated] = {}
     for source, names in (
         (store, [name for name, ground in grounds.items() if ground is Ground.RECORDED]),
         (new, [name for name, ground in grounds.items() if ground is not Ground.RECORDED]),
     ):
-        for one in evaluate.evaluate(project, source, names, among=packed) if names else ():
-            found[one.name] = replace(one, ground=grounds[one.name])
+        for claim in evaluate.evaluate(project, source, names, among=packed) if names else ():
+            decided[claim.name] = replace(claim, ground=grounds[claim.name])
     registered = registrations(project, store, rests)  # by the recorded executions: repeating them plans nothing
-    return tuple(replace(found[name], registered=registered[name].word, registration=registered[name]) for name in rests)
+    return tuple(replace(decided[name], registered=registered[name].word, registration=registered[name]) for name in rests)
 
 
 def recorded(project: LoadedProject, store: Store, names: Sequence[str]) -> tuple[Evaluated, ...]:
@@ -73,9 +73,9 @@ def recorded(project: LoadedProject, store: Store, names: Sequence[str]) -> tupl
 
 def _ground(replays: Sequence[Replay | None]) -> Ground:
     """Return the ground of a claim from the complete replays of its batches, each None if there is none."""
-    complete = [one for one in replays if one is not None]
+    complete = [replay for replay in replays if replay is not None]
     if not complete or len(complete) < len(replays):
         return Ground.RECORDED
-    if any(experiment.verdict is Verdict.EQUIVALENT for one in complete for experiment in one.experiments):
+    if any(experiment.verdict is Verdict.EQUIVALENT for replay in complete for experiment in replay.experiments):
         return Ground.STATISTICALLY_REEXECUTED
     return Ground.REEXECUTED

@@ -53,7 +53,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class Rendering:
     """A deliverable as it follows from some runs."""
 
     data: str
@@ -74,8 +74,8 @@ class DrawnAgain:
     batches: tuple[str, ...]
     table: str = ""
     """The output or derived table that it shows, for its tolerance."""
-    recorded: Made | None = None
-    reproduced: Made | None = None
+    recorded: Rendering | None = None
+    reproduced: Rendering | None = None
     problem: str = ""
     """Why it could not be made from one of them."""
 
@@ -114,29 +114,29 @@ class Sides:
 
 def make(sides: Sides, batches: Sequence[str]) -> list[DrawnAgain]:
     """Return all deliverables that show only these batches, of which all runs were executed again. Raises Damaged, Missing."""
-    found: list[DrawnAgain] = []
+    deliverables: list[DrawnAgain] = []
     config, queries = sides.project.config, BatchesOfQueries(sides.project, sides.recorded)
     for batch in batches:
-        found += _figures_of(sides, batch)
+        deliverables += _figures_of(sides, batch)
         tables, _ = bound.of_batch(config.paper_tables, queries, batch)
-        found += (_table(sides, name, tables[name], {short(batch): batch}) for name in tables)
-    found += _of_several(sides, queries, batches)
-    found += _comparisons(sides, queries, batches)
-    return found
+        deliverables += (_table(sides, name, tables[name], {short(batch): batch}) for name in tables)
+    deliverables += _of_several(sides, queries, batches)
+    deliverables += _comparisons(sides, queries, batches)
+    return deliverables
 
 
-def _both(kind: str, name: str, batches: Sequence[str], make_from: Callable[[bool], Made], table: str = "") -> DrawnAgain:
+def _both(kind: str, name: str, batches: Sequence[str], make_from: Callable[[bool], Rendering], table: str = "") -> DrawnAgain:
     """Make a deliverable from both sides; `make_from` receives True for the reproduced one."""
-    made: list[Made | None] = [None, None]
+    renderings: list[Rendering | None] = [None, None]
     problem = ""
     for is_new in (False, True):
         try:
-            made[is_new] = make_from(is_new)
+            renderings[is_new] = make_from(is_new)
         except (DamagedFile, Missing):
             raise
         except SierraError as error:
             problem = problem or f"{'the reproduced' if is_new else 'the recorded'} runs: {one_line(str(error))}"
-    recorded, reproduced = made
+    recorded, reproduced = renderings
     return DrawnAgain(kind, name, tuple(batches), table, recorded, reproduced, problem)
 
 
@@ -154,7 +154,7 @@ def _figures_of(sides: Sides, batch: str) -> Iterator[DrawnAgain]:
             yield _both("figure", name, [batch], partial(_figure, galleries, packed, name, figure), figure.table)
 
 
-def _figure(galleries: Sequence[Gallery], packed: _Packed, name: str, figure: Figure, is_new: bool) -> Made:
+def _figure(galleries: Sequence[Gallery], packed: _Packed, name: str, figure: Figure, is_new: bool) -> Rendering:
     return _of_drawing(galleries[is_new].drawing(name, figure), None if is_new else packed)
 
 
@@ -169,7 +169,7 @@ def _of_several(sides: Sides, queries: BatchesOfQueries, batches: Sequence[str])
             yield _table(sides, name, table, known)
 
 
-def _overlaid(sides: Sides, batches: Mapping[str, str], name: str, figure: Figure, is_new: bool) -> Made:
+def _overlaid(sides: Sides, batches: Mapping[str, str], name: str, figure: Figure, is_new: bool) -> Rendering:
     with bound_files.Galleries(sides.project, sides.of(is_new)) as galleries:
         packed = None if is_new else _Packed(sides, next(iter(batches.values())))
         return _of_drawing(bound_files.drawing_of(name, figure, batches, galleries), packed)
@@ -192,14 +192,14 @@ def _known(
     return known
 
 
-def _of_drawing(drawing: Drawing, packed: _Packed | None) -> Made:
+def _of_drawing(drawing: Drawing, packed: _Packed | None) -> Rendering:
     figures.check(drawing)
     picture = packed.picture("figure", drawing.name, drawing.data) if packed else None
     if picture is None:
         [(_, svg)] = figures.rendered(replace(drawing, formats=("svg",)))
         picture = Picture(svg)
-    values = {f"{name} of {table}": column for table, one in drawing.tables.items() for name, column in _numbers(one)}
-    return Made(drawing.shown, values, picture)
+    values = {f"{name} of {table}": column for table, content in drawing.tables.items() for name, column in _numbers(content)}
+    return Rendering(drawing.shown, values, picture)
 
 
 class _Packed:
@@ -226,9 +226,9 @@ class _Packed:
 
 
 def _table(sides: Sides, name: str, declared: TableForPaper, batches: Mapping[str, str]) -> DrawnAgain:
-    def made(is_new: bool) -> Made:
+    def made(is_new: bool) -> Rendering:
         found = declared_tables.make(sides.project, sides.of(is_new), name, declared, batches)
-        return Made(found.content().data, dict(_numbers(found.data)), table=found.table)
+        return Rendering(found.content().data, dict(_numbers(found.data)), table=found.table)
 
     return _both("table", name, list(batches.values()), made, declared.table)
 
@@ -237,29 +237,28 @@ def _comparisons(sides: Sides, queries: BatchesOfQueries, batches: Sequence[str]
     """Yield the comparisons within each batch, and those that are bound to queries."""
     project = sides.project
     for batch in batches:
-        found = [
-            {one.name: one for one in declared_comparisons.find(project, sides.of(is_new), [batch], None).within(batch)}
-            for is_new in (False, True)
-        ]
-        for name, compared in found[0].items():
-            yield _both("comparison", name, [batch], partial(_compared, found, name), compared.table)
+        stores = (sides.recorded, sides.reproduced)
+        within = (declared_comparisons.find(project, store, [batch], None).within(batch) for store in stores)
+        both = [{compared.name: compared for compared in comparisons} for comparisons in within]
+        for name, compared in both[0].items():
+            yield _both("comparison", name, [batch], partial(_compared, both, name), compared.table)
     for name, words in bound_files.comparisons(project.config).items():
         if len(words) > 1 and (known := _known(sides, queries, words, batches, f"comparison {name}")):
             yield _both("comparison", name, list(known.values()), partial(_of_queries, sides, name, known))
 
 
-def _compared(found: Sequence[Mapping[str, Compared]], name: str, is_new: bool) -> Made:
+def _compared(found: Sequence[Mapping[str, Compared]], name: str, is_new: bool) -> Rendering:
     if name not in found[is_new]:
         raise UsageError("the comparison cannot be made")
     return _of_comparison(found[is_new][name])
 
 
-def _of_queries(sides: Sides, name: str, batches: Mapping[str, str], is_new: bool) -> Made:
+def _of_queries(sides: Sides, name: str, batches: Mapping[str, str], is_new: bool) -> Rendering:
     asked = sides.project.config.comparisons[name].model_copy(update={"groups": ()})
     return _of_comparison(comparison.compare(sides.project, sides.of(is_new), name, batches, asked))
 
 
-def _of_comparison(compared: Compared) -> Made:
+def _of_comparison(compared: Compared) -> Rendering:
     content = comparison_figure.content_of(compared)
     values: dict[str, list[float | None]] = {"difference": [], "p": []}
     for pair in compared.pairs:
@@ -269,7 +268,7 @@ def _of_comparison(compared: Compared) -> Made:
         picture = Picture(comparison_figure.svg(compared))
     except UsageError:  # there is nothing to draw
         picture = None
-    return Made(f"{content.data} {compared.text}", values, picture, text=compared.text)
+    return Rendering(f"{content.data} {compared.text}", values, picture, text=compared.text)
 
 
 def numbers_of(sides: Sides, batches: Sequence[str]) -> tuple[dict[str, tuple[str, str]], str]:
@@ -289,14 +288,14 @@ def numbers_of(sides: Sides, batches: Sequence[str]) -> tuple[dict[str, tuple[st
 
 
 def _texts(sides: Sides, store: Store, batches: Sequence[str]) -> dict[str, str]:
-    project, found = sides.project, BatchesOfQueries(sides.project, store)
-    claims = numbers.claims_of(found, among=received.batches(store))
-    compared = dict(bound_files.compared_by(found))
+    project, queries = sides.project, BatchesOfQueries(sides.project, store)
+    claims = numbers.claims_of(queries, among=received.batches(store))
+    compared = dict(bound_files.compared_by(queries))
     texts = {}
     for name, number in project.config.numbers.items():
         with bound_files.named("number", name):
-            own = compared[number.comparison].batches if number.comparison else comparison.of_queries(found, number.query)
-            value = numbers.computed(found, number, compared, claims)
+            own = compared[number.comparison].batches if number.comparison else comparison.of_queries(queries, number.query)
+            value = numbers.computed(queries, number, compared, claims)
             if not {*own.values(), *value.batches} <= set(batches):
                 sides.notes.append(f"number {name}: not all runs of its batches were executed again")
                 continue

@@ -92,10 +92,10 @@ class Reproduction:
 
     def _faults(self) -> Iterator[str]:
         """Yield how many batches differ, and how many claims were not shown to hold."""
-        compared = [one.replay.verdict for one in self.batches if one.replay and not one.replay.interrupted]
-        if different := sum(not one.fine for one in compared):
+        compared = [batch.replay.verdict for batch in self.batches if batch.replay and not batch.replay.interrupted]
+        if different := sum(not verdict.fine for verdict in compared):
             yield f"{different} of {len(compared)} batches different"
-        if claims := sum(one.verdict is not Verdict.holds for one in self.claims):
+        if claims := sum(claim.verdict is not Verdict.holds for claim in self.claims):
             yield f"{claims} of {len(self.claims)} claims not shown to hold"
 
     @property
@@ -108,13 +108,13 @@ class Reproduction:
         """The verdict in words."""
         if self.interrupted:
             return "interrupted"
-        if not any(one.replay for one in self.batches):
+        if not any(batch.replay for batch in self.batches):
             return "not reproduced: nothing was executed"
         if self.differs:
             return f"not reproduced: {' and '.join(self._faults())}"
-        if any(one.lacking for one in self.batches):
+        if any(batch.lacking for batch in self.batches):
             return "reproduced in part: not all batches were executed"
-        runs, of = sum(one.executed for one in self.batches), sum(one.planned.of for one in self.batches)
+        runs, of = sum(batch.executed for batch in self.batches), sum(batch.planned.of for batch in self.batches)
         said = f"{runs:,} of {counted(of, 'run')} executed again{self._made()}"
         return f"reproduced in part: {said}" if self.lacking else f"reproduced: {said}"
 

@@ -12,7 +12,7 @@ from sierra.deliverables.html.page import page as html_page
 from sierra.deliverables.report.claims import KINDS
 from sierra.deliverables.report.parts import auto, badge, note, table
 from sierra.deliverables.report.results import paper_table
-from sierra.packages.reproduction.drawn_again import DrawnAgain, Made
+from sierra.packages.reproduction.drawn_again import DrawnAgain, Rendering
 from sierra.packages.reproduction.outcome import Reproduction
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
@@ -45,7 +45,7 @@ def page(
         "claims": list(_claims(done, recorded)),
         "numbers": list(_numbers(shown)),
         **{
-            f"{kind}s": [_beside(one, config) for one in drawn if one.kind == kind]
+            f"{kind}s": [_beside(deliverable, config) for deliverable in drawn if deliverable.kind == kind]
             for kind in ("figure", "table", "comparison")
         },
         "batches": list(_batches(done)),
@@ -71,8 +71,8 @@ def page(
 def _summary(drawn: Sequence[DrawnAgain]) -> str:
     if not drawn:
         return "The package has no figure, table or comparison of batches of which all runs were executed again."
-    same = sum(one.same for one in drawn)
-    lacking = sum(bool(one.problem) for one in drawn)
+    same = sum(deliverable.same for deliverable in drawn)
+    lacking = sum(bool(deliverable.problem) for deliverable in drawn)
     more = f", {lacking} could not be made" if lacking else ""
     return f"{same} of {len(drawn)} figures, tables and comparisons show the same values{more}."
 
@@ -83,11 +83,11 @@ def _section(name: str, title: str, content: Sequence[Markup]) -> Markup:
 
 
 def _claims(done: Reproduction, recorded: Sequence[Evaluated]) -> Iterator[Markup]:
-    before = {one.name: one for one in recorded}
+    before = {claim.name: claim for claim in recorded}
     rows = []
-    for one in done.claims:
-        was = before.get(one.name, one)
-        rows.append((auto(one.says or one.name), *(_verdict(side) for side in (was, one)), auto(was.text), auto(one.text)))
+    for now in done.claims:
+        was = before.get(now.name, now)
+        rows.append((auto(now.says or now.name), *(_verdict(side) for side in (was, now)), auto(was.text), auto(now.text)))
     if rows:
         yield table(("claim", "recorded runs", "reproduced runs", "recorded numbers", "reproduced numbers"), rows, "Claims")
 
@@ -113,20 +113,20 @@ def _apart(before: str, now: str) -> str:
         return "other text"
 
 
-def _beside(one: DrawnAgain, config: Project) -> Markup:
+def _beside(drawn: DrawnAgain, config: Project) -> Markup:
     """Return a deliverable from both sides, and how they differ."""
-    if one.problem:
+    if drawn.problem:
         said = badge("not made", "unclear")
     else:
-        said = badge("same values", "good") if one.same else badge("other values", "unclear")
-    sides = (("from the recorded runs", one.recorded), ("from the reproduced runs", one.reproduced))
+        said = badge("same values", "good") if drawn.same else badge("other values", "unclear")
+    sides = (("from the recorded runs", drawn.recorded), ("from the reproduced runs", drawn.reproduced))
     return element(
         "article",
-        element("h3", auto(one.name), " ", said),
-        note(", ".join(f"batch {short(batch)}" for batch in one.batches)),
-        element("p", f"It could not be made: {one.problem}") if one.problem else None,
-        element("p", f"Greatest difference: {one.difference}. {_tolerance(one, config)}") if one.difference else None,
-        element("div", *(_side(f"{one.kind} {one.name}", words, made) for words, made in sides), class_="figures"),
+        element("h3", auto(drawn.name), " ", said),
+        note(", ".join(f"batch {short(batch)}" for batch in drawn.batches)),
+        element("p", f"It could not be made: {drawn.problem}") if drawn.problem else None,
+        element("p", f"Greatest difference: {drawn.difference}. {_tolerance(drawn, config)}") if drawn.difference else None,
+        element("div", *(_side(f"{drawn.kind} {drawn.name}", words, side) for words, side in sides), class_="figures"),
         class_="beside",
     )
 
@@ -139,21 +139,21 @@ def _tolerance(one: DrawnAgain, config: Project) -> str:
     return f"Declared tolerance: {'; '.join(said)}."
 
 
-def _side(title: str, words: str, made: Made | None) -> Markup:
-    if made is None:
+def _side(title: str, words: str, rendering: Rendering | None) -> Markup:
+    if rendering is None:
         return element("div", element("p", f"{words}: nothing"))
     shown: list[Markup | None] = []
-    if made.picture:
-        content = base64.b64encode(made.picture.content).decode()
-        image = element("img", src=f"data:{made.picture.media_type};base64,{content}", alt=f"{title}, {words}")
-        words = f"{made.picture.packed} in the package" if made.picture.packed else words
+    if rendering.picture:
+        content = base64.b64encode(rendering.picture.content).decode()
+        image = element("img", src=f"data:{rendering.picture.media_type};base64,{content}", alt=f"{title}, {words}")
+        words = f"{rendering.picture.packed} in the package" if rendering.picture.packed else words
         shown.append(element("figure", image, element("figcaption", words)))
     else:
         shown.append(element("p", words, class_="note"))
-    if made.text:
-        shown.append(element("p", made.text, dir="auto"))
-    if made.table:
-        shown.append(paper_table(made.table))
+    if rendering.text:
+        shown.append(element("p", rendering.text, dir="auto"))
+    if rendering.table:
+        shown.append(paper_table(rendering.table))
     return element("div", *shown, class_="figure")
 
 

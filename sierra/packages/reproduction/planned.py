@@ -154,7 +154,7 @@ def _with_engine(
         engine.prepare(image.on(processors.here()), project.root, store.paths)
     if missing:
         return _lacking(planned, *missing)
-    access = [one for one in _host_access(recalled) if one in (NETWORK, GPU) or one.startswith(DEVICE)]
+    access = [resource for resource in _host_access(recalled) if resource in (NETWORK, GPU) or resource.startswith(DEVICE)]
     if engine.name != NONE and not engine.probe().isolated and NETWORK not in access:
         access.append(f"{NETWORK} ({engine.name} cannot isolate it here)")
     built = (tuple(recalled.build.row.command),) if recalled.build else ()
@@ -239,9 +239,9 @@ def lacking_packages(project: LoadedProject, store: Store, planned: PlannedBatch
     now = checkout.programs()
     with store.snapshot() as snapshot:
         names = {normalized(name) for name in row_queries.used_distributions(snapshot, [recalled.fingerprint])}
-    was = {name: version for one in recalled.programs for name, version in _installed(one.name, one.version)}
-    found = {name for one in now.all for name, _ in _installed(one.name, one.version)}
-    absent = [f"{name}=={was[name]}" for name in sorted(names & was.keys() - found - INSTALLERS)]
+    was = {name: version for program in recalled.programs for name, version in _installed(program.name, program.version)}
+    installed = {name for program in now.all for name, _ in _installed(program.name, program.version)}
+    absent = [f"{name}=={was[name]}" for name in sorted(names & was.keys() - installed - INSTALLERS)]
     return (f"Python packages that runs used are not installed: pip install {' '.join(absent)}",) if absent else ()
 
 

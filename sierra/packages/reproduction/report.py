@@ -41,25 +41,25 @@ def as_json(done: Reproduction) -> dict[str, Any]:
         "folder": str(done.folder),
         "notes": list(done.notes),
         "left_out": list(done.left_out),
-        "batches": [_batch(one) for one in done.batches],
-        "claims": [_claim(done, one) for one in done.claims],
-        "drawn": [_drawn(one) for one in done.drawn],
+        "batches": [_batch(batch) for batch in done.batches],
+        "claims": [_claim(done, claim) for claim in done.claims],
+        "drawn": [_drawn(deliverable) for deliverable in done.drawn],
         "numbers": {name: {"recorded": before, "reproduced": now} for name, (before, now) in done.numbers.items()},
     }
 
 
-def _batch(one: ReproducedBatch) -> dict[str, Any]:
-    replay = one.replay
+def _batch(batch: ReproducedBatch) -> dict[str, Any]:
+    replay = batch.replay
     return {
-        "batch": one.planned.batch,
-        "query": one.planned.query,
+        "batch": batch.planned.batch,
+        "query": batch.planned.query,
         "verdict": str(replay.verdict) if replay and not replay.interrupted else None,
         "interrupted": bool(replay and replay.interrupted),
-        "executed": one.executed,
-        "runs": one.planned.of,
-        "complete": one.complete,
-        "reason": one.reason,
-        "engine": one.planned.engine if replay else None,
+        "executed": batch.executed,
+        "runs": batch.planned.of,
+        "complete": batch.complete,
+        "reason": batch.reason,
+        "engine": batch.planned.engine if replay else None,
         "replay": replay.id if replay else None,
         "counts": {str(verdict): count for verdict, count in replay.counts.items()} if replay else {},
         "notes": list(replay.notes) if replay else [],
@@ -75,19 +75,19 @@ def _drawn(one: DrawnAgain) -> dict[str, Any]:
     return {**found, "reproduced": one.reproduced is not None}
 
 
-def _claim(done: Reproduction, one: Evaluated) -> dict[str, Any]:
+def _claim(done: Reproduction, claim: Evaluated) -> dict[str, Any]:
     return {
-        "name": one.name,
-        "says": one.says,
-        "shown": one.shown,
-        "verdict": str(one.verdict),
-        "registered": str(one.registered),
-        "registration": one.registration.reason,
-        "ground": str(one.ground),
-        "text": one.text,
-        "n": one.n,
-        "batches": list(one.batches),
-        "executed": executed(done, one.batches),
+        "name": claim.name,
+        "says": claim.says,
+        "shown": claim.shown,
+        "verdict": str(claim.verdict),
+        "registered": str(claim.registered),
+        "registration": claim.registration.reason,
+        "ground": str(claim.ground),
+        "text": claim.text,
+        "n": claim.n,
+        "batches": list(claim.batches),
+        "executed": executed(done, claim.batches),
     }
 
 
@@ -108,14 +108,14 @@ def _lines(done: Reproduction) -> Iterator[str]:
     yield f"Package: `{done.package}`"
     if done.claims:
         yield from ("", "## Claims", "", *CLAIMS)
-        for one in done.claims:
-            ground = f"{one.ground} ({executed(done, one.batches)})"
+        for claim in done.claims:
+            ground = f"{claim.ground} ({executed(done, claim.batches)})"
             cells = (
-                f"{one.name}: {_text(one.says)}",
-                f"**{one.verdict}**",
-                str(one.registered),
-                _text(one.text),
-                str(one.n),
+                f"{claim.name}: {_text(claim.says)}",
+                f"**{claim.verdict}**",
+                str(claim.registered),
+                _text(claim.text),
+                str(claim.n),
                 ground,
             )
             yield f"| {' | '.join(cells)} |"
@@ -123,13 +123,13 @@ def _lines(done: Reproduction) -> Iterator[str]:
     for batch in done.batches:
         yield from _of_batch(batch)
     if done.drawn:
-        lines = [f"{one.kind} {one.name}: {_found(one)}" for one in done.drawn]
+        lines = [f"{deliverable.kind} {deliverable.name}: {_found(deliverable)}" for deliverable in done.drawn]
         yield from _listed("Figures, tables and comparisons (see index.html)", lines)
     changed = [f"{name}: {before}, now {now}" for name, (before, now) in done.numbers.items() if before != now]
     same = [f"{len(done.numbers) - len(changed)} of {len(done.numbers)} are the same"] if done.numbers else []
     yield from _listed("Numbers in the text", [*same, *changed])
     yield from _listed("Left out", done.left_out)
-    yield from _listed("Notes", [f"{short(one.planned.batch)}: {note}" for one in done.batches for note in _notes(one)])
+    yield from _listed("Notes", [f"{short(batch.planned.batch)}: {note}" for batch in done.batches for note in _notes(batch)])
     yield from _listed("Notes on the package", done.notes)
 
 
@@ -144,16 +144,16 @@ def _notes(one: ReproducedBatch) -> Sequence[str]:
     return one.replay.notes if one.replay else ()
 
 
-def _of_batch(one: ReproducedBatch) -> Iterator[str]:
-    yield f"- batch {short(one.planned.batch)} ({_text(one.planned.query)}): **{_text(one.verdict)}**"
-    if one.replay is None:
+def _of_batch(batch: ReproducedBatch) -> Iterator[str]:
+    yield f"- batch {short(batch.planned.batch)} ({_text(batch.planned.query)}): **{_text(batch.verdict)}**"
+    if batch.replay is None:
         return
-    counts = Counter(str(run.verdict) for run in one.replay.runs)
-    yield f"  - executed {one.planned.place}: {', '.join(f'{count} {verdict}' for verdict, count in sorted(counts.items()))}"
-    bad = [(run, path, found) for run in one.replay.runs for path, found in run.outputs.items() if not found.verdict.fine]
-    for run, path, found in bad[:SHOWN]:
+    counts = Counter(str(run.verdict) for run in batch.replay.runs)
+    yield f"  - executed {batch.planned.place}: {', '.join(f'{count} {verdict}' for verdict, count in sorted(counts.items()))}"
+    bad = [(run, path, output) for run in batch.replay.runs for path, output in run.outputs.items() if not output.verdict.fine]
+    for run, path, output in bad[:SHOWN]:
         where = f" {_text(path)}" if path else ""
-        yield f"  - {found.verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {_text(found.reason)}"
+        yield f"  - {output.verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {_text(output.reason)}"
     if len(bad) > SHOWN:
         yield f"  - {len(bad) - SHOWN:,} more outputs that differ"
 

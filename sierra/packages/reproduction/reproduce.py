@@ -65,20 +65,20 @@ def reproduce(
     """
     observer = observer or Observer()
     folder = Path(os.path.abspath(into or workspace.default(package)))  # noqa: PTH100 - no link is followed
-    with workspace.opened(package) as found, workspace.alone(folder):
-        workspace.copy_verified(found, folder)
-        observer.notice(f"verified: package {short(found.id)}, copied to {folder / workspace.COPY}")
+    with workspace.opened(package) as archive, workspace.alone(folder):
+        workspace.copy_verified(archive, folder)
+        observer.notice(f"verified: package {short(archive.id)}, copied to {folder / workspace.COPY}")
         described = manifest.read(read_regular(folder / workspace.COPY / PACKAGE))
         project, notes = confined_project.load(folder / workspace.COPY / PROJECT)
-        if not verifier.is_ours(found.hashes.get(PROGRAM)):
+        if not verifier.is_ours(archive.hashes.get(PROGRAM)):
             notes = (*notes, received.OTHER)
         for note in notes:
             observer.notice(one_line(note))
         store = Store(project.root / STORE, project.rules).confined()
-        earlier = workspace.replays_here(found, store, observer)
+        earlier = workspace.replays_here(archive, store, observer)
         with project.plugins():
             batches, decided, left_out = _Work(project, store, options, observer, earlier).reproduce(agree)
-            done = Reproduction(found.id, described.title, folder, notes, batches, decided, left_out=left_out)
+            done = Reproduction(archive.id, described.title, folder, notes, batches, decided, left_out=left_out)
             done = _drawn(done, project, store, observer)
         report.write(done)
     return done
@@ -86,7 +86,7 @@ def reproduce(
 
 def _drawn(done: Reproduction, project: LoadedProject, store: Store, observer: Observer) -> Reproduction:
     """Make the deliverables of all batches that were executed again, and write the page that shows both; return them too."""
-    complete = {one.planned.batch: one.replay for one in done.batches if one.replay and one.complete}
+    complete = {batch.planned.batch: batch.replay for batch in done.batches if batch.replay and batch.complete}
     if not complete or done.interrupted:
         return done
     from sierra.packages.reproduction import drawn_again, page
@@ -97,7 +97,7 @@ def _drawn(done: Reproduction, project: LoadedProject, store: Store, observer: O
     drawn = tuple(drawn_again.make(sides, list(complete)))
     texts, problem = drawn_again.numbers_of(sides, list(complete))
     done = replace(done, drawn=drawn, numbers=texts, notes=(*done.notes, *dict.fromkeys(sides.notes)))
-    recorded = claims.recorded(project, store, [one.name for one in done.claims])
+    recorded = claims.recorded(project, store, [claim.name for claim in done.claims])
     shown = page.page(done, drawn, page.Numbers(texts, problem), recorded, project.config)
     with disk_errors(done.folder):
         write_whole(done.folder / workspace.PAGE, shown)
@@ -124,17 +124,17 @@ class _Work:
         names = claims.named(self._project, self._options.claims)
         rests = claims.rest(self._project, self._store, names)
         plans = [*self._plans(rests)]
-        possible = [run for one in plans if not one.missing for run in one.runs]
+        possible = [run for plan in plans if not plan.missing for run in plan.runs]
         chosen = set(possible)
         if self._options.budget is not None:
             chosen = budget.choose(possible, rests, self._options.budget, self._options.slots)
         if possible:
-            open_ = any(not one.isolated for one in plans if not one.missing and not chosen.isdisjoint(one.runs))
+            open_ = any(not plan.isolated for plan in plans if not plan.missing and not chosen.isdisjoint(plan.runs))
             agree(Statement(tuple(self._lines(plans, chosen)), open_))
-        for line in (line for one in plans if one.missing for line in one.lines):
+        for line in (line for plan in plans if plan.missing for line in plan.lines):
             self._observer.notice(line)
         batches = tuple(self._executed(plans, chosen))
-        complete = {one.planned.batch: one.replay for one in batches if one.replay and one.complete}
+        complete = {batch.planned.batch: batch.replay for batch in batches if batch.replay and batch.complete}
         decided = claims.decide(self._project, self._store, rests, complete) if names else ()
         return batches, decided, tuple(_left_out(plans, chosen, rests))
 
@@ -147,54 +147,54 @@ class _Work:
 
     def _lines(self, plans: Sequence[PlannedBatch], chosen: set[RecordedRun]) -> Iterator[str]:
         """Yield lines that say what would be executed."""
-        place = "" if self._options.runner == "local" else f" on {self._options.runner}"
-        for one in plans:
-            runs = [run for run in one.runs if run in chosen]
-            if not one.missing and runs:
+        runner = "" if self._options.runner == "local" else f" on {self._options.runner}"
+        for plan in plans:
+            runs = [run for run in plan.runs if run in chosen]
+            if not plan.missing and runs:
                 took = duration(sum(run.seconds for run in runs))
-                yield from one.lines
-                yield f"  {len(runs)} of {counted(one.of, 'run')}{place}; they took {took} in all when they were recorded"
+                yield from plan.lines
+                yield f"  {len(runs)} of {counted(plan.of, 'run')}{runner}; they took {took} in all when they were recorded"
 
     def _executed(self, plans: Sequence[PlannedBatch], chosen: set[RecordedRun]) -> Iterator[ReproducedBatch]:
         interrupted = False
-        for one in plans:
-            runs = frozenset(run.run for run in one.runs if run in chosen)
-            if interrupted or one.missing or not runs:
-                reason = "; ".join(one.missing) or ("interrupted" if interrupted else "the budget has no time for its runs")
-                yield ReproducedBatch(one, 0, None, one_line(reason))
+        for plan in plans:
+            runs = frozenset(run.run for run in plan.runs if run in chosen)
+            if interrupted or plan.missing or not runs:
+                reason = "; ".join(plan.missing) or ("interrupted" if interrupted else "the budget has no time for its runs")
+                yield ReproducedBatch(plan, 0, None, one_line(reason))
                 continue
-            done = self._replayed(one, runs)
+            done = self._replayed(plan, runs)
             interrupted = bool(done.replay and done.replay.interrupted)
             yield done
 
-    def _replayed(self, one: PlannedBatch, runs: frozenset[str]) -> ReproducedBatch:
+    def _replayed(self, plan: PlannedBatch, runs: frozenset[str]) -> ReproducedBatch:
         local = self._options.runner == "local"
-        only = None if len(runs) == len(one.runs) else runs
+        only = None if len(runs) == len(plan.runs) else runs
         options = ReplayOptions(
             self._options.slots,
             only=only,
             runner=self._options.runner,
-            engine=one.engine,
-            image=one.image,
+            engine=plan.engine,
+            image=plan.image,
             earlier=self._earlier,
         )
         try:
-            if local and (missing := planned.lacking_packages(self._project, self._store, one)):
-                return ReproducedBatch(one, len(runs), None, "; ".join(missing))
-            return ReproducedBatch(one, len(runs), replay(self._project, self._store, one.batch, options, self._observer))
+            if local and (missing := planned.lacking_packages(self._project, self._store, plan)):
+                return ReproducedBatch(plan, len(runs), None, "; ".join(missing))
+            return ReproducedBatch(plan, len(runs), replay(self._project, self._store, plan.batch, options, self._observer))
         except Damaged:
             raise
         except SierraError as error:
-            return ReproducedBatch(one, len(runs), None, planned.reason(error))
+            return ReproducedBatch(plan, len(runs), None, planned.reason(error))
 
 
 def _left_out(plans: Sequence[PlannedBatch], chosen: set[RecordedRun], rests: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield a line for each batch of which runs are left out, and for each claim with experiments of which all are."""
-    possible = [run for one in plans if not one.missing for run in one.runs]
-    for one in plans:
-        left = sum(run not in chosen for run in one.runs)
-        if left and not one.missing:
-            yield f"batch {short(one.batch)}: the budget leaves out {left:,} of {counted(len(one.runs), 'run')}"
+    possible = [run for plan in plans if not plan.missing for run in plan.runs]
+    for plan in plans:
+        left = sum(run not in chosen for run in plan.runs)
+        if left and not plan.missing:
+            yield f"batch {short(plan.batch)}: the budget leaves out {left:,} of {counted(len(plan.runs), 'run')}"
     for name, batches in rests.items():
         if count := budget.untouched(possible, chosen, batches):
             yield f"claim {name}: the budget leaves out all runs of {counted(count, 'experiment')}"

@@ -81,32 +81,32 @@ def opened(package: Path) -> Iterator[Opened]:
 
     Raises Missing if it cannot be read, Damaged if it is not a safe package with a project.
     """
-    with Extracted(package) if package.is_dir() else Archive(package) as found:
-        _check(found)
-        yield found
+    with Extracted(package) if package.is_dir() else Archive(package) as archive:
+        _check(archive)
+        yield archive
 
 
-def replays_here(found: Opened, store: Store, observer: Observer) -> frozenset[str]:
+def replays_here(package: Opened, store: Store, observer: Observer) -> frozenset[str]:
     """Return the sessions of the replays that earlier calls made in this folder: those of records that are not in the package.
 
     Finished runs of killed processes are recorded first; `observer` receives a notice if they cannot be.
     """
     recover.finish_dead(store, observer)
-    packed = {name.removeprefix(SEGMENTS).split("/")[0] for name in found.names(SEGMENTS)}
+    packed = {name.removeprefix(SEGMENTS).split("/")[0] for name in package.names(SEGMENTS)}
     own = [segment for segment in store.segments() if segment.name not in packed]
     with Snapshot(store.paths.root, own) as snapshot:
         return frozenset(snapshot.values(str, "SELECT DISTINCT session FROM executions WHERE purpose = 'replay'"))
 
 
-def copy_verified(found: Opened, folder: Path) -> None:
+def copy_verified(package: Opened, folder: Path) -> None:
     """Verify a package, and copy it to the folder unless the same package is there already.
 
     Raises Damaged for a changed file, UsageError if the folder has another package.
     """
     if (folder / COPY).exists():
-        _verify_again(found, folder / COPY)
+        _verify_again(package, folder / COPY)
     else:
-        _copy(found, folder)
+        _copy(package, folder)
 
 
 def _check(found: Opened) -> None:
@@ -117,15 +117,15 @@ def _check(found: Opened) -> None:
     records(found)
 
 
-def _verify_again(found: Opened, copy: Path) -> None:
+def _verify_again(package: Opened, copy: Path) -> None:
     """Verify a package, and a copy that an earlier process made. Raises UsageError if they differ."""
     again = f"{copy.parent} is of another package; choose another folder with --into"
     if not (copy / MANIFEST).is_file():
         raise UsageError(again)
     with _Used(copy, grows=STORED) as known:
-        if known.id != found.id:
+        if known.id != package.id:
             raise UsageError(again)
-        found.verify()
+        package.verify()
         known.verify()
 
 
@@ -138,12 +138,12 @@ class _Used(Extracted):
             yield FORMER.encode() if renewed else block
 
 
-def _copy(found: Opened, folder: Path) -> None:
+def _copy(package: Opened, folder: Path) -> None:
     unfinished = folder / UNFINISHED
     if unfinished.is_symlink():
         raise UsageError(f"{unfinished} is a link; remove it")
     shutil.rmtree(unfinished, ignore_errors=True)  # of a process that was killed: `alone` keeps others out
-    found.extract(found.names(), unfinished)
+    package.extract(package.names(), unfinished)
     with disk_errors(folder):
-        (unfinished / MANIFEST).write_bytes(written(found.hashes))
+        (unfinished / MANIFEST).write_bytes(written(package.hashes))
         unfinished.rename(folder / COPY)

@@ -202,7 +202,7 @@ def test_a_name_is_found_in_each_kind_of_file(form: str) -> None:
     assert [hit for hit in found.hits if hit.word.text == "secret-host"]
     assert found.unread == []
     if place is not None:
-        assert [hit for hit in found.hits if hit.place.startswith(place)], found.hits
+        assert [hit for hit in found.hits if hit.location.startswith(place)], found.hits
 
 
 NOISE = random.Random(1).randbytes(300)
@@ -253,7 +253,7 @@ def test_objects_of_a_store_are_searched_one_by_one_and_each_once() -> None:
     found = ContentSearch(Search([Word("secret-host", "host name")]), {"aa" * 32: "stdout of run 1"}.__getitem__)
     found.known("bb" * 32)
     found.file(io.BytesIO(parquet(table)), "objects")
-    named = [str(hit) for hit in found.hits if "stdout" in hit.place]
+    named = [str(hit) for hit in found.hits if "stdout" in hit.location]
     assert named == ["objects (stdout of run 1), line 1: 'secret-host' (host name)"]
 
 
@@ -320,4 +320,4 @@ def test_a_zip_of_too_many_files_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         archive.writestr("b", "secret-host")
     found = search(file.getvalue())
     assert found.unread == ["x: it has more than 1 files in it"]
-    assert [hit.place for hit in found.hits] == ["x: a, line 1", "x, byte 73"]
+    assert [hit.location for hit in found.hits] == ["x: a, line 1", "x, byte 73"]
