@@ -76,14 +76,14 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
         root = _mount_source(project, target, source)
         for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
             if path.is_symlink() and path != root:
-                found, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
+                hashed, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
             elif path.is_file():
-                found, kind = digests.of(str(path)), Kind.FILE
+                hashed, kind = digests.of(str(path)), Kind.FILE
             else:
                 continue
-            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, kind))
+            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), hashed, kind))
     digests.save()
-    own = (one for one in named.all if one.name.startswith(IN_PROJECT))
+    own = (used for used in named.all if used.name.startswith(IN_PROJECT))
     return Programs((*own, *mounted), named.notes)
 
 
@@ -114,7 +114,7 @@ class Isolation:
         if box is None:
             return None
         # the code of a replay is in a folder of its own
-        placed = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
+        placed = tuple(replace(bound, source="{project}") if bound.target == PROJECT else bound for bound in box.mounts)
         client = self.engine.client(replace(box, session="", mounts=placed, files=""), Process((), {}, (), "/"))
         row = IsolationRow(
             isolation="",
@@ -239,7 +239,7 @@ def settings(
         reference="",
         session=session,
         network=NETWORK in spec.host_access,
-        devices=tuple(one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)),
+        devices=tuple(access.removeprefix(DEVICE) for access in spec.host_access if access.startswith(DEVICE)),
         gpu=GPU in spec.host_access,
         # in a shared container, the limit would also hit the worker: it checks memory itself
         memory=None if shared else bounds.memory_bytes,

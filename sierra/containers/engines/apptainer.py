@@ -21,7 +21,7 @@ from pathlib import Path
 from sierra.config.field_types import Table
 from sierra.containers import images
 from sierra.containers.engines import apptainer_ways_to_start, sandboxes
-from sierra.containers.engines.apptainer_ways_to_start import Way
+from sierra.containers.engines.apptainer_ways_to_start import Launcher
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process, Supplied, WithoutOptions
 from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
 from sierra.containers.engines.hosts import HERE, Host, Notice, OtherHost
@@ -70,7 +70,7 @@ class Apptainer(WithoutOptions):
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         images.verify(root, image)
         squashfs = images.rootfs(root, store, image)
-        if apptainer_ways_to_start.way().squashfs:
+        if apptainer_ways_to_start.launcher().squashfs:
             return str(squashfs)
         return str(sandboxes.prepare(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
@@ -81,16 +81,16 @@ class Apptainer(WithoutOptions):
     def supply(self, image: Image, file: Path, sha256: str, notice: Notice) -> Supplied:
         assert isinstance(self._host, OtherHost)  # noqa: S101 - by contract
         placed = self._host.place(file, sha256, "images", notice)
-        if apptainer_ways_to_start.way(self._host).squashfs:
+        if apptainer_ways_to_start.launcher(self._host).squashfs:
             return Supplied(placed.path, {placed.path: placed.state})
         folder = f"{Path(placed.path).parent}.files"
         sandboxes.unpack(self._host, file, placed.path, image.id, folder)
         return Supplied(folder)
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        way = apptainer_ways_to_start.way(self._host)
-        given = apptainer_ways_to_start.environment(self._host) | dict(variables(way, box, process))
-        return Client(words(way, box, process), given)
+        launcher = apptainer_ways_to_start.launcher(self._host)
+        given = apptainer_ways_to_start.environment(self._host) | dict(variables(launcher, box, process))
+        return Client(words(launcher, box, process), given)
 
     def sweep(self, sessions: Sequence[str]) -> None:
         if self._host is not HERE:
@@ -128,34 +128,35 @@ def _script(host: Host, files: str) -> str:
     return str(host.call("keep", files or host.folder, SCRIPT.read_text(), "sh"))
 
 
-def words(way: Way, box: ContainerSpec, process: Process) -> tuple[str, ...]:
+def words(launcher: Launcher, box: ContainerSpec, process: Process) -> tuple[str, ...]:
     """Return the command of a client."""
-    return (*way.words(network=box.network, files=box.files), *_options(way, box, process), box.reference, *process.argv)
+    started = launcher.words(network=box.network, files=box.files)
+    return (*started, *_options(launcher, box, process), box.reference, *process.argv)
 
 
-def _options(way: Way, box: ContainerSpec, process: Process) -> Iterator[str]:
-    yield from map(mounted, (Mount(_script(way.host, box.files), SOURCED), *box.mounts, *process.mounts))
+def _options(launcher: Launcher, box: ContainerSpec, process: Process) -> Iterator[str]:
+    yield from map(mounted, (Mount(_script(launcher.host, box.files), SOURCED), *box.mounts, *process.mounts))
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
-    if box.cpus is not None and "cpus" in way.enforced:
+    if box.cpus is not None and "cpus" in launcher.enforced:
         yield f"--cpus={box.cpus}"
-    if box.pids is not None and "pids" in way.enforced:
+    if box.pids is not None and "pids" in launcher.enforced:
         yield f"--pids-limit={box.pids}"
     yield f"--pwd={process.folder}"
 
 
-def variables(way: Way, box: ContainerSpec, process: Process) -> Iterator[tuple[str, str]]:
+def variables(launcher: Launcher, box: ContainerSpec, process: Process) -> Iterator[tuple[str, str]]:
     """Yield the environment of a process, under names that have no meaning for any other program.
 
     Raises Missing for a name that apptainer does not accept.
     """
-    yield f"{way.prefix}{MARK}", box.session
+    yield f"{launcher.prefix}{MARK}", box.session
     for name, value in process.environment.items():
         if not NAME.fullmatch(name):
             raise Missing(f"{name!r} is not a valid variable name in apptainer; use letters, digits and _")
         if box.gpu and name == "LD_LIBRARY_PATH":
             value += ":/.singularity.d/libs"
-        yield f"{way.prefix}{PREFIX}{name}", value
+        yield f"{launcher.prefix}{PREFIX}{name}", value
     if box.gpu and "LD_LIBRARY_PATH" not in process.environment:
-        yield f"{way.prefix}{PREFIX}LD_LIBRARY_PATH", "/.singularity.d/libs"
+        yield f"{launcher.prefix}{PREFIX}LD_LIBRARY_PATH", "/.singularity.d/libs"

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, Mount
-from sierra.containers.engines.capabilities import CPUS, PIDS, Dependencies, Found
+from sierra.containers.engines.capabilities import CPUS, PIDS, Dependencies, ProbeResult
 from sierra.containers.engines.client_errors import mounted
 from sierra.containers.engines.hosts import HERE, Host, handed_on, run
 from sierra.util.lazy_definitions import dataclass, regex, replace
@@ -44,7 +44,7 @@ Its other variables could add mounts that are not recorded.
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Launcher:
     """One way to start a container, as it works on a host."""
 
     program: str
@@ -77,13 +77,13 @@ def apptainer(host: Host = HERE) -> Capabilities:
     return capabilities.cached("apptainer", _test, _dependencies, host).abilities
 
 
-def way(host: Host = HERE) -> Way:
+def launcher(host: Host = HERE) -> Launcher:
     """Return the way in which containers can be started on a host. If there is none, return the simplest way."""
     found = capabilities.cached_here("apptainer", _test, _dependencies, host)
     if not found.options:
-        return Way(NAMES[0], "", mapped=False, squashfs=True, host=host)
+        return Launcher(NAMES[0], "", mapped=False, squashfs=True, host=host)
     program, configuration, *flags = found.options
-    return Way(program, configuration, MAPPED in flags, SQUASHFS in flags, found.abilities.enforced, host)
+    return Launcher(program, configuration, MAPPED in flags, SQUASHFS in flags, found.abilities.enforced, host)
 
 
 def environment(host: Host = HERE) -> dict[str, str]:
@@ -98,36 +98,36 @@ def _dependencies(host: Host) -> Dependencies:
     return Dependencies(programs, (*configuration, "/dev/fuse", "/etc/subuid"))
 
 
-def _test(host: Host) -> Found:
+def _test(host: Host) -> ProbeResult:
     program = next((name for name in NAMES if host.call("which", name)), None)
     if program is None:
         trouble = "neither apptainer nor singularity-ce is installed; see docs/how-to/containers.md"
-        return Found(Capabilities("apptainer", trouble=trouble))
+        return ProbeResult(Capabilities("apptainer", trouble=trouble))
     version = run(host, (program, "--version")).stdout.strip().replace(" version ", " ")
     name, _, number = version.partition(" ")
-    found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
-    if found < MIN_VERSIONS.get(name, (99,)):
+    numbers = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
+    if numbers < MIN_VERSIONS.get(name, (99,)):
         least = " or ".join(f"{name} {'.'.join(map(str, number))}" for name, number in MIN_VERSIONS.items())
-        return Found(Capabilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
+        return ProbeResult(Capabilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
     return _first_that_works(host, program, version)
 
 
-def _first_that_works(host: Host, program: str, version: str) -> Found:
+def _first_that_works(host: Host, program: str, version: str) -> ProbeResult:
     complaint = ""
-    for one in _ways(host, program):
-        able = _start(one, LIMITS)
+    for launcher in _launchers(host, program):
+        able = _start(launcher, LIMITS)
         if able.trouble:
-            able = replace(_start(one, ()), enforced=frozenset())
+            able = replace(_start(launcher, ()), enforced=frozenset())
         if not able.trouble:
-            squashfs = _starts_squashfs(one)
-            parts = [version, *_helpers(one, squashfs=squashfs)]
-            flags = [flag for flag, is_set in ((MAPPED, one.mapped), (SQUASHFS, squashfs)) if is_set]
-            return Found(replace(able, version=", ".join(parts)), (one.program, one.configuration, *flags))
+            squashfs = _starts_squashfs(launcher)
+            parts = [version, *_helpers(launcher, squashfs=squashfs)]
+            flags = [flag for flag, is_set in ((MAPPED, launcher.mapped), (SQUASHFS, squashfs)) if is_set]
+            return ProbeResult(replace(able, version=", ".join(parts)), (launcher.program, launcher.configuration, *flags))
         complaint = complaint or able.trouble
-    return Found(Capabilities(version, trouble=capabilities.remedy(program, complaint)))
+    return ProbeResult(Capabilities(version, trouble=capabilities.remedy(program, complaint)))
 
 
-def _ways(host: Host, program: str) -> Iterator[Way]:
+def _launchers(host: Host, program: str) -> Iterator[Launcher]:
     """Yield the possible ways, the one with the best isolation first."""
     output = run(host, (program, "buildcfg")).stdout
     match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", output, re.MULTILINE)
@@ -136,52 +136,53 @@ def _ways(host: Host, program: str) -> Iterator[Way]:
         if match and _configured(host, host.folder, match[1], False):
             configuration = match[1]
     if host.facts.user != 0 and host.call("which", "unshare"):
-        yield Way(program, configuration, mapped=True, squashfs=True, host=host)
+        yield Launcher(program, configuration, mapped=True, squashfs=True, host=host)
     if configuration:
-        yield Way(program, configuration, mapped=False, squashfs=True, host=host)
-    yield Way(program, "", mapped=False, squashfs=True, host=host)
+        yield Launcher(program, configuration, mapped=False, squashfs=True, host=host)
+    yield Launcher(program, "", mapped=False, squashfs=True, host=host)
 
 
-def _start(one: Way, limits: Sequence[str]) -> Capabilities:
-    able = capabilities.start(one.host, lambda mounts: _words(one, limits, mounts), environment(one.host))
+def _start(launcher: Launcher, limits: Sequence[str]) -> Capabilities:
+    able = capabilities.start(launcher.host, lambda mounts: _words(launcher, limits, mounts), environment(launcher.host))
     return able or Capabilities("")
 
 
-def _words(one: Way, limits: Sequence[str], mounts: Mapping[str, str]) -> tuple[str, ...]:
+def _words(launcher: Launcher, limits: Sequence[str], mounts: Mapping[str, str]) -> tuple[str, ...]:
     given = (mounted(Mount(source, target)) for target, source in mounts.items())
     groups = mounted(Mount("/sys/fs/cgroup", "/sys/fs/cgroup"))
-    return (*one.words(), *limits, *given, groups, "--pwd=/", ROOT)
+    return (*launcher.words(), *limits, *given, groups, "--pwd=/", ROOT)
 
 
-def _starts_squashfs(one: Way) -> bool:
+def _starts_squashfs(launcher: Launcher) -> bool:
     """Return whether a squashfs can be started directly. If none can be made there, assume yes for root and no for users."""
-    able = capabilities.start(one.host, lambda mounts: _words(one, (), mounts), environment(one.host), squashed=True)
-    return one.host.facts.user == 0 if able is None else not able.trouble
+    host = launcher.host
+    able = capabilities.start(host, lambda mounts: _words(launcher, (), mounts), environment(host), squashed=True)
+    return host.facts.user == 0 if able is None else not able.trouble
 
 
-def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
+def _helpers(launcher: Launcher, *, squashfs: bool) -> Iterator[str]:
     """Yield the tools and features that it uses besides its own programs."""
     if not squashfs:
         yield "images in folders"
-    elif one.host.facts.user != 0:
-        done = run(one.host, ("squashfuse_ll", "--help"))
+    elif launcher.host.facts.user != 0:
+        done = run(launcher.host, ("squashfuse_ll", "--help"))
         match = re.search(r"squashfuse ([\d.]+)", done.stdout + done.stderr)
         yield f"squashfuse {match[1]}" if match else "squashfuse"
-    if one.mapped:
+    if launcher.mapped:
         yield "root in a namespace"
 
 
 @cache
 def _configured(host: Host, folder: str, configuration: str, network: bool) -> str:
     """Return the path of a copy of the administrator's configuration with SIERRA's settings. Raises OSError."""
-    found = host.call("texts", (glob.escape(configuration),))
-    if not found:
+    texts = host.call("texts", (glob.escape(configuration),))
+    if not texts:
         raise FileNotFoundError(configuration)
     ours = {
         **dict.fromkeys(("config passwd", "config group", "mount hostfs", "always use nv", "always use rocm"), False),
         "config resolv_conf": network,
         "systemd cgroups": host.facts.systemd,
     }
-    lines = [line for line in found[0][1].splitlines() if not SETTLED.match(line)]
+    lines = [line for line in texts[0][1].splitlines() if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
     return str(host.call("keep", folder, text, "conf"))

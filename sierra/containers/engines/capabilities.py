@@ -59,7 +59,7 @@ QUOTAS = {"cpu.max": ("50000 100000", "cpus"), "cpu.cfs_quota_us": ("50000", "cp
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class ProbeResult:
     """The result of testing an engine."""
 
     abilities: Capabilities
@@ -67,7 +67,7 @@ class Found:
     """The engine's additional options that are needed here."""
 
 
-_WORKS: dict[str, Found] = {}
+_WORKS: dict[str, ProbeResult] = {}
 """The successful results of this process, which are available even if the cache cannot be written."""
 
 
@@ -79,20 +79,20 @@ class Dependencies:
     files: tuple[str, ...]
 
 
-Test = Callable[[Host], Found]
+Test = Callable[[Host], ProbeResult]
 
 
-def cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host = HERE) -> Found:
+def cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host = HERE) -> ProbeResult:
     """Return the cached result for an engine if the engine and its dependencies are unchanged; otherwise test it."""
     if isinstance(host, OtherHost):
         if name not in host.known:
             host.known[name] = _cached(name, test, depends, host)
-        found: Found = host.known[name]
-        return found
+        result: ProbeResult = host.known[name]
+        return result
     return _cached(name, test, depends, host)
 
 
-def _cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host) -> Found:
+def _cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host) -> ProbeResult:
     facts = host.facts
     on = depends(host)
     states = host.call("states", on.programs, (*on.files, GROUPS))
@@ -104,18 +104,18 @@ def _cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host
     with contextlib.suppress(LookupError):
         return _WORKS.setdefault(key, _unpacked(as_object(file.get(key))))
     try:
-        found = test(host)
+        result = test(host)
     except OSError as error:
         trouble = f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}"
-        return Found(Capabilities(name, trouble=trouble))
-    if not found.abilities.trouble:
-        _WORKS[key], able = found, found.abilities
-        file.put(key, {"abilities": {**asdict(able), "enforced": sorted(able.enforced)}, "options": found.options})
+        return ProbeResult(Capabilities(name, trouble=trouble))
+    if not result.abilities.trouble:
+        _WORKS[key], able = result, result.abilities
+        file.put(key, {"abilities": {**asdict(able), "enforced": sorted(able.enforced)}, "options": result.options})
         file.save()
-    return found
+    return result
 
 
-def cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host = HERE) -> Found:
+def cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host = HERE) -> ProbeResult:
     """Return the result of `cached`, cached for this process and its environment, because every run needs it."""
     if host is not HERE:
         return cached(name, test, depends, host)
@@ -123,16 +123,16 @@ def cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], 
 
 
 @cache
-def _cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], _: tuple[object, ...]) -> Found:
+def _cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], _: tuple[object, ...]) -> ProbeResult:
     return cached(name, test, depends)
 
 
-def _unpacked(fact: Mapping[str, JsonView]) -> Found:
+def _unpacked(fact: Mapping[str, JsonView]) -> ProbeResult:
     """Return a cached result. Raises LookupError for anything else."""
     able = as_object(fact["abilities"])
     limits = frozenset(as_texts(able["enforced"]))
     version, user = str(able["version"]), str(able["user"])
-    return Found(
+    return ProbeResult(
         Capabilities(version, able["rootless"] is True, limits, able["isolated"] is True, user, able["groups"] is True),
         as_texts(fact["options"]),
     )

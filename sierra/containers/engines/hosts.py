@@ -154,10 +154,10 @@ class OtherHost:
         path, size = f"{folder}/{file.name}", file.stat().st_size
         hashing = size / SLOWEST
         for _ in range(2):
-            found = self.call("hashed", path, timeout=hashing)
-            if found and found[0] == sha256:
-                return Placed(path, tuple(found[1:]))
-            if found:
+            hashed = self.call("hashed", path, timeout=hashing)
+            if hashed and hashed[0] == sha256:
+                return Placed(path, tuple(hashed[1:]))
+            if hashed:
                 notice(f"{self.name}: {path} was damaged, and is copied again")
             self.call("remove", folder)
             progress = _Progress(f"{self.name}: copying the image", size, notice)

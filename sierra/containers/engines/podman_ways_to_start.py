@@ -17,7 +17,7 @@ from pathlib import Path
 
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import Capabilities
-from sierra.containers.engines.capabilities import CPUS, MEMORY, PIDS, Dependencies, Found
+from sierra.containers.engines.capabilities import CPUS, MEMORY, PIDS, Dependencies, ProbeResult
 from sierra.containers.engines.hosts import HERE, Host, run
 from sierra.worker.on_host import ROOT
 
@@ -33,19 +33,19 @@ def podman(host: Host = HERE) -> Capabilities:
     return able if able.trouble else replace(able, trouble=_settings_trouble(host))
 
 
-def here(host: Host = HERE) -> Found:
+def here(host: Host = HERE) -> ProbeResult:
     """Return the abilities of podman, and the options before any command with which it works, as cached for this process."""
     return capabilities.cached_here("podman", _test, _dependencies, host)
 
 
-def _test(host: Host) -> Found:
+def _test(host: Host) -> ProbeResult:
     """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
     if host.call("which", "podman") is None:
         trouble = "podman is not installed; install it, for example with apt-get install podman"
-        return Found(Capabilities("podman", trouble=trouble))
+        return ProbeResult(Capabilities("podman", trouble=trouble))
     version = run(host, ("podman", "--version")).stdout.strip().removeprefix("podman version ")
     if (number := version.partition(".")[0]).isdigit() and int(number) < 4:
-        return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
+        return ProbeResult(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
     limits = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
     first = ""
     for options in WAYS:
@@ -55,11 +55,11 @@ def _test(host: Host) -> Found:
             fill = any(option.startswith("--memory") for option in given)
             able = capabilities.start(host, partial(_words, options, given), fill=fill) or Capabilities("")
             if not able.trouble:
-                return Found(replace(able, version=_version(host, options, version)), options)
+                return ProbeResult(replace(able, version=_version(host, options, version)), options)
             first = first or able.trouble
             if not re.search(r"limit|controller|cgroup", able.trouble):
                 break
-    return Found(Capabilities(f"podman {version}", trouble=capabilities.remedy("podman", first)))
+    return ProbeResult(Capabilities(f"podman {version}", trouble=capabilities.remedy("podman", first)))
 
 
 def memory_options(size: int, host: Host = HERE) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ def _own(host: Host) -> Path:
 
 def _settings_trouble(host: Host) -> str:
     """Return why runs would have access to things that are not recorded, and the remedy; empty if they have no such access."""
-    found: dict[str, str] = {}
+    files: dict[str, str] = {}
     for file, text in host.call("texts", tuple(_files(host))):
         try:
             settings = tomllib.loads(text).get("containers", {})
@@ -119,9 +119,9 @@ def _settings_trouble(host: Host) -> str:
             continue
         for key in KEYS:
             if key in settings:
-                found.pop(key, None)
-                found |= {key: file} if settings[key] else {}
-    for key, file in found.items():
+                files.pop(key, None)
+                files |= {key: file} if settings[key] else {}
+    for key, file in files.items():
         return (
             f"{file} gives {key} to all containers, so runs would have unrecorded host access; list them in [container] of "
             f"sierra.toml instead, and set CONTAINERS_CONF to a file without them"

@@ -41,8 +41,8 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
     podman_images.program()
     epoch = _epoch()
     try:
-        with tempfile.TemporaryDirectory(prefix="sierra-image-") as made:
-            context = Path(made) / "context"
+        with tempfile.TemporaryDirectory(prefix="sierra-image-") as temporary:
+            context = Path(temporary) / "context"
             shutil.copytree(folder, context, symlinks=True)
             if (context / ROOTFS).is_file():
                 _run_rootfs(name, context, epoch)

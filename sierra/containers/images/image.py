@@ -132,7 +132,7 @@ def of_fields(name: str, fields: Mapping[str, JsonView]) -> Image:
     if not isinstance(layers, list | tuple) or not isinstance(variables, Mapping):
         raise TypeError(f"{name!r} has no layers or no variables")
     texts = (*layers, *variables.values())
-    if not ID.fullmatch(identity) or not all(isinstance(one, str) for one in texts):
+    if not ID.fullmatch(identity) or not all(isinstance(text, str) for text in texts):
         raise InvalidImage(f"{name!r} has the id {identity!r}")
     sets = {variable: str(value) for variable, value in variables.items()}
     return Image(name, identity, Kind(str(fields["kind"])), architecture, as_texts(layers), sets, file, sha256)

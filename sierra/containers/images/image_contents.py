@@ -100,8 +100,8 @@ class Contents:
         if "/" in word:
             return word if self._executable(word) else None
         folders = (path or self.image.variables.get("PATH") or DEFAULT_PATH).split(":")
-        found = (f"{folder.rstrip('/')}/{word}" for folder in folders if folder.startswith("/"))
-        return next((candidate for candidate in found if self._executable(candidate)), None)
+        candidates = (f"{folder.rstrip('/')}/{word}" for folder in folders if folder.startswith("/"))
+        return next((candidate for candidate in candidates if self._executable(candidate)), None)
 
     def real(self, path: str) -> str | None:
         """Return the path with all links followed within the image, or None if nothing is there."""
@@ -198,9 +198,9 @@ def made_from(store: StorePaths, digest: str) -> Image | None:
 
 def examine(root: Path, store: StorePaths, image: Image) -> Contents:
     """Return the contents of an image. Reads the whole image if they are not stored yet. Raises Missing, Damaged."""
-    found = contents(store, image)
-    if found is not None:
-        return found
+    stored = contents(store, image)
+    if stored is not None:
+        return stored
     if image.file and squashfs_file(root / image.file):
         with _disk(store.images):
             return _keep(store, _of_squashfs(root / image.file, image))
@@ -285,12 +285,12 @@ def _of_squashfs(path: Path, image: Image) -> Contents:
     read = sif_format.read(path) if sif_format.is_sif(path) else None
     entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
     own = image.kind is Kind.SQUASHFS  # else it was made from an OCI image, and does not contain its variables
-    found = sif_format.variables(kept) if own else image.variables
+    variables = sif_format.variables(kept) if own else image.variables
     return Contents(
-        image=replace(image, variables=found),
+        image=replace(image, variables=variables),
         form="sif" if read else "squashfs",
         manifests={},
-        config={"config": {"Env": [f"{name}={value}" for name, value in found.items()]}} if own else {},
+        config={"config": {"Env": [f"{name}={value}" for name, value in variables.items()]}} if own else {},
         labels=sif_format.labels(kept) or (read.labels if read else {}),
         packages=packages.packages(kept),
         recipe=read.recipe if read else "",
@@ -306,18 +306,18 @@ def _history(config: Mapping[str, JsonView]) -> str:
     return "\n".join(filter(None, lines))
 
 
-def _keep(store: StorePaths, found: Contents) -> Contents:
-    paths = store.image(found.image.folder)
+def _keep(store: StorePaths, inside: Contents) -> Contents:
+    paths = store.image(inside.image.folder)
     paths.root.mkdir(parents=True, exist_ok=True)
-    write_whole(paths.files, found.listing)
+    write_whole(paths.files, inside.listing)
     described = {
         "format": FORMAT,
-        "image": asdict(found.image),
-        **{name: getattr(found, name) for name in (*STORED, "packages")},
-        "files": sha256(found.listing),
+        "image": asdict(inside.image),
+        **{name: getattr(inside, name) for name in (*STORED, "packages")},
+        "files": sha256(inside.listing),
     }
     write_whole(paths.description, json.dumps(described, indent=2, sort_keys=True).encode())
-    return found
+    return inside
 
 
 @contextlib.contextmanager

@@ -33,15 +33,15 @@ def import_archive(root: Path, store: StorePaths, file: Path, name: str = "") ->
         raise UsageError(f"{file} is {what}; only docker-archive and oci-archive can be imported")
     read = oci.read(file)
     image = read.image(name or str(file), file=str(file.resolve()))
-    found = image_contents.examine_again(root, store, image, foreign=True)
+    contents = image_contents.examine_again(root, store, image, foreign=True)
     if not podman_images.installed():
         image_contents.rootfs(root, store, image)
-        return found
+        return contents
     podman_images.load(file, image.id)
     free = (tag for tag in read.tags[:1] if podman_images.identify(tag) in (None, read.id))
     if new := name or next(free, ""):
         podman_images.tag(image.id, new)
-    return replace(found, image=replace(found.image, name=new or image.id, file=""))
+    return replace(contents, image=replace(contents.image, name=new or image.id, file=""))
 
 
 def export(root: Path, name: str, file: Path) -> Image:
@@ -80,8 +80,8 @@ def _write(root: Path, image: Image, target: Path) -> None:
 
 def _check(image: Image, path: Path) -> None:
     if image.kind == Kind.SQUASHFS or image_contents.squashfs_file(path):
-        found = sif_format.read(path).digest() if sif_format.is_sif(path) else ""
-        same = not found or f"squashfs:{found}" == image.id or image.kind == Kind.OCI
+        digest = sif_format.read(path).digest() if sif_format.is_sif(path) else ""
+        same = not digest or f"squashfs:{digest}" == image.id or image.kind == Kind.OCI
     else:
         read = oci.read(path)
         read.check()

@@ -104,8 +104,8 @@ class Rootfs:
             for entry in (*_of("folder", self.entries), *_of("link", self.entries), *self._mounted_on()):
                 tar.addfile(_header(entry))
             by_path = {entry.path: entry for entry in _of("file", self.entries)}
-            for place in range(len(self.archive.blobs)):
-                self._write_layer(tar, place, by_path)
+            for number in range(len(self.archive.blobs)):
+                self._write_layer(tar, number, by_path)
 
     def _mounted_on(self) -> Iterator[Entry]:
         """Yield the mount points that the image lacks: podman creates them, apptainer cannot."""
@@ -115,11 +115,11 @@ class Rootfs:
             if path not in there and posixpath.dirname(path) not in others:
                 yield Entry(path, "folder", 0o1777 if path.endswith("tmp") else 0o755)
 
-    def _write_layer(self, tar: tarfile.TarFile, place: int, by_path: dict[str, Entry]) -> None:
-        with self.archive.layer(place) as stream:
-            what = f"{self.archive.path}: layer {place + 1}"
+    def _write_layer(self, tar: tarfile.TarFile, number: int, by_path: dict[str, Entry]) -> None:
+        with self.archive.layer(number) as stream:
+            what = f"{self.archive.path}: layer {number + 1}"
             for ordinal, (member, layer) in enumerate(members(stream, what)):
-                first, *others = self.sources.get((place, ordinal), ("",))
+                first, *others = self.sources.get((number, ordinal), ("",))
                 if not first:
                     continue
                 header = _header(by_path[first])
@@ -138,13 +138,13 @@ def merge(archive: Archive, wanted: Wanted = lambda path: 0, *, foreign: bool = 
     `foreign`: the image comes from a stranger, and an engine will unpack it. Raises Damaged for a device in any of its layers.
     """
     root, count = _Node("folder", 0o755, 0), 0
-    for place in range(len(archive.blobs)):
-        what = f"{archive.path}: layer {place + 1}"
-        with archive.layer(place) as stream:
+    for number in range(len(archive.blobs)):
+        what = f"{archive.path}: layer {number + 1}"
+        with archive.layer(number) as stream:
             for ordinal, (member, tar) in enumerate(members(stream, what)):
                 if foreign and (member.ischr() or member.isblk()):
                     raise Damaged(f"{what}: {member.name!r} is a device, which no image needs; build it again without")
-                _apply(root, member, tar, (place, ordinal), wanted, what)
+                _apply(root, member, tar, (number, ordinal), wanted, what)
                 count += 1
                 if count > MAX_FILES:
                     raise Damaged(f"{archive.path} has more than {MAX_FILES} files")
@@ -223,13 +223,13 @@ def _take_away(parent: _Node, name: str, layer: int) -> None:
 
 def _newer(children: dict[str, _Node], layer: int) -> dict[str, _Node]:
     """Return the nodes that this layer itself has added, with the folders that lead to them."""
-    found = {}
+    newer = {}
     for name, node in children.items():
         if node.type == "folder":
             node.children = _newer(node.children, layer)
         if node.layer == layer or node.children:
-            found[name] = node
-    return found
+            newer[name] = node
+    return newer
 
 
 # ---------------------------------------------------------------- paths within an image
@@ -275,18 +275,18 @@ def resolve(path: str, look: Callable[[str], Entry | None]) -> str | None:
         if part == "..":
             done = done[:-1]
             continue
-        found = look("/".join((*done, part)))
-        if found is None:
+        entry = look("/".join((*done, part)))
+        if entry is None:
             return None
-        if found.type != "link":
+        if entry.type != "link":
             done.append(part)
             continue
         links += 1
         if links > LINKS:
             return None
-        if found.target.startswith("/"):
+        if entry.target.startswith("/"):
             done = []
-        parts += [one for one in found.target.split("/") if one not in ("", ".")][::-1]
+        parts += [name for name in entry.target.split("/") if name not in ("", ".")][::-1]
     return "/".join(done)
 
 

@@ -86,26 +86,26 @@ class Archive:
         return diff_ids(self.config)
 
     @contextlib.contextmanager
-    def layer(self, place: int) -> Iterator[ForwardStream]:
+    def layer(self, number: int) -> Iterator[ForwardStream]:
         """Yield a layer's files as a tar. Raises Damaged at the end if they differ from those that the configuration names."""
-        blob, what = self.blobs[place], f"{self.path}: layer {place + 1} of {len(self.blobs)}"
+        blob, what = self.blobs[number], f"{self.path}: layer {number + 1} of {len(self.blobs)}"
         with self.files.open(blob.name) as stored:
             packed = Hashed(stored)
             most = max(MIN_BOUND, MAX_EXPANSION * blob.size)
             stream = ForwardStream(_unpacked(packed, what), most, what)
             yield stream
-            found = stream.digest()
+            digest = stream.digest()
             if blob.sha256 and packed.digest() != blob.sha256:
                 raise Damaged(f"{what} does not match its manifest: its SHA-256 should begin with {blob.sha256[:12]}")
-        if f"sha256:{found}" != self.diff_ids[place]:
-            wanted = self.diff_ids[place][7:19]
-            raise Damaged(f"{what} does not match the configuration: its files have SHA-256 {found[:12]}…, not {wanted}…")
+        if f"sha256:{digest}" != self.diff_ids[number]:
+            wanted = self.diff_ids[number][7:19]
+            raise Damaged(f"{what} does not match the configuration: its files have SHA-256 {digest[:12]}…, not {wanted}…")
 
     def check(self) -> list[int]:
         """Read the whole image, and return the sizes of its layers' tars. Raises Damaged if the configuration differs."""
         sizes = []
-        for place in range(len(self.blobs)):
-            with self.layer(place) as stream:
+        for number in range(len(self.blobs)):
+            with self.layer(number) as stream:
                 stream.digest()
                 sizes.append(stream.tell())
         return sizes
@@ -119,10 +119,10 @@ class Archive:
         names = [f"{digest[7:]}.tar" for digest in self.diff_ids]
         manifest = [{"Config": f"{self.id[7:]}.json", "RepoTags": None, "Layers": names}]
         with tarfile.open(fileobj=out, mode="w|", format=tarfile.USTAR_FORMAT) as tar:
-            for place, name in enumerate(names):
-                if name not in names[:place]:
-                    with self.layer(place) as stream:
-                        tar.addfile(_header(name, sizes[place]), cast("BinaryIO", stream))
+            for number, name in enumerate(names):
+                if name not in names[:number]:
+                    with self.layer(number) as stream:
+                        tar.addfile(_header(name, sizes[number]), cast("BinaryIO", stream))
             for name, content in ((f"{self.id[7:]}.json", self.document), (MANIFEST, json.dumps(manifest).encode())):
                 tar.addfile(_header(name, len(content)), io.BytesIO(content))
 
@@ -176,7 +176,7 @@ def read(path: Path) -> Archive:
 
 def _docker(path: Path, files: Files) -> Archive:
     index = _json(path, files, MANIFEST)
-    entry = _only(path, index, lambda one: ", ".join(as_texts(one.get("RepoTags"))) or "untagged")
+    entry = _only(path, index, lambda item: ", ".join(as_texts(item.get("RepoTags"))) or "untagged")
     name, listed = entry.get("Config"), entry.get("Layers")
     layers = as_texts(listed)
     if not isinstance(name, str) or not isinstance(listed, list) or len(layers) != len(listed):
@@ -186,20 +186,20 @@ def _docker(path: Path, files: Files) -> Archive:
     if digest and sha256(content) != digest[1]:
         raise Damaged(f"{path}: the configuration {name} does not match the hash in its name")
     config = _parsed(path, name, content)
-    blobs = tuple(Blob(one, _size(path, files, one, f"layer {place + 1}")) for place, one in enumerate(layers))
+    blobs = tuple(Blob(layer, _size(path, files, layer, f"layer {number + 1}")) for number, layer in enumerate(layers))
     tags = as_texts(entry.get("RepoTags"))
     return _checked(Archive(path, "docker-archive", "", content, config, tags, blobs, files))
 
 
 def _only(path: Path, listed: JsonView, name: Callable[[Mapping[str, JsonView]], str]) -> Mapping[str, JsonView]:
     """Return the only image of a list. Raises Damaged if the list has none or several."""
-    found = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
-    if not found or not isinstance(listed, list) or len(found) != len(listed):
+    images = [item for item in listed if isinstance(item, dict)] if isinstance(listed, list) else []
+    if not images or not isinstance(listed, list) or len(images) != len(listed):
         raise Damaged(f"{path} contains no image")
-    if len(found) > 1:
-        names = "; ".join(map(name, found[:3]))
-        raise Damaged(f"{path} contains {len(found)} images ({names}{'; …' * (len(found) > 3)}); save only one")
-    return found[0]
+    if len(images) > 1:
+        names = "; ".join(map(name, images[:3]))
+        raise Damaged(f"{path} contains {len(images)} images ({names}{'; …' * (len(images) > 3)}); save only one")
+    return images[0]
 
 
 # ---------------------------------------------------------------- OCI layouts
@@ -212,7 +212,7 @@ def _oci(path: Path, files: Files) -> Archive:
     listed = manifest.get("layers")
     if not isinstance(listed, list):
         raise Damaged(f"{path}: its manifest names no layers")
-    blobs = tuple(_descriptor(path, files, one, f"layer {place + 1}") for place, one in enumerate(listed))
+    blobs = tuple(_descriptor(path, files, item, f"layer {number + 1}") for number, item in enumerate(listed))
     return _checked(Archive(path, form, digest, content, config, (), blobs, files))
 
 
@@ -220,14 +220,14 @@ def _manifest(path: Path, files: Files, index: JsonView, depth: int) -> tuple[st
     """Return the digest and content of the only manifest in an index, or of the only one for this machine's architecture."""
     listed = as_object(index).get("manifests")
     if isinstance(listed, list) and len(listed) > 1:
-        platforms = [as_object(as_object(one).get("platform")) for one in listed]
-        mine = [one for one, platform in zip(listed, platforms, strict=True) if platform.get("architecture") == machine()]
+        platforms = [as_object(as_object(item).get("platform")) for item in listed]
+        mine = [item for item, platform in zip(listed, platforms, strict=True) if platform.get("architecture") == machine()]
         listed = mine or listed
-    entry = _only(path, listed, lambda one: str(one.get("digest"))[:19])
-    _, found, digest = _referenced(path, files, entry, "the manifest")
-    if "manifests" in found and "config" not in found and depth:
-        return _manifest(path, files, found, depth - 1)
-    return f"sha256:{digest}", found
+    entry = _only(path, listed, lambda item: str(item.get("digest"))[:19])
+    _, manifest, digest = _referenced(path, files, entry, "the manifest")
+    if "manifests" in manifest and "config" not in manifest and depth:
+        return _manifest(path, files, manifest, depth - 1)
+    return f"sha256:{digest}", manifest
 
 
 def _descriptor(path: Path, files: Files, value: JsonView, what: str) -> Blob:
@@ -274,10 +274,10 @@ def _is_valid(config: Mapping[str, JsonView]) -> bool:
     variables = settings.get("Env") or []
     return (
         isinstance(listed, list | None)
-        and all(isinstance(one, str) and DIGEST.fullmatch(one) for one in listed or ())
+        and all(isinstance(item, str) and DIGEST.fullmatch(item) for item in listed or ())
         and isinstance(config.get("architecture", ""), str)
         and isinstance(variables, list)
-        and all(isinstance(one, str) and "\0" not in one for one in variables)
+        and all(isinstance(item, str) and "\0" not in item for item in variables)
         and isinstance(settings.get("Labels") or {}, dict)
     )
 
@@ -369,8 +369,8 @@ class _Tar:
                 elif member.islnk() or member.issym():
                     links[_clean(member.name)] = _target(member)
         for name in links:
-            if (place := self._places.get(_follow(links, name))) is not None:
-                self._places.setdefault(name, place)
+            if (span := self._places.get(_follow(links, name))) is not None:
+                self._places.setdefault(name, span)
 
     def size(self, name: str) -> int | None:
         place = self._places.get(name)

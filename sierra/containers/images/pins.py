@@ -33,9 +33,9 @@ def pin(root: Path, store: StorePaths, name: str) -> Contents:
     """
     image, before = named(root, name), all_pinned(root).get(name)
     unread = image.file and not squashfs_file(root / image.file) and (before is None or before.sha256 != image.sha256)
-    found = examine_again(root, store, image) if unread or (image.file and not image.sha256) else examine(root, store, image)
-    _write(root, found.image)
-    return found
+    contents = examine_again(root, store, image) if unread or (image.file and not image.sha256) else examine(root, store, image)
+    _write(root, contents.image)
+    return contents
 
 
 def pinned_for_hosts(root: Path, name: str) -> AnyImage:
@@ -94,7 +94,7 @@ def all_pinned(root: Path) -> dict[str, Image]:
 def _write(root: Path, image: Image) -> None:
     """Write the image of a name to `sierra.lock`, replacing the previous pin. Raises Missing if the file cannot be written."""
     known = all_pinned(root) | {image.name: image}
-    fields = {name: {key: value for key, value in asdict(one).items() if key != "name"} for name, one in known.items()}
+    fields = {name: {key: value for key, value in asdict(pinned).items() if key != "name"} for name, pinned in known.items()}
     text = json.dumps({"format": FORMAT, "images": fields}, indent=2, sort_keys=True, ensure_ascii=False)
     path = ProjectPaths(root).lock
     try:

@@ -98,13 +98,13 @@ def _inspect(name: str) -> Image | None:
     """Return the image of that name as podman describes it, or None if there is none."""
     done = _call(["image", "inspect", "--", name])
     if done.returncode == 0:
-        found = json.loads(done.stdout)[0]
+        described = json.loads(done.stdout)[0]
         config: dict[str, Json] = {
-            "architecture": found.get("Architecture"),
-            "rootfs": {"diff_ids": (found.get("RootFS") or {}).get("Layers")},
-            "config": found.get("Config"),
+            "architecture": described.get("Architecture"),
+            "rootfs": {"diff_ids": (described.get("RootFS") or {}).get("Layers")},
+            "config": described.get("Config"),
         }
-        return image_of(name, "sha256:" + found["Id"].removeprefix("sha256:"), config)
+        return image_of(name, "sha256:" + described["Id"].removeprefix("sha256:"), config)
     if any(words in done.stderr for words in UNKNOWN):
         return None
     raise Missing(f"podman cannot inspect {name!r}: {complaint(done.stderr)}")
@@ -256,14 +256,14 @@ def _wait(process: subprocess.Popen[str]) -> None:
 
 def _end(started: Mapping[int, int | None], group: int) -> bool:
     """Kill the processes that are not in the group, and return whether there were any."""
-    found = False
+    any_left = False
     for pid, born in started.items():
         with contextlib.suppress(ProcessLookupError):
             lives = born is not None and birth(pid) == born and stat_of(pid)[:1] not in ([], [b"Z"])
             if lives and os.getpgid(pid) != group:
-                found = True
+                any_left = True
                 os.kill(pid, signal.SIGKILL)
-    return found
+    return any_left
 
 
 def _births(pids: Iterable[int]) -> dict[int, int | None]:

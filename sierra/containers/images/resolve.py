@@ -74,16 +74,16 @@ def existing(root: Path, name: str) -> list[str]:
     """
     if ARCH not in name:
         return [name]
-    found, why = [], ""
-    for one in (name.replace(ARCH, processor) for processor in (processors.here(), *processors.NAMES)):
+    names, why = [], ""
+    for candidate in (name.replace(ARCH, processor) for processor in (processors.here(), *processors.NAMES)):
         try:
-            named(root, one)
-            found.append(one)
+            named(root, candidate)
+            names.append(candidate)
         except Missing as error:
             why = why or str(error)
-    if not found:
+    if not names:
         raise Missing(f"{name} names no image for any processor: {why}")
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(names))
 
 
 def verify(root: Path, image: Image) -> None:
@@ -107,23 +107,23 @@ def unchanged(root: Path, image: Image) -> None:
 def _verify_file(root: Path, image: Image) -> None:
     path = root / image.file
     if path.is_dir():
-        found, was = oci.read(path).id, image.id
+        now, was = oci.read(path).id, image.id
     else:
-        found, was = cached_sha256(path), image.sha256
-    if found != was:
+        now, was = cached_sha256(path), image.sha256
+    if now != was:
         raise Missing(
-            f"the image {image.name} is not the pinned one: {path} has SHA-256 {found[:19]}…, but the pin is {was[:19]}…; "
+            f"the image {image.name} is not the pinned one: {path} has SHA-256 {now[:19]}…, but the pin is {was[:19]}…; "
             f"restore it, or run: sierra image pin {image.name}"
         )
 
 
 def _verify_tag(root: Path, image: Image) -> None:
-    called, found = tag(root, image.name), None
+    called, now = tag(root, image.name), None
     with contextlib.suppress(Missing):  # podman does not work here, which does not matter if nothing needs it
-        found = None if called is None else podman_images.identify(called)
-    if found is not None and found != image.id:
+        now = None if called is None else podman_images.identify(called)
+    if now is not None and now != image.id:
         raise Missing(
-            f"the tag of the image {image.name} has moved: it is {short(found)} now, but the pin is {short(image.id)}; "
+            f"the tag of the image {image.name} has moved: it is {short(now)} now, but the pin is {short(image.id)}; "
             f"tag the pinned image again, or run: sierra image pin {image.name}"
         )
 

@@ -100,19 +100,19 @@ class _Object:
 
 def _read(path: Path, file: BinaryIO, length: int) -> Sif:
     objects = list(_objects(path, file, length))
-    systems = [one for one in objects if one.role == PRIMARY]
+    systems = [descriptor for descriptor in objects if descriptor.role == PRIMARY]
     if len(systems) != 1:
         raise Damaged(f"{path} has {len(systems)} primary file systems; a SIF that can run has exactly one")
-    if any(one.role == OVERLAY for one in objects):
+    if any(descriptor.role == OVERLAY for descriptor in objects):
         raise Damaged(f"{path} has an overlay, whose files are not part of the image's id; remove it with apptainer sif del")
     [system] = systems
     kind = struct.unpack_from("<i", system.extra)[0]
     if kind != SQUASHFS:
         raise Damaged(f"{path}: its file system is {FILE_SYSTEMS.get(kind, 'unknown')}; only squashfs can run")
     architecture = {b"%02d" % number: name for number, name in enumerate(ARCHITECTURES, 1)}.get(system.extra[8:10], "")
-    recipe = next((_text(file, one) for one in objects if one.type == DEFFILE), "")
-    signed = any(one.type == SIGNATURE for one in objects)
-    labels = next((_parsed_labels(_text(file, one)) for one in objects if one.type == LABELS), {})
+    recipe = next((_text(file, descriptor) for descriptor in objects if descriptor.type == DEFFILE), "")
+    signed = any(descriptor.type == SIGNATURE for descriptor in objects)
+    labels = next((_parsed_labels(_text(file, descriptor)) for descriptor in objects if descriptor.type == LABELS), {})
     return Sif(path, architecture, system.offset, system.size, signed, recipe, labels)
 
 

@@ -89,12 +89,12 @@ def listing(path: Path, offset: int = 0, wanted: Wanted = lambda path: 0) -> tup
     Nothing is unpacked: `unsquashfs` streams a "pseudo file", which has a line for each path and then the bytes of all files.
     """
     command = [_program("unsquashfs"), "-no-progress", "-quiet", "-offset", str(offset), "-pf", "/dev/stdout", str(path)]
-    found = None
+    entries = None
     with tempfile.TemporaryFile() as complaints:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints)
         try:
             with contextlib.suppress(SierraError), cast("IO[bytes]", process.stdout) as stream:
-                found = _listed(path, stream, wanted)
+                entries = _listed(path, stream, wanted)
                 while stream.read(PIECE):
                     pass
                 status = process.wait()
@@ -103,11 +103,11 @@ def listing(path: Path, offset: int = 0, wanted: Wanted = lambda path: 0) -> tup
             process.wait()
         complaints.seek(0)
         output = complaints.read(1 << 16).decode("utf-8", "replace")
-    if found is None:
+    if entries is None:
         raise Damaged(f"{path} cannot be listed: {_reason(output) if output.strip() else 'the list of its files is invalid'}")
     if status:
         raise Damaged(f"{path} cannot be read: {_reason(output)}")
-    return found
+    return entries
 
 
 def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry, ...], dict[str, bytes]]:
@@ -130,8 +130,8 @@ def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry,
     kept = dict(_hash(path, stream, entries, order, wanted))
     for name, target in same.items():
         if target in entries:
-            one = entries[target]
-            entries[name] = Entry(name, one.type, one.mode, one.size, one.sha256, one.target)
+            linked = entries[target]
+            entries[name] = Entry(name, linked.type, linked.mode, linked.size, linked.sha256, linked.target)
     return tuple(entries[name] for name in sorted(entries)), kept
 
 
@@ -152,7 +152,7 @@ def _hash(
 ) -> Iterator[tuple[str, bytes]]:
     """Set the SHA-256 of each file, in the order of the data. Yields the kept beginnings of wanted files."""
     for name in order:
-        one, digest, kept, left = entries[name], hashlib.sha256(), bytearray(), entries[name].size
+        entry, digest, kept, left = entries[name], hashlib.sha256(), bytearray(), entries[name].size
         most = wanted(name)
         while left and (piece := stream.read(min(left, PIECE))):
             digest.update(piece)
@@ -160,7 +160,7 @@ def _hash(
             left -= len(piece)
         if left:
             raise Damaged(f"{path} is truncated in {name!r}")
-        entries[name] = Entry(name, "file", one.mode, one.size, digest.hexdigest())
+        entries[name] = Entry(name, "file", entry.mode, entry.size, digest.hexdigest())
         if most:
             yield name, bytes(kept)
 
