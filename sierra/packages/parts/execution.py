@@ -209,7 +209,7 @@ def _clients(recalled: Recalled, image: Image) -> dict[str, dict[str, Any]]:
     mounts += [Mount(f"{execute_runs.HERE}/{program.NAME}", commands.PROGRAM)] if conducting else []
     process = run_process((*conducting, execute_runs.COMMAND), {execute_runs.VARIABLE: execute_runs.VALUE}, *mounts)
     box = ContainerSpec(image, execute_runs.IMAGE, session="package")
-    launcher = apptainer_ways_to_start.Launcher(Apptainer.name, "", mapped=False, squashfs=True)
+    start = apptainer_ways_to_start.Launcher(Apptainer.name, "", mapped=False, squashfs=True)
     packed = f"{execute_runs.HERE}/{SCRIPT.name}"
     return {
         Podman.name: {
@@ -220,11 +220,8 @@ def _clients(recalled: Recalled, image: Image) -> dict[str, dict[str, Any]]:
             "ways": podman_ways_to_start.WAYS,
         },
         Apptainer.name: {
-            "argv": (
-                execute_runs.WAY,
-                *(word.replace(str(SCRIPT), packed) for word in apptainer.words(launcher, box, process)),
-            ),
-            "environment": dict(apptainer.variables(launcher, box, process)),
+            "argv": (execute_runs.WAY, *(word.replace(str(SCRIPT), packed) for word in apptainer.words(start, box, process))),
+            "environment": dict(apptainer.variables(start, box, process)),
             "inherits": apptainer_ways_to_start.HANDED_ON.pattern,
             "stop": (),
             "ways": (),
