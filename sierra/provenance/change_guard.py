@@ -130,9 +130,10 @@ def guard(
     was written after `since` is changed unless it has the content that the manifest names.
     """
     base = os.fsencode(root)
-    paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
+    used = (program.path for program in programs.all if program.kind != Kind.DISTRIBUTIONS)
+    paths = (*_files(base, manifest), *map(os.fsencode, used))
     blobs = {base + b"/" + path: parts(what)[1] for path, what in read(manifest).items()}
-    files = blobs | {os.fsencode(one.path): one.sha256 for one in programs.all}
+    files = blobs | {os.fsencode(program.path): program.sha256 for program in programs.all}
     before = {base + b"/" + path: file.state for path, file in listed.items()}
     states = {path: before[path] if path in before else state_of(path) for path in paths}
     taken = ChangeGuard(states, base, tuple(read(manifest)), files, programs)
@@ -159,9 +160,9 @@ def _hashes(path: bytes) -> list[str]:
         git = [hashlib.new(name, head, usedforsecurity=False) for name in ("sha1", "sha256")]
         hashed = [hashlib.sha256(), *git]
         while content := file.read(CHUNK):
-            for one in hashed:
-                one.update(content)
-    return [one.hexdigest() for one in hashed]
+            for digest in hashed:
+                digest.update(content)
+    return [digest.hexdigest() for digest in hashed]
 
 
 def _with_other_times(state: State) -> State:

@@ -117,16 +117,16 @@ def roles(*sets: Collection[Identified]) -> dict[Identified, str]:
     If a set has several contents of that name, it is the full name; if several have that too (libraries that two programs load
     under one name), the path comes before it.
     """
-    names = _ambiguous(sets, lambda one: called(one[0]))
-    full = _ambiguous(sets, lambda one: one[0])
+    names = _ambiguous(sets, lambda program: called(program[0]))
+    full = _ambiguous(sets, lambda program: program[0])
 
-    def role(one: Identified) -> str:
-        name, path, _ = one
+    def role(program: Identified) -> str:
+        name, path, _ = program
         if called(name) not in names:
             return called(name)
         return f"{path}: {name}" if name in full else name
 
-    return {one: role(one) for programs in sets for one in programs}
+    return {each: role(each) for programs in sets for each in programs}
 
 
 def _ambiguous(sets: Iterable[Iterable[Identified]], named: Callable[[Identified], str]) -> set[str]:

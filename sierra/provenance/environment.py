@@ -84,7 +84,7 @@ def _record(
     around: Mapping[str, JsonView], machine: Mapping[str, JsonView], variables: Mapping[str, str], recorded: Mapping[str, str]
 ) -> dict[str, JsonView]:
     """Return a row of `environments`. `variables` decide about locale, time zone and modules; `recorded` are written down."""
-    found = {
+    record = {
         **dict.fromkeys(LATER),
         **around,
         **machine,
@@ -94,7 +94,7 @@ def _record(
         "modules": [name for name in variables.get(LOADED, "").split(":") if name],
         "variables": json.dumps(recorded, sort_keys=True),
     }
-    return {"environment": identity(found), **found}
+    return {"environment": identity(record), **record}
 
 
 def identity(facts: Mapping[str, JsonView]) -> str:
@@ -133,19 +133,19 @@ def differing(
     in `variables.TZ`. Columns that an older record does not have are not compared.
     """
     for name in RELEVANT:
-        was, found = before.get(name), now.get(name)
-        if was == found or name not in before or (was is None and name not in ABSENT):
+        was, is_now = before.get(name), now.get(name)
+        if was == is_now or name not in before or (was is None and name not in ABSENT):
             continue
         match name:
             case "variables" | "limits" | "distributions" | "packages" | "workspaces":
-                old, new = (_table(name, str(value or "")) for value in (was, found))
+                old, new = (_table(name, str(value or "")) for value in (was, is_now))
                 changed = (key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key))
                 yield from ((f"{name}.{key}", old.get(key), new.get(key)) for key in changed)
             case "cpu_flags" | "gpus" | "modules":
-                here, there = as_texts(was), as_texts(found)
-                yield name, [one for one in here if one not in there], [one for one in there if one not in here]
+                here, there = as_texts(was), as_texts(is_now)
+                yield name, [item for item in here if item not in there], [item for item in there if item not in here]
             case _:
-                yield name, was, found
+                yield name, was, is_now
 
 
 def _table(name: str, text: str) -> Mapping[str, JsonView]:

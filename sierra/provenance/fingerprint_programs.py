@@ -198,15 +198,16 @@ class _Finding:
             self._installed[interpreter.executable] = list(self._seen(called(name), interpreter))
 
     def _seen(self, name: str, interpreter: pythons.Interpreter) -> Iterator[Program]:
-        found = pythons.distributions(interpreter.installed)
-        lines = "\n".join(one.line for one in found)
+        packages = pythons.distributions(interpreter.installed)
+        lines = "\n".join(package.line for package in packages)
         where = os.pathsep.join(map(str, interpreter.installed))
         if interpreter.installed:
             yield Program(f"{name}{INSTALLED}", where, sha256(lines.encode()), Kind.DISTRIBUTIONS, lines)
         if self._project != self._root:
-            pythons.check(name, pythons.imported(interpreter, found, self._project), self._root, self._project, self._scripts)
-        for one in pythons.contents(interpreter, found, (self._root, self._project), self._digests):
-            yield Program(f"{name}: {one.name}", one.origin, one.digest, Kind.DISTRIBUTIONS, one.version)
+            imported = pythons.imported(interpreter, packages, self._project)
+            pythons.check(name, imported, self._root, self._project, self._scripts)
+        for package in pythons.contents(interpreter, packages, (self._root, self._project), self._digests):
+            yield Program(f"{name}: {package.name}", package.origin, package.digest, Kind.DISTRIBUTIONS, package.version)
 
 
 def _interpreter(script: Path) -> list[str]:
@@ -225,8 +226,8 @@ def differences(
     those that executions were observed to use (`used`). A program that has only another name is no difference, unless there is
     no other one.
     """
-    role = roles(*([one.identified for one in programs.all] for programs in (before, now)))
-    old, new = ({role[one.identified]: one for one in programs.all} for programs in (before, now))
+    role = roles(*([each.identified for each in programs.all] for programs in (before, now)))
+    old, new = ({role[each.identified]: each for each in programs.all} for programs in (before, now))
     renamed = _renamed(old, new)
     names = (old.keys() | new.keys()) - renamed.keys() - set(renamed.values())
     pairs = [(name, old.get(name), new.get(name)) for name in sorted(names)]
@@ -235,12 +236,12 @@ def differences(
         yield from (f"{was} is named {name} now, with the same content" for was, name in renamed.items())
     loaded = []
     for name, was, program in sorted(changed, key=lambda pair: _is_list(pair[2] or pair[1])):
-        one = program or was
-        if one is None:
+        either = program or was
+        if either is None:
             continue
-        if one.kind == Kind.LIBRARY:
+        if either.kind == Kind.LIBRARY:
             loaded.append(name)
-        elif was and program and one.kind == Kind.DISTRIBUTIONS and was.version != program.version:
+        elif was and program and either.kind == Kind.DISTRIBUTIONS and was.version != program.version:
             yield f"{name}: {few(list(_versions(was.version, program.version, words, used)), SHOWN)}"
         else:
             yield f"{name}: {_described(was, program)} recorded, {_described(program, was)} found"
@@ -255,16 +256,16 @@ def _renamed(old: Mapping[str, Program], new: Mapping[str, Program]) -> dict[str
     return {name: came.pop(key) for name, key in keys.items() if key in came}
 
 
-def _described(one: Program | None, other: Program | None) -> str:
+def _described(program: Program | None, other: Program | None) -> str:
     """Return the version that a program reports, and the beginning of its SHA-256.
 
     A file of the source is only listed if git would restore other bytes than those on disk.
     """
-    if one is None:
+    if program is None:
         is_source = other and other.kind == Kind.FILE and other.name.startswith(IN_PROJECT) and Path(other.path).is_file()
         return "git's bytes" if is_source else "not"
-    digest = short(one.sha256)
-    return digest if not one.version or "\n" in one.version else f"{one.version} ({digest})"
+    digest = short(program.sha256)
+    return digest if not program.version or "\n" in program.version else f"{program.version} ({digest})"
 
 
 def _is_list(one: Program | None) -> bool:

@@ -84,8 +84,8 @@ def interpreter(path: str) -> str | None:
                 return None
             order = "<" if head[5] == 1 else ">"
             table, segment = (order + layout for layout in LAYOUTS[head[4] == 2])
-            place, size, count = struct.unpack_from(table, head)
-            file.seek(place)
+            offset, size, count = struct.unpack_from(table, head)
+            file.seek(offset)
             for _ in range(count):
                 kind, at, length = struct.unpack_from(segment, file.read(size))
                 if kind == 3:

@@ -64,7 +64,7 @@ class Distribution:
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
+class HashedPackage:
     """A distribution or folder on the path that is identified by content; its origin and digest."""
 
     name: str
@@ -131,8 +131,8 @@ def programs_of_script(script: Path) -> list[Path]:
     """
     if libraries.interpreter(str(script)) is not None:
         return []
-    found = (path for site in _beside(script) for path in site.glob(f"*/bin/{glob.escape(script.name)}"))
-    return sorted(path for path in found if libraries.interpreter(str(path)) is not None)
+    programs = (path for site in _beside(script) for path in site.glob(f"*/bin/{glob.escape(script.name)}"))
+    return sorted(path for path in programs if libraries.interpreter(str(path)) is not None)
 
 
 def environment(programs: Programs, search: str) -> Path | None:
@@ -140,11 +140,11 @@ def environment(programs: Programs, search: str) -> Path | None:
 
     `search` is the PATH of runs: a command that is no Python may start one. None if that Python is in no such environment.
     """
-    lists = (one.path.split(os.pathsep) for one in programs.all if one.name.endswith(INSTALLED))
-    folders = [Path(folder) for one in itertools.islice(lists, 1) for folder in one]
+    lists = (program.path.split(os.pathsep) for program in programs.all if program.name.endswith(INSTALLED))
+    folders = [Path(folder) for paths in itertools.islice(lists, 1) for folder in paths]
     if not folders:
         beside = (shutil.which(name, path=search) for name in ("python3", "python"))
-        folders = [Path(found) for found in itertools.islice(filter(None, beside), 1)]
+        folders = [Path(python) for python in itertools.islice(filter(None, beside), 1)]
     above = (parent for folder in folders for parent in folder.parents)
     return next((parent for parent in above if (parent / VENV).is_file()), None)
 
@@ -160,13 +160,13 @@ def _beside(interpreter: Path) -> list[Path]:
 
 def distributions(folders: Sequence[Path]) -> list[Distribution]:
     """Return the distributions in these folders, ordered by name; of several with the same name, Python imports the first."""
-    found: dict[str, Distribution] = {}
+    by_name: dict[str, Distribution] = {}
     for folder in folders:
         for entry in sorted(entry.name for entry in os.scandir(folder)):
             if entry.endswith((".dist-info", ".egg-info")):
-                one = _distribution(folder / entry)
-                found.setdefault(normalized(one.name), one)
-    return [found[name] for name in sorted(found)]
+                package = _distribution(folder / entry)
+                by_name.setdefault(normalized(package.name), package)
+    return [by_name[name] for name in sorted(by_name)]
 
 
 def _distribution(info: Path) -> Distribution:
@@ -209,25 +209,26 @@ def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts
 
 
 def contents(
-    interpreter: Interpreter, found: Sequence[Distribution], own: Sequence[Path], digests: HashCache
-) -> Iterator[Content]:
+    interpreter: Interpreter, packages: Sequence[Distribution], own: Sequence[Path], digests: HashCache
+) -> Iterator[HashedPackage]:
     """Yield the distributions and folders that are identified by content, without the project's own files (in `own`)."""
     editable = set()
-    for one in found:
-        origin = _origin(one.info)
+    for package in packages:
+        origin = _origin(package.info)
         if origin is None:
             continue
         if origin.editable and origin.folder.is_dir():
             editable.add(origin.folder.resolve())
-            if normalized(one.name) != OWN:
-                yield Content(normalized(one.name), str(origin.folder), _folder(origin.folder, own, digests), one.line)
+            if normalized(package.name) != OWN:
+                hashed = _folder(origin.folder, own, digests)
+                yield HashedPackage(normalized(package.name), str(origin.folder), hashed, package.line)
             continue
-        identity = {"commit": origin.commit} if origin.commit is not None else {"files": _recorded(one.info)}
+        identity = {"commit": origin.commit} if origin.commit is not None else {"files": _recorded(package.info)}
         url = re.sub(r"(?<=://)[^/]*@", "", origin.url)
-        yield Content(normalized(one.name), url, digest("installed", identity), one.line)
+        yield HashedPackage(normalized(package.name), url, digest("installed", identity), package.line)
     for folder in interpreter.others:
         if folder.resolve() not in editable:
-            yield Content(folder.name, str(folder), _folder(folder, own, digests))
+            yield HashedPackage(folder.name, str(folder), _folder(folder, own, digests))
 
 
 def _origin(info: Path) -> Origin | None:
@@ -257,7 +258,7 @@ def _folder(folder: Path, own: Sequence[Path], digests: HashCache) -> str:
 
 def _code(folder: Path, own: Sequence[Path]) -> Iterator[Path]:
     """Yield the Python files in a folder, except those in nested environments, in hidden folders, and in the project."""
-    left = {one.resolve() for one in own}
+    left = {root.resolve() for root in own}
     for here, folders, files in os.walk(folder):
         if VENV in files or Path(here).resolve() in left:
             folders.clear()

@@ -121,9 +121,9 @@ def _by_content(files: list[File], old: Files, new: Files, content: Callable[[st
         if before is None or after is None:
             unknown.append(file.path)
             continue
-        found = patch(before, after, file.path)
-        counted[-1] = replace(file, added=found.added, removed=found.removed)
-        lines += found.lines or (f"Binary files a/{file.path} and b/{file.path} differ",)
+        patched = patch(before, after, file.path)
+        counted[-1] = replace(file, added=patched.added, removed=patched.removed)
+        lines += patched.lines or (f"Binary files a/{file.path} and b/{file.path} differ",)
     return Difference(tuple(counted), tuple(lines), tuple(unknown))
 
 
@@ -141,7 +141,7 @@ class _Git:
 
     def counts(self, before: str, after: str) -> dict[str, tuple[int | None, int | None]]:
         """Return the numbers of added and removed lines by path; None for files that git treats as binary."""
-        found: dict[str, tuple[int | None, int | None]] = {}
+        counts: dict[str, tuple[int | None, int | None]] = {}
         fields = iter((self._run("diff-tree", "-r", "-z", "--numstat", *COLORLESS, before, after) or b"").split(b"\0"))
         for field in fields:
             if field:
@@ -150,8 +150,8 @@ class _Git:
                     next(fields)
                     path = next(fields)
                 numbers = [None if number == b"-" else int(number) for number in (added, removed)]
-                found[path.decode("utf-8", "surrogateescape")] = (numbers[0], numbers[1])
-        return found
+                counts[path.decode("utf-8", "surrogateescape")] = (numbers[0], numbers[1])
+        return counts
 
     def patch(self, before: str, after: str) -> tuple[str, ...]:
         found = self._run("diff-tree", "-r", "-p", *COLORLESS, before, after) or b""

@@ -54,14 +54,14 @@ def files(
     `texts` has the files that were already found in the template. The code lies in `root`. Paths outside it
     (`{project}/../data`) are relative to the user's `project`. `searched` are the values of search paths of libraries.
     """
-    found, digests = {}, HashCache()
+    by_path, digests = {}, HashCache()
     named = _files_of(words, root, project or root)
     libraries = (path for path in _files_of(searched, root, project or root) if LIBRARY.fullmatch(path.name))
     for path in itertools.chain(named, libraries):
         if not _holds(source, path, root):
-            found[str(path)] = _file(path, root, digests)
+            by_path[str(path)] = _file(path, root, digests)
     digests.save()
-    return Programs((*found.values(), *(one for one in texts.all if one.path not in found)), texts.notes)
+    return Programs((*by_path.values(), *(file for file in texts.all if file.path not in by_path)), texts.notes)
 
 
 def _files_of(words: Iterable[str], root: Path, project: Path) -> Iterator[Path]:
@@ -96,20 +96,20 @@ def data(
     """Return the files that templates or their inserted `texts` name, except those in `without`, relative to the root."""
     left = [root / path for path in without]
     digests = HashCache()
-    found: dict[Path, Program] = {}
+    programs: dict[Path, Program] = {}
     notes: dict[Path, str] = {}
     inserted = "\n".join(texts)
     for path in itertools.chain.from_iterable(_all_named(template, inserted, root, left) for template in templates):
-        if path in found or path in notes or _holds(source, path, root):
+        if path in programs or path in notes or _holds(source, path, root):
             continue
         try:
             if path.stat().st_size > MAX_SIZE:
                 raise Missing(f"{path} is larger than 1 GB")
-            found[path] = _file(path, root, digests)
+            programs[path] = _file(path, root, digests)
         except (Missing, OSError) as error:
             notes[path] = f"{error}: the template names it, but changes to it are not detected"
     digests.save()
-    return Programs(tuple(found[path] for path in sorted(found)), tuple(notes.values()))
+    return Programs(tuple(programs[path] for path in sorted(programs)), tuple(notes.values()))
 
 
 def named_by_values(
@@ -120,9 +120,9 @@ def named_by_values(
     They are not part of the fingerprint. Otherwise a batch with one more value would execute again all runs that it has in
     common with another batch.
     """
-    known = {one.path for one in used.all}
-    found = dict.fromkeys(_existing(values, dict.fromkeys((root, *(template.parent for template in templates)))))
-    return [path for path in found if str(path) not in known and not _holds(source, path, root)]
+    known = {program.path for program in used.all}
+    paths = dict.fromkeys(_existing(values, dict.fromkeys((root, *(template.parent for template in templates)))))
+    return [path for path in paths if str(path) not in known and not _holds(source, path, root)]
 
 
 def relative_names(template: Path, texts: Iterable[str], root: Path) -> list[str]:

@@ -41,7 +41,7 @@ def with_versions(programs: Programs, table: ProgramsTable, variables: Mapping[s
     """Return the programs with the versions that they report; `variables` are those of the runs, with PATH."""
     cache = Cache(user_versions(), MAX_ENTRIES)
     identity = programs.id
-    role = roles([one.identified for one in programs.all])
+    role = roles([used.identified for used in programs.all])
 
     def version(program: Program) -> str | None:
         words = _words(program, table, root)

@@ -22,10 +22,10 @@ SCOPE = Path("/proc/sys/kernel/yama/ptrace_scope")
 
 def usable() -> str | None:
     """Return the path of a tracer that works here; None if there is none."""
-    found = shutil.which("strace")
-    if found is None:
+    path = shutil.which("strace")
+    if path is None:
         return None
-    program = str(Path(found).absolute())
+    program = str(Path(path).absolute())
     cache = Cache(user_tracers(), MAX_ENTRIES)
     try:
         key = json.dumps([program, *_surroundings(program)])

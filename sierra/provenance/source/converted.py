@@ -79,8 +79,8 @@ def rules(git: Git, files: Files, index: Path | None = None) -> Rules:
     settings = b"\0".join(line for line in git.settings if line.startswith(SETTINGS))
     autocrlf = _last(settings, b"core.autocrlf")
     pathspecs = () if autocrlf and autocrlf not in OFF else (CONVERTED,)
-    found = read(git("ls-files", "--stage", "-z", "--", *pathspecs, index=index))
-    wanted = {path: files[path] for path, what in found.items() if what[:3] == b"100" and files.get(path) == what[:-2]}
+    listed = read(git("ls-files", "--stage", "-z", "--", *pathspecs, index=index))
+    wanted = {path: files[path] for path, what in listed.items() if what[:3] == b"100" and files.get(path) == what[:-2]}
     given = b"".join([path + b"\0" for path in wanted])
     attributes = git("check-attr", "--stdin", "-z", *ATTRIBUTES, index=index, given=given) if wanted else b""
     return Rules(wanted, settings, attributes)
@@ -168,10 +168,10 @@ class _Restored:
             while content := file.read(CHUNK):
                 digest.update(content)
                 blob.update(content)
-        found = digest.hexdigest()
+        hashed = digest.hexdigest()
         if self._attributes[path]["filter"] == LFS:
-            return found, git_hash(b"blob", POINTER + b"oid sha256:%s\nsize %d\n" % (found.encode(), size), algorithm)
-        return found, blob.hexdigest()
+            return hashed, git_hash(b"blob", POINTER + b"oid sha256:%s\nsize %d\n" % (hashed.encode(), size), algorithm)
+        return hashed, blob.hexdigest()
 
     def _is_restored_unchanged(self, path: bytes) -> bool:
         """Return True if git would restore exactly what it has stored."""
@@ -179,15 +179,15 @@ class _Restored:
         changing = any(values[name] not in ABSENT for name in ("filter", "ident", "working-tree-encoding"))
         return not changing and not self._crlf and values["eol"] != "crlf"
 
-    def _filtered(self, found: Mapping[bytes, str]) -> Iterator[tuple[bytes, str]]:
+    def _filtered(self, digests: Mapping[bytes, str]) -> Iterator[tuple[bytes, str]]:
         """Compare files with those that git writes into a temporary folder. A file that a filter cannot restore differs."""
-        if not found:
+        if not digests:
             return
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
-            given = b"".join([self._git.prefix + path + b"\0" for path in found])
+            given = b"".join([self._git.prefix + path + b"\0" for path in digests])
             words = ("checkout-index", "-q", "-z", "--stdin")
             self._git(*words, index=self._index or self._git.index, into=Path(folder), given=given, optional=True)
-            for path, digest in found.items():
+            for path, digest in digests.items():
                 restored = Path(folder, os.fsdecode(self._git.prefix + path))
                 yield path, "" if restored.is_file() and sha256_file(restored) == digest else digest
 

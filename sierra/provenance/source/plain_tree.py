@@ -109,7 +109,7 @@ def contents(
 def _entries(root: Path, chosen: PathSelection, large: int, memory: Path | None) -> tuple[list[Entry], dict[bytes, ListedFile]]:
     before = _remembered(memory)
     settled = _now(memory) - SETTLED_NS
-    found, after = [], {}
+    listing, after = [], {}
     listed: dict[bytes, ListedFile] = {}
     kept_bytes = 0
     for entry, path in _walk(root, chosen):
@@ -126,14 +126,14 @@ def _entries(root: Path, chosen: PathSelection, large: int, memory: Path | None)
             blob = git_hash(b"blob", content)
             if not is_settled and kept_bytes + len(content) <= KEPT_BYTES:
                 kept, kept_bytes = content, kept_bytes + len(content)
-        found.append(Entry(mode, blob, path))
+        listing.append(Entry(mode, blob, path))
         listed[path] = ListedFile(state, kept)
         if is_settled:
             after[path] = b"%s %s %s" % (seen, mode.encode(), blob.encode())
     if memory is not None and after != before:
         with contextlib.suppress(OSError):  # without the cache, the next call is slower
             write_whole(memory, sealed(b"".join([b"%s\t%s\0" % (what, path) for path, what in after.items()])))
-    return found, listed
+    return listing, listed
 
 
 def _walk(root: Path, chosen: PathSelection) -> Iterator[tuple[os.DirEntry[bytes], bytes]]:

@@ -29,7 +29,7 @@ from sierra.provenance.source.manifest import (
     written,
 )
 from sierra.provenance.source.selection import shown
-from sierra.provenance.source.stored_repositories import Content, data, nested
+from sierra.provenance.source.stored_repositories import ReadBlob, data, nested
 from sierra.provenance.source.worktree_snapshot import of_tree
 from sierra.util.lazy_definitions import regex
 from sierra.util.scratch import scratch
@@ -41,7 +41,7 @@ FETCH = "run sierra source fetch (after sierra source push has been run where th
 
 
 def restore(
-    tree: str, manifest: bytes, root: Path, target: Path, content: Content, *, commit: str | None = None, use_git: bool = True
+    tree: str, manifest: bytes, root: Path, target: Path, content: ReadBlob, *, commit: str | None = None, use_git: bool = True
 ) -> None:
     """Write the files of a recorded source into `target`, a folder that is created.
 
@@ -74,13 +74,13 @@ class _Lacking(Exception):
         self.path = path
 
 
-def _file(content: Content, git: Git | None, lacking: Container[str], blob: str) -> bytes | None:
+def _file(content: ReadBlob, git: Git | None, lacking: Container[str], blob: str) -> bytes | None:
     """Return a file from the store, else from git; None if neither has it."""
     found = content(blob)
     return git("cat-file", "blob", blob) if found is None and git is not None and blob not in lacking else found
 
 
-def _write_files(files: Files, target: Path, file: Content, content: Content) -> None:
+def _write_files(files: Files, target: Path, file: ReadBlob, content: ReadBlob) -> None:
     for path, what in sorted(files.items(), key=lambda item: parts(item[1])[0] == REPOSITORY):
         mode, blob = parts(what)
         below = nested(blob, content) if mode == REPOSITORY else None
@@ -89,10 +89,10 @@ def _write_files(files: Files, target: Path, file: Content, content: Content) ->
             (target / os.fsdecode(path)).mkdir(parents=True)
             _write_files(below, target / os.fsdecode(path), content, content)
             continue
-        found = None if mode == REPOSITORY else file(blob)
-        if found is None or not is_blob(found, blob):
+        stored = None if mode == REPOSITORY else file(blob)
+        if stored is None or not is_blob(stored, blob):
             raise _Lacking(path)
-        _write(target / os.fsdecode(path), mode, found if mode == LINK else data(found, content))
+        _write(target / os.fsdecode(path), mode, stored if mode == LINK else data(stored, content))
 
 
 def is_available(root: Path, tree: str, manifest: bytes) -> bool:
@@ -110,7 +110,7 @@ def _check(files: Files) -> None:
     for path, what in files.items():
         steps = path.split(b"/")
         above = (b"/".join(steps[:end]) for end in range(1, len(steps)))
-        if any(step.lower() in (b"", b".", b"..", b".git") for step in steps) or any(one in files for one in above):
+        if any(step.lower() in (b"", b".", b"..", b".git") for step in steps) or any(folder in files for folder in above):
             raise Damaged(f"the recorded source has a file {shown([path])!r}, which is not allowed in a source")
         mode, blob = parts(what)
         if mode not in ("100644", "100755", LINK, REPOSITORY):

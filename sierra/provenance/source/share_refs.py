@@ -20,7 +20,7 @@ from sierra.util.lazy_definitions import dataclass
 REFS = "refs/sierra/"
 ALL = f"{REFS}*:{REFS}*"
 ALONE = ("--quiet", "--recurse-submodules=no")
-Way = Literal["push", "fetch"]
+Direction = Literal["push", "fetch"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Shared:
     """Number of these sources that the other side did not have."""
 
 
-def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
+def share(root: Path, direction: Direction, remote: str | None = None) -> list[Shared]:
     """Push all recorded sources of a project to a remote, or fetch all that it has, including those of submodules.
 
     `remote` is a name or an address. By default, it is the remote that the branch follows, else `origin`, else the only one. A
@@ -51,10 +51,10 @@ def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
     for path, git in _all(top, "."):
         is_given = remote is not None and (path == "." or remote in origin.remotes(git))
         chosen.append((path, git, remote if is_given else origin.default_remote(git)))
-    for path, git, found in chosen:
-        if found is None and (path == "." or (way == "push" and _own(git))):
+    for path, git, default in chosen:
+        if default is None and (path == "." or (direction == "push" and _own(git))):
             raise UsageError(f"{git.root} has no default remote; add one there (git remote add origin ADDRESS)")
-    return [_shared(git, path, way, found) for path, git, found in chosen if found is not None]
+    return [_shared(git, path, direction, default) for path, git, default in chosen if default is not None]
 
 
 def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
@@ -66,17 +66,17 @@ def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
             yield from _all(Git(inner), os.path.normpath(f"{path}/{os.fsdecode(name)}"))
 
 
-def _shared(git: Git, path: str, way: Way, remote: str) -> Shared:
+def _shared(git: Git, path: str, direction: Direction, remote: str) -> Shared:
     there = set(git("ls-remote", "--refs", "--", remote, f"{REFS}*", network=True).split(b"\n")) - {b""}
     before = _own(git)
-    if way == "push" and before:
+    if direction == "push" and before:
         git("push", *ALONE, "--", remote, ALL, network=True)
-    elif way == "fetch" and there:
+    elif direction == "fetch" and there:
         git("fetch", *ALONE, "--no-tags", "--no-write-fetch-head", "--", remote, ALL, network=True)
     after, theirs = _own(git), {line.partition(b"\t")[2] for line in there}
-    if way == "fetch" and not theirs <= after:
+    if direction == "fetch" and not theirs <= after:
         raise Missing(f"{git.root}: git did not fetch all sources that {without_credentials(remote)} has; try again")
-    sources, new = (before, before - theirs) if way == "push" else (after, after - before)
+    sources, new = (before, before - theirs) if direction == "push" else (after, after - before)
     return Shared(path, without_credentials(remote), len(sources), len(new))
 
 

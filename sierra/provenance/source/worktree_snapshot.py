@@ -102,13 +102,13 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
     Raises ConfigError for an untracked file of more than `large` bytes, and Missing if git fails.
     """
     with _index(git, chosen) as index:
-        found = _write_tree(git, index, chosen, large)
-        if not found.agrees():
+        state = _write_tree(git, index, chosen, large)
+        if not state.agrees():
             index.start_from_commit()
-            found = _write_tree(git, index, chosen, large)
-        if not found.agrees():
+            state = _write_tree(git, index, chosen, large)
+        if not state.agrees():
             raise Missing(f"git in {git.root} writes another tree than its index lists; try another version of git")
-    status, tree, files, submodules, lossy = found
+    status, tree, files, submodules, lossy = state
     if not _is_protected(git, tree):
         git("update-ref", f"refs/sierra/{tree}", tree)
     recorded = {**dict.fromkeys(status.stale), **status.recorded} if status.commit else {}
@@ -178,15 +178,15 @@ def _read_all(root: Path, index: _Index, chosen: PathSelection, large: int) -> t
 
 def _converted_in_submodules(root: Path, submodules: Iterable[str], known: Iterable[bytes]) -> dict[bytes, str]:
     """Return the converted files of nested repositories, except of those that are `known` or in one that is."""
-    found = {}
+    converted_files = {}
     for name in submodules:
         path = os.fsencode(name)
-        if (root / name / ".git").exists() and not any(path == one or path.startswith(one + b"/") for one in known):
+        if (root / name / ".git").exists() and not any(path == outer or path.startswith(outer + b"/") for outer in known):
             inside = Git(root / name)
             listed = manifest.read(inside("ls-files", "--stage", "-z"))
             files = {below: what[:-2] for below, what in listed.items()}
-            found.update({path + b"/" + below: digest for below, digest in converted.find(inside, files).items()})
-    return found
+            converted_files.update({path + b"/" + below: digest for below, digest in converted.find(inside, files).items()})
+    return converted_files
 
 
 def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
@@ -379,9 +379,9 @@ class _Index:
         output = self._git("check-ignore", "--no-index", "--stdin", "-z", given=b"\0".join(untracked) + b"\0", none=1)
         return output.split(b"\0")[:-1]
 
-    def _add_repositories(self, found: Sequence[bytes]) -> None:
+    def _add_repositories(self, paths: Sequence[bytes]) -> None:
         lines = []
-        for path in found:
+        for path in paths:
             inside = Git(self._git.root / os.fsdecode(path))
             commit = inside.head()
             if commit is None:
