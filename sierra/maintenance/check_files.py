@@ -86,10 +86,10 @@ class Contents:
 
 def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> Contents:
     """Read and hash all files of a store. `tell` receives the number of bytes that are done."""
-    found = Contents()
-    found.findings += _top(paths)
+    contents = Contents()
+    contents.findings += _top(paths)
     present = {segment.name: segment for segment in on_disk(paths.segments)}
-    found.findings += _strays(paths, present)
+    contents.findings += _strays(paths, present)
     hidden = out_of_date(list(present.values()))
     suffixes: dict[str, str] = {}
     with ThreadPoolExecutor(THREADS) as pool:
@@ -98,15 +98,15 @@ def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> 
             if folder.is_symlink() or not folder.is_dir() or not NAME.fullmatch(name):
                 continue
             if name in hidden:
-                found.left.append(name)
+                contents.left.append(name)
             twin = suffixes.setdefault(name.partition("-")[2], name)
             if twin != name and not segment.files.keys() <= ONCE.keys():
                 what = f"a copy of segment {twin} under another name"
-                found.findings.append(Finding(Kind.STRAY, _shown(paths, folder), what))
+                contents.findings.append(Finding(Kind.STRAY, _shown(paths, folder), what))
                 continue
-            _segment(paths, found, segment, pool, counts=name not in hidden)
-            tell(found.bytes)
-    return found
+            _segment(paths, contents, segment, pool, counts=name not in hidden)
+            tell(contents.bytes)
+    return contents
 
 
 def _shown(paths: StorePaths, path: Path) -> str:
@@ -151,7 +151,7 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
             yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
     if not paths.segments.is_dir():
         yield Finding(Kind.ABSENT, "segments", "is missing: all records are lost")
-    segments, sessions = put_aside(paths), {one.folder: one for one in unrecorded.found(paths)}
+    segments, sessions = put_aside(paths), {session.folder: session for session in unrecorded.found(paths)}
     for entry in _entries(paths.damaged):
         path = Path(entry.path)
         if path in sessions:
@@ -221,13 +221,13 @@ def _beginning(path: Path, count: int) -> bytes:
 # segments
 
 
-def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadPoolExecutor, *, counts: bool) -> None:
+def _segment(paths: StorePaths, contents: Contents, segment: Segment, pool: ThreadPoolExecutor, *, counts: bool) -> None:
     """Check one segment, and add its sound part to `found.sound` if `counts`: if no other segment replaced it."""
     folder = paths.segments / segment.name
     try:
         listed, faults = _manifest(folder)
     except OSError as error:
-        found.findings.append(_unread(_shown(paths, folder / MANIFEST), error))
+        contents.findings.append(_unread(_shown(paths, folder / MANIFEST), error))
         return
     findings = [Finding(Kind.DAMAGED, _shown(paths, folder / MANIFEST), fault) for fault in faults]
     entries = {entry.name for entry in _entries(folder)} - {MANIFEST}
@@ -266,13 +266,13 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
                 findings.append(Finding(Kind.INCONSISTENT, _shown(paths, Path(path)), unlike))
             else:
                 sound[name] = path
-    found.files += len(hashed) + 1
-    found.bytes += sum(size for _, size in hashed.values())
-    found.findings += findings
+    contents.files += len(hashed) + 1
+    contents.bytes += sum(size for _, size in hashed.values())
+    contents.findings += findings
     if counts:
         if lost or faults:
-            found.broken[segment.name] = lost | ({MANIFEST} if faults else set())
-        found.sound.append(replace(segment, files=sound))
+            contents.broken[segment.name] = lost | ({MANIFEST} if faults else set())
+        contents.sound.append(replace(segment, files=sound))
 
 
 def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
@@ -324,15 +324,15 @@ def _problem(error: OSError) -> str:
     return _Lack(f"cannot be read: {lack}") if lack is not None else f"cannot be read: {error.strerror}"
 
 
-def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
-    if found is None:
+def _differs(hashed: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
+    if hashed is None:
         return Kind.ABSENT, "is missing"
-    if found[0] == digest:
+    if hashed[0] == digest:
         return Kind.DAMAGED, ""
-    if isinstance(found[0], _Lack):
-        return Kind.UNCHECKED, found[0]
-    whole = re.fullmatch("[0-9a-f]{64}", found[0])
-    return Kind.DAMAGED, "has other bytes than SIERRA wrote" if whole else found[0]
+    if isinstance(hashed[0], _Lack):
+        return Kind.UNCHECKED, hashed[0]
+    whole = re.fullmatch("[0-9a-f]{64}", hashed[0])
+    return Kind.DAMAGED, "has other bytes than SIERRA wrote" if whole else hashed[0]
 
 
 # content of Parquet files
@@ -374,29 +374,29 @@ class Objects:
 
 def read_objects(segments: list[Segment], wanted: set[str], tell: Callable[[], None] = lambda: None) -> Objects:
     """Hash all objects over their parts; hash the objects in `wanted` as git blobs too."""
-    found = Objects()
+    objects = Objects()
     for segment in segments:
         path = segment.files.get("objects")
         if path is not None:
             try:
-                _read_objects(path, found, wanted)
+                _read_objects(path, objects, wanted)
             except (OSError, ValueError, MemoryError) as error:
                 check_shortage(error)
-                found.faults.append((path, f"cannot be read: {first_line(error) if str(error) else 'out of memory'}"))
+                objects.faults.append((path, f"cannot be read: {first_line(error) if str(error) else 'out of memory'}"))
             tell()
-    return found
+    return objects
 
 
-def _read_objects(path: str, found: Objects, wanted: set[str]) -> None:
-    one: _Object | None = None
+def _read_objects(path: str, objects: Objects, wanted: set[str]) -> None:
+    current: _Object | None = None
     for digest, part, size, content in _parts(path):
-        if one is None or one.digest != digest or part != one.parts:
-            _finish(one, path, found)
-            one = _Object(digest, size, digest in wanted)
-        if part != one.parts or size != one.size:
-            found.faults.append((path, f"the parts of object {digest[:16]} are not in order"))
-        one.add(content)
-    _finish(one, path, found)
+        if current is None or current.digest != digest or part != current.parts:
+            _finish(current, path, objects)
+            current = _Object(digest, size, digest in wanted)
+        if part != current.parts or size != current.size:
+            objects.faults.append((path, f"the parts of object {digest[:16]} are not in order"))
+        current.add(content)
+    _finish(current, path, objects)
 
 
 class _Object:
@@ -414,15 +414,15 @@ class _Object:
             self.sha1.update(content)
 
 
-def _finish(one: _Object | None, path: str, found: Objects) -> None:
-    if one is None:
+def _finish(current: _Object | None, path: str, objects: Objects) -> None:
+    if current is None:
         return
-    if one.bytes == one.size and one.sha256.hexdigest() == one.digest:
-        found.whole.add(one.digest)
-        if one.sha1 is not None:
-            found.blobs[one.digest] = one.sha1.hexdigest()
+    if current.bytes == current.size and current.sha256.hexdigest() == current.digest:
+        objects.whole.add(current.digest)
+        if current.sha1 is not None:
+            objects.blobs[current.digest] = current.sha1.hexdigest()
     else:
-        found.faults.append((path, f"object {one.digest[:16]} does not have the content of its SHA-256"))
+        objects.faults.append((path, f"object {current.digest[:16]} does not have the content of its SHA-256"))
 
 
 def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
@@ -433,7 +433,7 @@ def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
     with pq.ParquetFile(path, pre_buffer=False) as file:
         for group in range(file.num_row_groups):
             described = file.metadata.row_group(group)
-            held = sum(described.column(place).total_uncompressed_size for place in range(described.num_columns))
+            held = sum(described.column(index).total_uncompressed_size for index in range(described.num_columns))
             if described.num_rows > ROWS or held > 2 * GROUP:
                 raise ValueError("its row groups are larger than any that SIERRA writes")
             rows = max(1, min(ROWS, EXPANDED // max(held, 1)))

@@ -190,16 +190,16 @@ class _Build(NamedTuple):
 
 def _builds(records: Records) -> Iterator[Finding]:
     """Check the ids and the results of builds, and that nothing is missing that they, or sessions, refer to."""
-    made: dict[tuple[str, str], list[Product]] = {}
-    for one, _ in records.rows(BuildProductRow):
-        made.setdefault((one.build, one.session), []).append(Product(one.name, one.size, one.sha256))
+    products_of: dict[tuple[str, str], list[Product]] = {}
+    for row, _ in records.rows(BuildProductRow):
+        products_of.setdefault((row.build, row.session), []).append(Product(row.name, row.size, row.sha256))
     statement = f"SELECT DISTINCT {', '.join(_Build._fields)}, filename FROM {records.raw('builds')}"
     for *columns, path in list(records.each(statement)):
-        row = _Build._make(columns)
-        products = sorted(made.get((row.build, row.session), ()), key=lambda product: product.name)
-        if _id(row.id) != row.build or (row.result is not None and products_hash(products) != row.result):
-            what = f"build {short(str(row.build))} does not have the id or the result that follows from its record"
-            yield records.wrong(path, what, _using(records, "build", row.build))
+        build = _Build._make(columns)
+        products = sorted(products_of.get((build.build, build.session), ()), key=lambda product: product.name)
+        if _id(build.id) != build.build or (build.result is not None and products_hash(products) != build.result):
+            what = f"build {short(str(build.build))} does not have the id or the result that follows from its record"
+            yield records.wrong(path, what, _using(records, "build", build.build))
     for what, statement in LOST_BY_BUILD.items():
         if batches := records.column(statement):
             yield Finding(Kind.LOST, "builds", what, of(records.snapshot, batches=batches))
@@ -261,8 +261,8 @@ def _studies(records: Records) -> Iterator[Finding]:
     """Check the ids of studies and looks, and that the studies and the batches of looks are recorded."""
     yield from _own(records, StudyRow, study_id)
     seen: dict[str, list[LookIntervalRow]] = {}
-    for one, _ in records.rows(LookIntervalRow):
-        seen.setdefault(one.look, []).append(one)
+    for interval, _ in records.rows(LookIntervalRow):
+        seen.setdefault(interval.look, []).append(interval)
     yield from _own(records, LookRow, lambda row: look_id(row, seen.get(row.look, ())))
     for what, statement in LOST_BY_LOOK.items():
         if batches := records.column(statement):
@@ -341,15 +341,15 @@ def _file_sets(records: Records) -> Iterator[Finding]:
 
 def _shared_files(records: Records) -> Iterator[Finding]:
     """Check the ids of sets of files beside inputs, that the sets are there, and that the store has the files."""
-    found: dict[str, list[SharedFileRow]] = {}
+    files: dict[str, list[SharedFileRow]] = {}
     for row, path in records.rows(SharedFileRow):
-        found.setdefault(row.shared, []).append(row)
+        files.setdefault(row.shared, []).append(row)
         if row.sha256 not in records.objects.whole:
             what = f"{row.name}, a file beside the inputs of runs, is not in the store"
             yield Finding(Kind.LOST, records.shown(path), what, records.of_batches(OF_SHARED, s=row.shared))
     needed = records.column("SELECT DISTINCT shared_files FROM specs WHERE shared_files IS NOT NULL")
-    for shared in dict.fromkeys((*found, *needed)):
-        if _id(lambda: shared_id(found.get(shared, ()))) != shared:  # noqa: B023
+    for shared in dict.fromkeys((*files, *needed)):
+        if _id(lambda: shared_id(files.get(shared, ()))) != shared:  # noqa: B023
             what = f"the files {short(str(shared))} beside the inputs of runs do not have the id that follows from them"
             yield Finding(Kind.INCONSISTENT, "shared_files", what, records.of_batches(OF_SHARED, s=shared))
 
@@ -378,19 +378,19 @@ def _batches(records: Records) -> Iterator[Finding]:
     Values are read file by file, because a column may hold numbers in one file and texts in another.
     """
     axes = {batch: names or [] for batch, names in records.each(f"SELECT DISTINCT batch, axes FROM {records.raw('batches')}")}
-    found: dict[str, dict[int, str]] = {}
+    recorded: dict[str, dict[int, str]] = {}
     for path in records.files.get("experiments", ()):
         statement = f"SELECT * FROM {read_parquet([path])}"
         names = [column[0] for column in records.each(f"DESCRIBE {statement}")]
         for row in (dict(zip(names, values, strict=True)) for values in list(records.each(statement))):
             batch, ordinal, own = row["batch"], row["ordinal"], row["experiment"]
-            found.setdefault(batch, {})[ordinal] = own
+            recorded.setdefault(batch, {})[ordinal] = own
             if batch in axes and not _is_experiment(records, row, axes[batch]):
                 what = f"experiment {short(str(own))} does not have the id that follows from its values and runs"
                 runs = records.column(MEMBERS, b=batch, o=ordinal)
                 yield records.wrong(path, what, of(records.snapshot, runs=runs, batches=[batch]))
     for batch in axes:
-        ids = [experiment for _, experiment in sorted(found.get(batch, {}).items())]
+        ids = [experiment for _, experiment in sorted(recorded.get(batch, {}).items())]
         if _id(lambda: merkle("batch", ids)) != batch:  # noqa: B023
             yield Finding(
                 Kind.INCONSISTENT,
@@ -398,7 +398,7 @@ def _batches(records: Records) -> Iterator[Finding]:
                 f"batch {short(batch)} does not have the id that follows from its experiments",
                 of(records.snapshot, batches=[batch]),
             )
-    yield from _parted(records, found.keys() - axes.keys())
+    yield from _parted(records, recorded.keys() - axes.keys())
 
 
 MEMBERS = "SELECT run FROM batch_runs WHERE batch = $b AND ordinal = $o GROUP BY run, number ORDER BY number"
@@ -470,8 +470,8 @@ def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
             for table in ("executions", "artifacts", "judgements"):
                 if table in segment.files:
                     key = "judgement" if table == "judgements" else "execution"
-                    found = records.each(f"SELECT DISTINCT {key} FROM {read_parquet([segment.files[table]])}")
-                    named -= {row[0] for row in found}
+                    rows = records.each(f"SELECT DISTINCT {key} FROM {read_parquet([segment.files[table]])}")
+                    named -= {row[0] for row in rows}
     return sorted(named)
 
 
@@ -581,8 +581,8 @@ def _tables(records: Records) -> Iterator[Finding]:
     """Check the rows of outputs: each file of an execution has as many rows as were read and counted. Report extra rows."""
     records.snapshot.connection.register("written", _written(records))
     bad: dict[str, list[tuple[str, str]]] = {}
-    for execution, output, path, expected, found in records.each(TABLES):
-        bad.setdefault(output, []).append((execution, f"{path}: {found} instead of {expected}"))
+    for execution, output, path, expected, counted in records.each(TABLES):
+        bad.setdefault(output, []).append((execution, f"{path}: {counted} instead of {expected}"))
     for output, executions in sorted(bad.items()):
         if named := _unless_broken(records, (execution for execution, _ in executions)):
             first = next(difference for execution, difference in executions if execution in named)
@@ -608,12 +608,12 @@ WRITTEN = pa.schema([("execution", pa.string()), ("output", pa.string()), ("file
 def _manifests(records: Records) -> Iterator[Finding]:
     """Check the files of sources: their list is present and gives the tree; outside git, each file is present."""
     wanted: dict[str, str] = dict(records.each("SELECT blob, sha256 FROM blobs"))
-    for blob, found in wanted.items():
-        if found not in records.objects.whole:
+    for blob, content in wanted.items():
+        if content not in records.objects.whole:
             yield Finding(
                 Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", records.of_batches(OF_SOURCES)
             )
-        elif records.objects.blobs.get(found, blob) != blob and not proves(_object(records, found), blob):
+        elif records.objects.blobs.get(content, blob) != blob and not proves(_object(records, content), blob):
             yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of its file")
     for row, path in records.rows(SourceRow):
         if row.files not in records.objects.whole:
@@ -634,7 +634,7 @@ def _images(records: Records) -> Iterator[Finding]:
         if kind is None:
             what = f"the image {identity} is not recorded"
         elif variants is not None:
-            ids = dict(one.split("=", 1) for one in variants if "=" in one)
+            ids = dict(variant.split("=", 1) for variant in variants if "=" in variant)
             if variants_id(ids) == identity:
                 continue
             what = f"the images by processor of {identity} have another hash"

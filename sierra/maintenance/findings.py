@@ -96,11 +96,11 @@ def of(snapshot: Snapshot, executions: Iterable[str] = (), runs: Iterable[str] =
     ended = sorted(set(executions))
     snapshot.views.make(("batch_runs", "experiments", "batches", "all_judgements", "all_artifacts"))
     snapshot.add_table("named", execution=ended)
-    found = snapshot.run(
+    rows = snapshot.run(
         "SELECT DISTINCT run FROM all_judgements e SEMI JOIN named n ON n.execution = e.judgement UNION "
         "SELECT DISTINCT run FROM all_artifacts SEMI JOIN named USING (execution)"
     )
-    concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
+    concerned = sorted({*runs, *(row[0] for row in rows if row[0] is not None)})
     snapshot.add_table("concerned", run=concerned)
     places = snapshot.run(PLACES)
     named = sorted({*batches, *(row[0] for row in places)})
@@ -131,7 +131,7 @@ def _experiments(snapshot: Snapshot, batch: str, places: Sequence[tuple[str, str
     for _, _, ordinal, number, _ in places:
         numbers.setdefault(ordinal, []).append(number)
     values = _values(snapshot, batch) if numbers else {}
-    texts = [f"{values.get(ordinal, f'experiment {ordinal}')}: {_ranges(those)}" for ordinal, those in numbers.items()]
+    texts = [f"{values.get(ordinal, f'experiment {ordinal}')}: {_ranges(repeats)}" for ordinal, repeats in numbers.items()]
     more = [f"{len(texts) - SHOWN} more experiments"] if len(texts) > SHOWN else []
     return "; ".join(texts[:SHOWN] + more)
 

@@ -74,30 +74,30 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
     began = time.monotonic()
     shared = Shared(paths.reading)
     try:
-        found = check_files.read(paths, lambda done: tell(f"{done / 1e6:.0f} MB hashed"))
-        objects = check_files.read_objects(found.sound, _blobs(paths, found), lambda: tell("hashing recorded files"))
-        read = Records(paths, found, objects)
+        contents = check_files.read(paths, lambda done: tell(f"{done / 1e6:.0f} MB hashed"))
+        objects = check_files.read_objects(contents.sound, _blobs(paths, contents), lambda: tell("hashing recorded files"))
+        read = Records(paths, contents, objects)
         try:
             tell("checking records")
-            records = [] if found.unchecked else check_records.check(read, root)  # they need all files
-            findings = [*_contents(read), *records, *check_index(paths, found), *_sessions(paths), *_strange(paths)]
-            findings += [Finding(Kind.LEFT, f"segments/{name}", REPLACED) for name in found.left]
+            records = [] if contents.unchecked else check_records.check(read, root)  # they need all files
+            findings = [*_contents(read), *records, *check_index(paths, contents), *_sessions(paths), *_strange(paths)]
+            findings += [Finding(Kind.LEFT, f"segments/{name}", REPLACED) for name in contents.left]
             executions = _count(read)
         finally:
             read.snapshot.__exit__()
     finally:
         shared.close()
-    count = len(found.sound) + len(found.left)
+    count = len(contents.sound) + len(contents.left)
     seconds = time.monotonic() - began
-    report = Report(tuple(worst_first(findings)), count, found.files, found.bytes, len(objects.whole), executions, seconds)
-    return Checked(report, found, objects)
+    hashed = (contents.files, contents.bytes, len(objects.whole))
+    return Checked(Report(tuple(worst_first(findings)), count, *hashed, executions, seconds), contents, objects)
 
 
-def _blobs(paths: StorePaths, found: Contents) -> set[str]:
+def _blobs(paths: StorePaths, contents: Contents) -> set[str]:
     """Return the SHA-256 of objects that are files of sources outside git."""
-    files = [segment.files["blobs"] for segment in found.sound if "blobs" in segment.files]
+    files = [segment.files["blobs"] for segment in contents.sound if "blobs" in segment.files]
     try:
-        with Snapshot(paths.root, found.sound) as snapshot:
+        with Snapshot(paths.root, contents.sound) as snapshot:
             return {row[0] for row in snapshot.run(f"SELECT sha256 FROM {read_parquet(files)}")} if files else set()
     except SierraError:
         return set()
@@ -154,12 +154,12 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
         return
     try:
         with sessions.exclusively(paths) as locks:
-            living = {one.root for one in sessions.alive(paths)}
-            found = sessions.all_of(paths) if locks else []
+            living = {alive.root for alive in sessions.alive(paths)}
+            ended = sessions.all_of(paths) if locks else []
     except (SierraError, OSError) as error:
         yield Finding(Kind.DAMAGED if shortage(error) is None else Kind.UNCHECKED, "work", str(error))
         return
-    for session in found:
+    for session in ended:
         if session.root not in living:
             what = "a session that died; sierra run or sierra gc finishes it"
             yield Finding(Kind.DEAD, f"work/{session.root.name}", what)

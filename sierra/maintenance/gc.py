@@ -96,23 +96,23 @@ class _Plan:
 def plan(store: Store, project: Path | None = None, *, damaged: bool = False, raw: bool = False) -> Collection:
     """Return the data that `collect` would remove and merge."""
     paths = store.paths
-    made = _plan(store, raw=raw)
+    planned = _plan(store, raw=raw)
     with sessions.exclusively(paths) as locks:
-        living = {one.root for one in sessions.alive(paths)} if locks else set()
-        dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
+        living = {session.root for session in sessions.alive(paths)} if locks else set()
+        dead = [session for session in sessions.all_of(paths) if locks and session.root not in living]
         unused = len(out_of_use(paths))
-    merged = [group for group in made.groups if len(group) > 1]
+    merged = [group for group in planned.groups if len(group) > 1]
     aside = len(_aside(paths)) if damaged else 0
     return Collection(
         len(dead),
         len(list(_unfinished(paths, project))),
         unused,
-        made.objects,
-        made.bytes,
+        planned.objects,
+        planned.bytes,
         sum(len(group) for group in merged),
         len(merged),
         aside,
-        made.raw,
+        planned.raw,
         logs=len(_logs(store)),
     )
 
@@ -140,22 +140,22 @@ def collect(
     recovered = recover.finish_dead(store, observer or Observer())
     for path in list(_unfinished(paths, project)):
         remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
-    elsewhere = [one.elsewhere for one in unrecorded.found(paths) if one.folder in aside and one.elsewhere is not None]
+    elsewhere = [lost.elsewhere for lost in unrecorded.found(paths) if lost.folder in aside and lost.elsewhere is not None]
     for path in (*elsewhere, *aside):  # the folders in `aside` name the others
         remove(str(path))
     for path in _logs(store):
         path.unlink(missing_ok=True)
     left = 0
     with changing(paths) as session:
-        made = _plan(store, raw=raw)
-        if made.groups:
+        planned = _plan(store, raw=raw)
+        if planned.groups:
 
             def prepare(rewriting: Compaction) -> AbstractSet[str]:
-                nonlocal made
-                made = _plan(store, raw=raw)
-                for group in made.groups:
-                    rewriting.write(group, made.drop)
-                return made.seen
+                nonlocal planned
+                planned = _plan(store, raw=raw)
+                for group in planned.groups:
+                    rewriting.write(group, planned.drop)
+                return planned.seen
 
             left = publish(paths, session, prepare, lambda: undisturbed(paths, session, set()))
         else:
@@ -175,14 +175,14 @@ SESSIONS = (
 
 
 def _aside(paths: StorePaths) -> list[Path]:
-    return [*put_aside(paths), *(one.folder for one in unrecorded.found(paths))]
+    return [*put_aside(paths), *(lost.folder for lost in unrecorded.found(paths))]
 
 
 def _logs(store: Store) -> list[Path]:
     """Return the log files of sessions that are not recorded and have ended."""
     if not (found := session_log_file.logs(store.paths)):
         return []
-    known = set(store.values(str, SESSIONS)) | {one.root.name for one in sessions.all_of(store.paths)}
+    known = set(store.values(str, SESSIONS)) | {session.root.name for session in sessions.all_of(store.paths)}
     return [path for path in found if path.stem not in known]
 
 
@@ -223,10 +223,10 @@ def _plan(store: Store, *, raw: bool) -> _Plan:
         for segment in snapshot.segments:
             if segment.files and _size(segment) < SMALL:
                 small.setdefault(segment.batch, []).append(segment)
-        chosen = {id(segment): segment for those in small.values() if len(those) >= MANY for segment in those}
+        chosen = {id(segment): segment for segments in small.values() if len(segments) >= MANY for segment in segments}
         chosen |= {id(segment): segment for segment in holding}
-        found = [part for group in groups(chosen.values()) for part in map(tuple, by_weight(group, _size, LARGE))]
-        kept = [group for group in found if len(group) > 1 or group[0] in holding]
+        parts = [part for group in groups(chosen.values()) for part in map(tuple, by_weight(group, _size, LARGE))]
+        kept = [group for group in parts if len(group) > 1 or group[0] in holding]
         raws = _tables(snapshot, unneeded)
         return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in snapshot.segments})
 

@@ -47,7 +47,7 @@ def doubtful(paths: StorePaths, sound: Sequence[Segment], broken: Mapping[str, A
 
     `sound` are all segments with their sound files, `broken` the names of lost files by segment.
     """
-    batches = {one.batch for one in sound if _has_lost(paths.segments / one.name, broken.get(one.name, frozenset()))}
+    batches = {part.batch for part in sound if _has_lost(paths.segments / part.name, broken.get(part.name, frozenset()))}
     if not batches:
         return []
     with Snapshot(paths.root, sound) as snapshot:
@@ -74,6 +74,6 @@ def remarks(root: Path, sound: Sequence[Segment], executions: Sequence[str], ses
         lamport = stamp(session_numbers.highest_of(snapshot, sound) + 1, session)
     now = datetime.now(UTC)
     return [
-        last.get(one, TrialRow(one, now, None))._replace(marked=now, valid=False, reason=REASON, lamport=lamport)
-        for one in executions
+        last.get(execution, TrialRow(execution, now, None))._replace(marked=now, valid=False, reason=REASON, lamport=lamport)
+        for execution in executions
     ]

@@ -113,32 +113,32 @@ def remove(
     first = _plan(store, named)
     if not agree(first.removal):
         return None
-    made = first
+    planned = first
     with changing(store.paths) as session:
 
         def prepare(rewriting: Compaction) -> AbstractSet[str]:
-            nonlocal made
-            made = _plan(store, named)
-            if made.removal != first.removal:
+            nonlocal planned
+            planned = _plan(store, named)
+            if planned.removal != first.removal:
                 raise Busy("the store changed since the preview; run the command again")
-            for group in groups(made.touched):
-                rewriting.write(group, made.drop)
-            return made.seen
+            for group in groups(planned.touched):
+                rewriting.write(group, planned.drop)
+            return planned.seen
 
-        left = publish(store.paths, session, prepare, lambda: undisturbed(store.paths, session, made.concerned))
-    done = made.removal
+        left = publish(store.paths, session, prepare, lambda: undisturbed(store.paths, session, planned.concerned))
+    done = planned.removal
     return replace(done, left=left)
 
 
 def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
     named: dict[str, set[str]] = {kind: set() for kind in KINDS}
     for prefix in prefixes:
-        found = store.identify(prefix)
-        if found.kind == "study":
-            named["study"].add(found.id)
-            named["batch"].update(look.batch for look in study_records.looks(store, found.id))
+        resolved = store.identify(prefix)
+        if resolved.kind == "study":
+            named["study"].add(resolved.id)
+            named["batch"].update(look.batch for look in study_records.looks(store, resolved.id))
         else:
-            named[found.kind].add(found.id)
+            named[resolved.kind].add(resolved.id)
     if not prefixes:
         raise NotFound("give the ids (or their beginnings) of the batches, experiments, runs or executions to remove")
     return named
@@ -227,13 +227,13 @@ UNNAMED = {
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
     with store.snapshot() as snapshot:
         drop = rows_of(snapshot, store, named)
-        made = _Plan(_removal(snapshot, named))
-        made.drop = drop
-        made.touched = touched(snapshot, snapshot.segments, made.drop)
-        made.seen = {segment.name for segment in snapshot.segments}
+        planned = _Plan(_removal(snapshot, named))
+        planned.drop = drop
+        planned.touched = touched(snapshot, snapshot.segments, planned.drop)
+        planned.seen = {segment.name for segment in snapshot.segments}
         concerned = "SELECT batch FROM batch_runs WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
-        made.concerned = _column(snapshot, concerned)
-        return made
+        planned.concerned = _column(snapshot, concerned)
+        return planned
 
 
 def rows_of(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
@@ -243,7 +243,7 @@ def rows_of(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[st
     """
     snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "all_sessions", "effective"))
     pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
-    snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
+    snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[each for _, each in pairs])
     snapshot.run(ASKED)
     if snapshot.holds("reused_executions"):
         snapshot.run(REUSED)
@@ -345,7 +345,7 @@ def _column(snapshot: Snapshot, statement: str) -> set[str]:
 def text(removal: Removal) -> list[str]:
     """Return lines that list the records to delete, and those that stay."""
     lines = [
-        f"batch {short(one.batch)} ({one.query}): {one.experiments} experiments, {one.runs} runs" for one in removal.batches
+        f"batch {short(row.batch)} ({row.query}): {row.experiments} experiments, {row.runs} runs" for row in removal.batches
     ]
     if removal.executions:
         lines.append(f"{removal.executions} executions of {removal.runs} runs, with their files, tables and logs")

@@ -114,9 +114,9 @@ def _checked(paths: StorePaths, root: Path, tell: Tell) -> Checked:
 def _ours(paths: StorePaths) -> None:
     """Raise Damaged if the store declares another format: its sound data would seem damaged here."""
     with contextlib.suppress(OSError):
-        found = read_regular(paths.format).decode("utf-8", "replace")
-        if re.fullmatch(r"sierra store \d+\n", found) and found not in FORMATS:
-            problem = f"this is {found.strip()!r}, which this SIERRA does not repair"
+        content = read_regular(paths.format).decode("utf-8", "replace")
+        if re.fullmatch(r"sierra store \d+\n", content) and content not in FORMATS:
+            problem = f"this is {content.strip()!r}, which this SIERRA does not repair"
             raise Damaged(
                 f"{paths.format}: {problem}; if this SIERRA made the store, change the file's content to {FORMAT.strip()!r}"
             )
@@ -233,8 +233,8 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
     broken, contents.broken = contents.broken, {}
     read = Records(paths, contents, checked.objects)
     try:
-        for one in check_records.CHECKS:
-            for finding in one(read):
+        for check in check_records.CHECKS:
+            for finding in check(read):
                 if finding.kind in (Kind.LOST, Kind.INCONSISTENT):
                     loss.executions |= set() if finding.what == check_records.ORPHANS else set(finding.affected.executions)
                     if not finding.affected.executions:
@@ -242,12 +242,13 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
         loss.executions |= _of_unknown_origin(paths, contents.sound, broken)
         loss.executions |= set(read.column(JUDGEMENTS, e=sorted(loss.executions)))
         loss.replays = set(check_records.lost_replays(read))
-        found = lost_remarks.doubtful(paths, contents.sound, broken)
-        loss.doubtful = [one for one in found if one.execution not in loss.executions]
+        doubtful = lost_remarks.doubtful(paths, contents.sound, broken)
+        loss.doubtful = [success for success in doubtful if success.execution not in loss.executions]
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
         away = broken.keys() | going
-        loss.touched = [one for one in contents.sound if one.name in away or one.after in away]  # else these would wait forever
+        # a segment that comes after a removed one would wait forever
+        loss.touched = [segment for segment in contents.sound if segment.name in away or segment.after in away]
     finally:
         read.snapshot.__exit__()
         contents.broken = broken
@@ -257,11 +258,11 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
 def _of_unknown_origin(paths: StorePaths, sound: Sequence[Segment], broken: Mapping[str, AbstractSet[str]]) -> set[str]:
     """Return the executions of segments that have lost the list of imported sessions, and that may be imported ones."""
     lost = {name for name, files in broken.items() if f"{IMPORTED}.parquet" in files or MANIFEST in files}
-    lacking = [one for one in sound if one.name in lost and "imports" in one.files and IMPORTED not in one.files]
+    lacking = [part for part in sound if part.name in lost and "imports" in part.files and IMPORTED not in part.files]
     if not lacking:
         return set()
     with Snapshot(paths.root, lacking) as snapshot:
-        found = snapshot.select(_Made, "SELECT DISTINCT execution, session FROM executions")
+        rows = snapshot.select(_Made, "SELECT DISTINCT execution, session FROM executions")
     with Snapshot(paths.root, sound) as snapshot:
         known = set(snapshot.values(str, f"SELECT session FROM {IMPORTED}"))
-    return {one.execution for one in found if one.session not in known}
+    return {row.execution for row in rows if row.session not in known}
