@@ -77,8 +77,8 @@ class Trial:
         rate = "rates" in self.takes
         draw = partial(_flag, rng, means) if rate else rng.gauss
         samples = tuple(
-            Sample(f"g{place}", tuple(RunValue(run, draw(mean)) for run in range(n)), n, place)
-            for place, mean in enumerate(means)
+            Sample(f"g{index}", tuple(RunValue(run, draw(mean)) for run in range(n)), n, index)
+            for index, mean in enumerate(means)
         )
         if "factors" not in self.takes:
             return Cell({"noise": 0.5}, samples, rate=rate)
@@ -119,8 +119,8 @@ def compares_each_two_groups(trial: Trial) -> None:
         (Question(against="g1"), [("g1", "g0"), ("g1", "g2")]),
     ):
         pairs = trial.tests(trial.cell(0, 20, 40), question).pairs
-        found = [(pair.first, pair.second) for pair in pairs]
-        holds(sorted(found) == sorted(expected), f"it compares {found}, not {expected} (against: {question.against})")
+        compared = [(pair.first, pair.second) for pair in pairs]
+        holds(sorted(compared) == sorted(expected), f"it compares {compared}, not {expected} (against: {question.against})")
         for pair in pairs:
             up = pair.second > pair.first
             right = pair.difference is None or (pair.difference > 0) is up

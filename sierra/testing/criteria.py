@@ -60,11 +60,11 @@ def check(
 
 def declares_options(trial: Trial) -> None:
     """Check its name, its options, and that its example means something."""
-    found = CRITERIA.load(trial.name)
-    says_what_its_options_are(found)
+    criterion = CRITERIA.load(trial.name)
+    says_what_its_options_are(criterion)
     holds(NAME.fullmatch(trial.name) is not None, f"the name {trial.name!r} has other characters than letters and _")
     try:
-        trial.parse(found.example)
+        trial.parse(criterion.example)
     except QueryError as error:
         raise AssertionError(f"the example is refused: {error}") from error
 
@@ -81,13 +81,13 @@ def refuses_texts_in_one_line(trial: Trial) -> None:
     """Check that a text that means nothing raises QueryError with one line."""
     for text in trial.refused:
         try:
-            found = ranges.values(trial.parse(text).scale)
+            values = ranges.values(trial.parse(text).scale)
         except QueryError as error:
             holds("\n" not in str(error), f"the message about {trial.name}{text} has several lines")
         except Exception as error:
             raise AssertionError(f"{trial.name}{text} raises {type(error).__name__}, not QueryError: {error}") from error
         else:
-            raise AssertionError(f"{trial.name}{text} is not refused, but has the values {found}")
+            raise AssertionError(f"{trial.name}{text} is not refused, but has the values {values}")
 
 
 def is_repeatable(trial: Trial) -> None:

@@ -152,11 +152,11 @@ class Trial:
         """Start a process in a container of its own, in a new folder. `said` is written to its standard input."""
         execution = secrets.token_hex(8)
         folder = self.folder / (name or execution)
-        for one in (RUN_OUTPUT, RUN_HOME, RUN_TMP):
-            (folder / one).mkdir(parents=True)
+        for sub in (RUN_OUTPUT, RUN_HOME, RUN_TMP):
+            (folder / sub).mkdir(parents=True)
         (folder / "input").write_text("given")
         here = f"{INSIDE}/run" if self.contains else str(folder)
-        mounts = [Mount("\0", here), *(Mount(f"\0/{one}", f"{here}/{one}", writable=True) for one in (RUN_OUTPUT, RUN_HOME))]
+        mounts = [Mount("\0", here), *(Mount(f"\0/{sub}", f"{here}/{sub}", writable=True) for sub in (RUN_OUTPUT, RUN_HOME))]
         temporary = "/tmp" if self.contains else f"{folder}/{RUN_TMP}"  # noqa: S108 - the container's own
         mounts.append(Mount(f"\0/{RUN_TMP}", temporary, writable=True))
         given = variables or {}
@@ -410,8 +410,8 @@ def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
     other = Trial(trial.engine, trial.image, trial.root, trial.folder)
     kept = other.start("sh", "-c", "echo ready; sleep 60")
     started = trial.start("sh", "-c", "sleep 60 & echo ready; sleep 60")
-    for one in (started, kept):
-        one.until_it_says("ready")
+    for container in (started, kept):
+        container.until_it_says("ready")
     started.process.kill()
     started.process.wait()
     trial.engine.sweep([trial.session, "trial-that-never-was"])

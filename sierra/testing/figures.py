@@ -154,8 +154,8 @@ def _rows(values: Values, experiments: int, runs: Callable[[int], int]) -> pa.Ta
     import pyarrow as pa
 
     places = [(e, run, row) for e in range(experiments) for run in range(runs(e)) for row in range(ROWS)]
-    cells = [values(*place) for place in places]
-    own = {f"# {name}": pa.array([place[k] for place in places], pa.int32()) for k, name in enumerate(("experiment", "number"))}
+    cells = [values(*ids) for ids in places]
+    own = {f"# {name}": pa.array([ids[k] for ids in places], pa.int32()) for k, name in enumerate(("experiment", "number"))}
     times = [row for _, _, row in places]
     own |= {"# place": pa.array(times, pa.int64()), "# t": pa.array(map(float, times), pa.float64())}
     own["run"] = pa.array([f"{e:02}-{run:02}" for e, run, _ in places], pa.string())
@@ -256,8 +256,8 @@ def keeps_text_within_the_figure(trial: Trial) -> None:
         for box in boxes:
             inside = outer.x0 <= box.x0 and box.x1 <= outer.x1 and outer.y0 <= box.y0 and box.y1 <= outer.y1
             holds(inside, f"something leaves the figure: {box} is not in {outer}")
-        for one, other in itertools.combinations(around, 2):
-            holds(not one.overlaps(other), "title, legend or small print cover each other")
+        for box, other in itertools.combinations(around, 2):
+            holds(not box.overlaps(other), "title, legend or small print cover each other")
 
 
 def notes_what_a_log_axis_cannot_show(trial: Trial) -> None:

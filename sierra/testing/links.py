@@ -207,8 +207,8 @@ def executes_many_at_once(trial: Trial) -> None:
     link = trial.link()
     channel = link.channel(["cat"])
     with ThreadPoolExecutor(30) as pool:
-        found = list(pool.map(lambda number: link.run(["sh", "-c", f"sleep 0.1; echo {number}"]).stdout, range(40)))
-    holds(found == [b"%d\n" % number for number in range(40)], f"40 commands at once returned {found}")
+        outputs = list(pool.map(lambda number: link.run(["sh", "-c", f"sleep 0.1; echo {number}"]).stdout, range(40)))
+    holds(outputs == [b"%d\n" % number for number in range(40)], f"40 commands at once returned {outputs}")
     channel.send("still there")
     holds(channel.receive(SOON_S) == "still there", "a channel was lost")
     channel.close()

@@ -65,12 +65,12 @@ class Trial:
         import pyarrow.parquet as pq
 
         self._count += 1
-        place = self.folder / str(self._count)
-        files = [place / f"{number}" / f"out.{self.name}" for number in range(len(contents))]
+        folder = self.folder / str(self._count)
+        files = [folder / f"{number}" / f"out.{self.name}" for number in range(len(contents))]
         for path, content in zip(files, contents, strict=True):
             path.parent.mkdir(parents=True)
             path.write_bytes(content)
-        target = place / "read" / "table.parquet"
+        target = folder / "read" / "table.parquet"
         target.parent.mkdir(parents=True)
         shape = Shape(self.name, reader=self._described(), form=self.form)
         reading = read(self.connection, [written(path, number) for number, path in enumerate(files)], shape, target)
@@ -145,17 +145,17 @@ def never_invents_rows(trial: Trial) -> None:
     """Check that a file that is cut short is refused, or gives its first rows, unchanged."""
     for content, columns in trial.tables.items():
         whole = _rows(columns)
-        for place in sorted({len(content) * part // CUTS for part in range(CUTS)} | {len(content) - 1}):
-            reading, rows = trial.read([*trial.tables, content[:place]])
+        for size in sorted({len(content) * part // CUTS for part in range(CUTS)} | {len(content) - 1}):
+            reading, rows = trial.read([*trial.tables, content[:size]])
             cut = f"e{len(trial.tables)}"
-            found = rows.get(cut, [])
+            given = rows.get(cut, [])
             refused = cut in reading.faults
             holds(
-                refused or found == whole[: len(found)], f"a file that is cut after {place} bytes has other rows: {found[-1:]}"
+                refused or given == whole[: len(given)], f"a file that is cut after {size} bytes has other rows: {given[-1:]}"
             )
             holds(
                 refused or set(reading.columns.get((cut, f"out.{trial.name}"), columns)) <= set(columns),
-                f"a file that is cut after {place} bytes has other columns",
+                f"a file that is cut after {size} bytes has other columns",
             )
 
 

@@ -181,8 +181,8 @@ def finds_jobs_by_name(trial: Trial) -> None:
     first, job = trial.submit(UNTIL_TOLD, 0, 2)
     other, another = trial.submit(UNTIL_TOLD)
     for number, of in ((job, first), (another, other)):
-        found = {task.job for task in trial.seen(of)}
-        holds(found == {number}, f"job {number} is not found immediately by its name {of.name}")
+        jobs = {task.job for task in trial.seen(of)}
+        holds(jobs == {number}, f"job {number} is not found immediately by its name {of.name}")
     trial.until(first, lambda seen: _running(seen) == {0, 2}, "array tasks 0 and 2 never run")
     for request in (first, other):
         (request.folder / "go").touch()
@@ -430,11 +430,11 @@ def keeps_what_runs_leave(ordeal: Ordeal) -> None:
     text = 'mkdir -p a/b; printf "x,y\\n1,2\\n" > a/b/t.csv; : > empty; head -c 3000000 /dev/zero > big; echo out; echo err >&2'
     for result in ordeal.executed(text, text):
         folder = Path(result.directory)
-        found = {file.path: (folder / RUN_OUTPUT / file.path).read_bytes() for file in result.outputs}
+        contents = {file.path: (folder / RUN_OUTPUT / file.path).read_bytes() for file in result.outputs}
         written = {"a/b/t.csv": b"x,y\n1,2\n", "empty": b"", "big": bytes(3_000_000)}
-        holds(found == written, f"the reported outputs are {sorted(found)}")
+        holds(contents == written, f"the reported outputs are {sorted(contents)}")
         for file in result.outputs:
-            content = found[file.path]
+            content = contents[file.path]
             described = (file.bytes, file.sha256) == (len(content), hashlib.sha256(content).hexdigest())
             holds(described, f"{file.path} differs from its reported size or hash")
         printed = (folder / RUN_STDOUT).read_bytes(), (folder / RUN_STDERR).read_bytes()

@@ -59,7 +59,7 @@ class Trial:
             frame = _Frame(connection, rows)
             table, _ = Samples(frame, aggregate.coverage(frame)).by_experiment("final", selection)
         parts = (table.column(f"{self.name}{part}").to_pylist() for part in ("", "_low", "_high"))
-        return [Estimate(*found) for found in zip(*parts, strict=True)]
+        return [Estimate(*row) for row in zip(*parts, strict=True)]
 
 
 def _connected() -> Database:
@@ -104,10 +104,10 @@ def has_the_known_values(trial: Trial) -> None:
     """Check the statistic of each known group of values, and that their order has no effect."""
     for values, expected in trial.known.items():
         for ordered in (values, values[::-1]):
-            (found,) = trial.estimates([ordered])
+            (estimate,) = trial.estimates([ordered])
             holds(
-                found.value is not None and math.isclose(found.value, expected, rel_tol=1e-9, abs_tol=1e-12),
-                f"{trial.name} of {ordered} is {found.value}, not {expected}",
+                estimate.value is not None and math.isclose(estimate.value, expected, rel_tol=1e-9, abs_tol=1e-12),
+                f"{trial.name} of {ordered} is {estimate.value}, not {expected}",
             )
 
 
@@ -120,14 +120,15 @@ def is_none_without_values(trial: Trial) -> None:
 def has_intervals_around_the_value(trial: Trial) -> None:
     """Check that an interval has both ends or none, and contains the value; and that one run has none."""
     groups = [*trial.known, *OTHERS]
-    for values, found in zip(groups, trial.estimates(groups), strict=True):
-        ends = (found.low, found.high)
-        holds((found.low is None) == (found.high is None), f"{trial.name} of {values[:5]} has one end of an interval: {ends}")
-        holds(len(values) > 1 or found.low is None, f"{trial.name} of one value has an interval: {ends}")
-        if found.low is not None and found.high is not None:
-            inside = found.value is not None and found.low <= found.value <= found.high
-            holds(inside, f"{trial.name} of {values[:5]} is {found.value}, outside its interval {ends}")
-        numbers = [number for number in (found.value, *ends) if number is not None]
+    for values, estimate in zip(groups, trial.estimates(groups), strict=True):
+        ends = (estimate.low, estimate.high)
+        both_or_none = (estimate.low is None) == (estimate.high is None)
+        holds(both_or_none, f"{trial.name} of {values[:5]} has one end of an interval: {ends}")
+        holds(len(values) > 1 or estimate.low is None, f"{trial.name} of one value has an interval: {ends}")
+        if estimate.low is not None and estimate.high is not None:
+            inside = estimate.value is not None and estimate.low <= estimate.value <= estimate.high
+            holds(inside, f"{trial.name} of {values[:5]} is {estimate.value}, outside its interval {ends}")
+        numbers = [number for number in (estimate.value, *ends) if number is not None]
         holds(all(map(math.isfinite, numbers)), f"{trial.name} of {values[:5]} is not finite: {numbers}")
 
 
@@ -136,15 +137,15 @@ def is_repeatable(trial: Trial) -> None:
     groups = [*trial.known, *OTHERS]
     together = trial.estimates(groups)
     holds(together == trial.estimates(groups), f"{trial.name} of the same values is another one the second time")
-    for values, found in zip(groups, together, strict=True):
+    for values, estimate in zip(groups, together, strict=True):
         (alone,) = trial.estimates([values])
-        holds(alone == found, f"{trial.name} of {values[:5]} is {alone} alone, but {found} beside other experiments")
+        holds(alone == estimate, f"{trial.name} of {values[:5]} is {alone} alone, but {estimate} beside other experiments")
 
 
 def has_wider_intervals_of_higher_confidence(trial: Trial) -> None:
     """Check that intervals of a higher confidence contain the others, if it has them: looks of a study need them."""
-    made: Statistic = STATISTICS.make(trial.name, {trial.name: trial.options})
-    if "level" not in inspect.signature(made.definition).parameters:
+    statistic: Statistic = STATISTICS.make(trial.name, {trial.name: trial.options})
+    if "level" not in inspect.signature(statistic.definition).parameters:
         return
     groups = [*trial.known, *OTHERS]
     for values, usual, wide in zip(groups, trial.estimates(groups), trial.estimates(groups, 0.99), strict=True):

@@ -81,15 +81,15 @@ def renders_the_same_again(trial: Trial) -> None:
 
 def renders_safe_files(trial: Trial) -> None:
     """Check that several files have safe and different names, which do not depend on values, and that arguments are texts."""
-    one, other = (trial.changed(set_to(trial.places[0], value)).render() for value in NUMBERS[:2])
-    if isinstance(one, bytes):
+    rendered, other = (trial.changed(set_to(trial.places[0], value)).render() for value in NUMBERS[:2])
+    if isinstance(rendered, bytes):
         holds(isinstance(other, bytes), "the number of files changes from one to several")
         return
-    names = [name for name, _ in one]
+    names = [name for name, _ in rendered]
     holds(names == [name for name, _ in _files(other)], "the file names depend on values")
     different = {name.lower() for name in names}
     holds(0 < len(different) == len(names), f"no files, or two files with the same name: {names}")
-    for name, content in one:
+    for name, content in rendered:
         holds(not name or bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
         if name == ARGUMENTS:
             words = json.loads(content)
@@ -99,13 +99,13 @@ def renders_safe_files(trial: Trial) -> None:
 
 def finds_values(trial: Trial) -> None:
     """Check that each place has one value, and that a path that selects nothing gives none or is refused in one line."""
-    for place in trial.places:
-        found = trial.template.find(place)
-        holds(len(found) == 1, f"{place!r} selects {len(found)} values, not one")
-        holds(all(isinstance(text, str) for text in found), f"{place!r} returns {found!r}, which are not texts")
-    for place in NOWHERE:
+    for path in trial.places:
+        values = trial.template.find(path)
+        holds(len(values) == 1, f"{path!r} selects {len(values)} values, not one")
+        holds(all(isinstance(text, str) for text in values), f"{path!r} returns {values!r}, which are not texts")
+    for path in NOWHERE:
         try:
-            holds(trial.template.find(place) == (), f"{place!r} selects something, but should select nothing")
+            holds(trial.template.find(path) == (), f"{path!r} selects something, but should select nothing")
         except TemplateError as error:
             is_one_line(str(error))
 
@@ -118,30 +118,30 @@ def lists_values(trial: Trial) -> None:
 
 def sets_one_value(trial: Trial) -> None:
     """Check that a value is set in its place alone, and that the template stays as it is."""
-    for place in trial.places:
+    for path in trial.places:
         for value in NUMBERS:
             template = trial.template
             before = {other: template.find(other) for other in trial.places}
-            made = template.reread(template.changed([set_to(place, value)], {}).render(), NAME)
-            found = made.find(place)
-            holds(len(found) == 1 and same(found[0], value), f"{place!r} was set to {value!r}, but is {found!r}")
-            others = [other for other in trial.places if other != place and made.find(other) != before[other]]
-            holds(not others, f"setting {place!r} also changes {others}")
+            changed = template.reread(template.changed([set_to(path, value)], {}).render(), NAME)
+            values = changed.find(path)
+            holds(len(values) == 1 and same(values[0], value), f"{path!r} was set to {value!r}, but is {values!r}")
+            others = [other for other in trial.places if other != path and changed.find(other) != before[other]]
+            holds(not others, f"setting {path!r} also changes {others}")
             holds({other: template.find(other) for other in trial.places} == before, "a change alters the template itself")
 
 
 def keeps_texts(trial: Trial) -> None:
     """Check that any text is kept as it is, or refused in one line; a plain word stands in the rendered bytes."""
-    place = trial.places[0]
+    path = trial.places[0]
     for text in TEXTS:
         try:
-            found = trial.after(set_to(place, text)).find(place)
+            values = trial.after(set_to(path, text)).find(path)
         except SierraError as error:
             is_one_line(str(error))
             continue
         wanted = text.replace("{{", "{").replace("}}", "}")
-        holds(found == (wanted,), f"{wanted!r} became {found!r}")
-    files = _files(trial.changed(set_to(place, MARK)).render())
+        holds(values == (wanted,), f"{wanted!r} became {values!r}")
+    files = _files(trial.changed(set_to(path, MARK)).render())
     holds(any(MARK.encode() in content.replace(b"\0", b"") for _, content in files), f"{MARK} is not in the rendered bytes")
 
 
@@ -163,14 +163,14 @@ def refuses_changes_that_do_not_fit(trial: Trial) -> None:
 
 def makes_inputs_of_runs(trial: Trial) -> None:
     """Check that the function for inputs of runs gives what the changes give, whatever it was called with before."""
-    one, other = trial.places[:2]
+    first, other = trial.places[:2]
     document = trial.changed(set_to(other, "3"))
-    changes = [set_to(one, "{seed + run}")]
+    changes = [set_to(first, "{seed + run}")]
     render = document.per_run(changes)
     for seed in (7, 100, 7):
         expected = trial.changed(set_to(other, "3"), *changes, seed=seed, run=1).render()
         holds(render({"seed": seed, "run": 1}) == expected, "the input of a run differs from the result of the same changes")
-    every = trial.changed(*(set_to(place, "3") for place in trial.places))
+    every = trial.changed(*(set_to(path, "3") for path in trial.places))
     holds(every.per_run([])({"seed": 1}) == every.render(), "the input without changes per run differs from the document")
     _is_refused(lambda: document.per_run([set_to(NOWHERE[0], "{seed}")]), TemplateError, "a change of runs, at once,")
 

@@ -47,7 +47,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.trial = Trial(Strace(), folder)
-        self.place = self.trial.place().resolve()
+        self.place = self.trial.new_folder().resolve()
 
     def compile(self, text: str, *options: str, name: str = "program") -> Path:
         source = self.place / f"{name}.c"

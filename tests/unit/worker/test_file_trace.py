@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sierra.testing.observers import settle
+from sierra.testing.observers import wait_for_tick
 from sierra.util import worker_zip
 from sierra.worker import file_trace
 from sierra.worker.file_trace import Contents, Distributions, Environments, Names, Strace, Trace, contents, parsed, sha256_of
@@ -483,7 +483,7 @@ def observed(tmp_path: Path, change: Callable[[Path], object]) -> tuple[Path, Co
     for path in (root / "data", root / "listed/a", root / "listed/b"):
         path.write_text(path.name)
     (root / "link").symlink_to("data")
-    began = settle(root)
+    began = wait_for_tick(root)
     change(root)
     trace = Trace(
         "strace",
@@ -553,7 +553,7 @@ def test_a_cache_saves_hashing_but_not_the_check_for_changes(tmp_path: Path) -> 
         return "known"
 
     trace = Trace("strace", read=(str(path),))
-    assert contents(trace, settle(path.parent), cache).files[str(path)].sha256 == "known"
+    assert contents(trace, wait_for_tick(path.parent), cache).files[str(path)].sha256 == "known"
     assert contents(trace, 0, cache).unusable
     assert asked == [str(path)]
 
@@ -561,7 +561,7 @@ def test_a_cache_saves_hashing_but_not_the_check_for_changes(tmp_path: Path) -> 
         Path(path).write_text("longer")
         return hashed()
 
-    assert contents(trace, settle(path.parent), change).unusable
+    assert contents(trace, wait_for_tick(path.parent), change).unusable
 
 
 def names(tmp_path: Path) -> Names:
@@ -644,7 +644,7 @@ def test_a_listed_project_has_the_same_content_as_its_checkout(tmp_path: Path) -
             str(tmp_path / folder),
             Names({"project": str(tmp_path / folder), "store": f"{tmp_path}/p/.sierra", **hidden}),
         )
-        return contents(Trace("strace", listed=(path,)), settle(tmp_path), is_listed=given.is_listed).folders[path]
+        return contents(Trace("strace", listed=(path,)), wait_for_tick(tmp_path), is_listed=given.is_listed).folders[path]
 
     assert listed("p") == listed("checkout")
     (tmp_path / "p" / "plugin.so").touch()
