@@ -20,26 +20,26 @@ if TYPE_CHECKING:
 Keys = Mapping[str, str | bool | int | Sequence[str] | Mapping[str, str]]
 
 
-def write(found: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[str, str], target: str | None = None) -> None:
+def write(folder: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[str, str], target: str | None = None) -> None:
     """Add `[outputs.NAME]` for each of these outputs, with its comment, to the project's file, or to a target there.
 
     Raises Missing if there is no such file, or if it cannot be written; UsageError if its form does not allow the addition.
     """
     if not outputs:
         return
-    if not found.written:
-        raise Missing(f"no {found.file.name} in {found.root}; create one with: sierra init")
-    settings = ("tool", "sierra") if found.file.name == PYPROJECT else ()
+    if not folder.written:
+        raise Missing(f"no {folder.file.name} in {folder.root}; create one with: sierra init")
+    settings = ("tool", "sierra") if folder.file.name == PYPROJECT else ()
     within = ("targets", target) if target else ()
     try:
-        before = read_regular(found.file)
+        before = read_regular(folder.file)
     except OSError as error:
-        raise Missing(f"{found.file}: {error.strerror}") from error
+        raise Missing(f"{folder.file}: {error.strerror}") from error
     after = _added(before.decode(), outputs, comments, (*settings, *within))
     if not _only_added(before.decode(), after, outputs, settings, within):
         lines = "; ".join(_lines(outputs, within))
-        raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {lines}")
-    replace_content(found.file, before, after.encode())
+        raise UsageError(f"{folder.file}: outputs cannot be added to it as it is; add these lines: {lines}")
+    replace_content(folder.file, before, after.encode())
 
 
 def _added(before: str, outputs: Mapping[str, Keys], comments: Mapping[str, str], names: tuple[str, ...]) -> str:
@@ -49,11 +49,11 @@ def _added(before: str, outputs: Mapping[str, Keys], comments: Mapping[str, str]
 
     document = tomlkit.parse(before)
     try:
-        place = _section(document, names)
-        if "outputs" not in place:
-            place.add("outputs", tomlkit.table(is_super_table=True))
+        section = _section(document, names)
+        if "outputs" not in section:
+            section.add("outputs", tomlkit.table(is_super_table=True))
         for name, keys in outputs.items():
-            place["outputs"].add(name, _table(keys, comments[name]))
+            section["outputs"].add(name, _table(keys, comments[name]))
     except (TOMLKitError, AttributeError, LookupError, TypeError, ValueError):
         return before
     return tomlkit.dumps(document)
@@ -99,10 +99,10 @@ def _only_added(
         for name in settings:
             old, new = old[name], new[name]
         project_file.parse(new, "sierra.toml")
-        place = old
+        section = old
         for name in within:
-            place = place[name]
-        place["outputs"] = {**place.get("outputs", {}), **outputs}
+            section = section[name]
+        section["outputs"] = {**section.get("outputs", {}), **outputs}
     except (ValueError, LookupError, TypeError):
         return False
     return bool(new == old)

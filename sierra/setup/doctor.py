@@ -57,11 +57,11 @@ def _machine() -> Iterator[Check]:
     yield _check("disk", free > 1 << 30, f"{free / 1e9:.1f} GB free here", "free some disk space")
     reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
     temporary = next(iter(temporary_folders()), None)
-    found = f"those of runs are below {temporary}" if temporary else "those of runs are in their own folders"
+    shown = f"those of runs are below {temporary}" if temporary else "those of runs are in their own folders"
     cure = f"needed for Unix sockets: set TMPDIR to a folder whose path has at most {TEMPORARY_LENGTH} characters"
-    yield _check("temporary files", temporary is not None, found, cure, "absent")
-    found = f"processes that leave their process group are {'found and ended' if reaper else 'not found'}"
-    yield _check("process supervision", reaper, found, "use a Linux kernel with CONFIG_PROC_CHILDREN", "absent")
+    yield _check("temporary files", temporary is not None, shown, cure, "absent")
+    shown = f"processes that leave their process group are {'found and ended' if reaper else 'not found'}"
+    yield _check("process supervision", reaper, shown, "use a Linux kernel with CONFIG_PROC_CHILDREN", "absent")
     yield _observation()
 
 
@@ -72,8 +72,8 @@ def _observation() -> Check:
     way, reasons = file_trace.usable()
     if way and not reasons:
         return Check("observation of files", "ok", f"all files that runs use, by {way.name}")
-    found = "only files that are mapped into memory" if way else "not possible"
-    return Check("observation of files", "absent", found, f"needed for observe: {'; '.join(reasons)}")
+    shown = "only files that are mapped into memory" if way else "not possible"
+    return Check("observation of files", "absent", shown, f"needed for observe: {'; '.join(reasons)}")
 
 
 def _settings() -> Iterator[Check]:
@@ -105,9 +105,9 @@ def _plugins(of_project: Container[tuple[str, str]] | None = None) -> Iterator[C
             if of_project is not None and (kind.key, name) not in of_project:
                 continue
             try:
-                found = kind.load(name)
-                own = found.Options.model_fields.keys() - kind.options_base.model_fields.keys()
-                keys = ", ".join(key for key in found.Options.model_fields if key in own) or "none"
+                plugin = kind.load(name)
+                own = plugin.Options.model_fields.keys() - kind.options_base.model_fields.keys()
+                keys = ", ".join(key for key in plugin.Options.model_fields if key in own) or "none"
                 yield Check(f"{kind.word} {name}", "ok", f"from {kind.packages(name)[0]}, options: {keys}")
             except SierraError as error:
                 problem, _, remedy = str(error).rpartition("; ")
@@ -127,8 +127,8 @@ def _engines() -> Iterator[Check]:
         except SierraError:  # it cannot be loaded, or needs options: reported as a plug-in, or with the project
             continue
         if able.trouble:
-            found, _, remedy = able.trouble.partition("; ")
-            yield Check(name, "absent", found, remedy)
+            problem, _, remedy = able.trouble.partition("; ")
+            yield Check(name, "absent", problem, remedy)
         else:
             slow = name == "podman" and podman_images.driver() == "vfs"
             warning = ["SLOW: its storage driver vfs copies whole images, so runs take 2 to 3 times as long"] if slow else []
@@ -195,17 +195,17 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         platform = platforms.find(config.platform, config)
         declared = run_values.declared(config)
         if config.container is not None:
-            found = images.pinned_for_hosts(project.root, config.container.image)
-            image = images.every(found)[0] if config.robots else found.on(processors.here())
+            pinned = images.pinned_for_hosts(project.root, config.container.image)
+            image = images.every(pinned)[0] if config.robots else pinned.on(processors.here())
             (images.unchanged if config.robots else images.verify)(project.root, image)
             inside = images.examine(project.root, StorePaths(ProjectPaths(project.root).store), image)
             command = commands.command(platform, project.root, contained=True, declared=declared, project=config)
             path = commands.environment(platform, config).get("PATH")
             return f"{container_setup.program(command, path, inside)} in {image.name}"
-        made = config.build.produces if config.build else ()
-        command = commands.command(platform, project.root, made=made, declared=declared, project=config)
+        built = config.build.produces if config.build else ()
+        command = commands.command(platform, project.root, made=built, declared=declared, project=config)
         words = commands.fill(command, project.root)
-        if made and not Path(words[0]).exists() and Path(words[0]).is_relative_to(project.root):
+        if built and not Path(words[0]).exists() and Path(words[0]).is_relative_to(project.root):
             return f"{words[0]}, which [build] makes"
         variables = commands.declared(commands.environment(platform, config), project.root)
         return fingerprint_programs.find(words, variables, project.root).all[0].path
@@ -239,13 +239,13 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
     yield _tried(f"command{of}", find_program)
     if config.requires:
         absent = required_packages.missing(config, contained=config.container is not None)
-        found = f"not installed: {', '.join(absent)}" if absent else ", ".join(config.requires)
-        yield _check(f"requires{of}", not absent, found, required_packages.remedy(absent))
+        shown = f"not installed: {', '.join(absent)}" if absent else ", ".join(config.requires)
+        yield _check(f"requires{of}", not absent, shown, required_packages.remedy(absent))
     others = plugin_registry.RUNNERS.names()
     clusters = [name for name in config.runners if name not in others and not extensions.absent("runners", name)]
     if clusters and config.observe != "none":
-        found = f"{', '.join(clusters)}: checked on the node when a run is observed"
-        yield Check(f"observation on clusters{of}", "ok", found)
+        shown = f"{', '.join(clusters)}: checked on the node when a run is observed"
+        yield Check(f"observation on clusters{of}", "ok", shown)
 
 
 def _check(name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:

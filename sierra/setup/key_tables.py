@@ -43,16 +43,16 @@ class KeyTable:
 def key_tables(note: Note | None = None) -> Iterator[KeyTable]:
     """Yield all tables, the top level first. With `note`, plug-ins of other packages are included, as in `json_schema`."""
     schema = json_schema(note)
-    found = schema["properties"]
-    models = {name: _model(schema, key) for name, key in found.items()}
-    yield KeyTable("", "", (), _keys(schema, [name for name in found if models[name] is None and name != "platforms"]))
+    properties = schema["properties"]
+    models = {name: _model(schema, key) for name, key in properties.items()}
+    yield KeyTable("", "", (), _keys(schema, [name for name in properties if models[name] is None and name != "platforms"]))
     for name, headed in models.items():
         if headed is not None:
-            yield from _tables(schema, name, found[name], *headed)
+            yield from _tables(schema, name, properties[name], *headed)
             if name == "figures":
                 yield from _of_kinds(schema)
-    for kind, name in ((one, name) for one in ("platforms", "runners") for name in found[one].get("properties", ())):
-        yield from _tables(schema, f"{kind}.{name}", {}, "[{}]", _resolve(schema, found[kind]["properties"][name]))
+    for kind, name in ((table, name) for table in ("platforms", "runners") for name in properties[table].get("properties", ())):
+        yield from _tables(schema, f"{kind}.{name}", {}, "[{}]", _resolve(schema, properties[kind]["properties"][name]))
     for name, title in OF_ALL.items():
         yield KeyTable(name, "", (_sentence(schema["$defs"][title]),), _keys(schema["$defs"][title]))
 
@@ -118,7 +118,7 @@ def _default(key: Schema, *, required: bool) -> str:
 def _type(key: Schema) -> str:
     """Return the type of a key in words."""
     if options := key.get("anyOf"):
-        return " or ".join(dict.fromkeys(_type(one) for one in options if one.get("type") != "null"))
+        return " or ".join(dict.fromkeys(_type(option) for option in options if option.get("type") != "null"))
     if choices := key.get("enum"):
         return " or ".join(f"`{json.dumps(choice)}`" for choice in choices)
     match key.get("type"):

@@ -93,7 +93,7 @@ def json_schema(note: Note | None = None) -> Schema:
     _targets(schema)
     output = schema["$defs"]["Output"]["properties"]
     for own in of_extensions().values():
-        output |= {key: found for key, found in _schema(own)["properties"].items() if key not in output}
+        output |= {key: key_schema for key, key_schema in _schema(own)["properties"].items() if key not in output}
     formats = output["format"]["anyOf"][0]["enum"]
     formats.extend(name for name in _usable(READERS, note) if name not in formats)
     schema["$defs"] = dict(sorted(schema["$defs"].items()))

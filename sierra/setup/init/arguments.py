@@ -116,12 +116,12 @@ def check_seed(found: Sequence[Argument], text: str) -> Argument | None:
     return None if text in ("", NONE) else by_option(found, text)
 
 
-def check_variable(found: Sequence[Argument], seed: Argument | None, known: Mapping[str, str], text: str) -> tuple[str, str]:
+def check_variable(given: Sequence[Argument], seed: Argument | None, known: Mapping[str, str], text: str) -> tuple[str, str]:
     """Return the names of a variable and of its argument from NAME=ARGUMENT. Raises UsageError."""
     name, option = variables.named_place(text, "NAME=ARGUMENT", "population_size=--robots")
     if refusal := variables.refused(name, known):
         raise UsageError(f"variable {name!r}: {refusal}")
-    argument = by_option(found, option)
+    argument = by_option(given, option)
     if argument == seed:
         raise UsageError(f"variable {name!r}: {option} {variables.IS_SEED}")
     return name, argument.name
@@ -138,15 +138,15 @@ def with_outputs(words: Sequence[str], root: Path) -> tuple[str, ...]:
 
 def with_ports(words: Sequence[str], root: Path) -> tuple[str, ...]:
     """Return the words with `{port}`, `{port2}`, … instead of the numbers of ports, unless another host is named."""
-    found = find(words)
-    if any(variables.words_of(one.name) & HOSTS and not _is_here(one, root) for one in found):
+    arguments = find(words)
+    if any(variables.words_of(argument.name) & HOSTS and not _is_here(argument, root) for argument in arguments):
         return tuple(words)
-    ports = [one for one in found if variables.is_port(one.name, one.value)]
-    named = dict(zip(dict.fromkeys(one.value for one in ports), PORT_NAMES, strict=False))
+    ports = [argument for argument in arguments if variables.is_port(argument.name, argument.value)]
+    named = dict(zip(dict.fromkeys(argument.value for argument in ports), PORT_NAMES, strict=False))
     new = list(words)
-    for one in ports:
-        if one.value in named:
-            new[one.first + len(one.words) - 1] = one.words[-1].replace(VALUE, f"{{{named[one.value]}}}")
+    for argument in ports:
+        if argument.value in named:
+            new[argument.first + len(argument.words) - 1] = argument.words[-1].replace(VALUE, f"{{{named[argument.value]}}}")
     for number, name in named.items():
         new = [re.sub(rf"(?<=[\w\].]:){number}(?!\d)", f"{{{name}}}", word) for word in new]
     return tuple(new)
@@ -184,7 +184,7 @@ def placed(words: Sequence[str], seed: Argument | None, removed: Collection[Argu
     new = list(words)
     if seed is not None:
         new[seed.first + len(seed.words) - 1] = seed.words[-1].replace(VALUE, "{seed}")
-    gone = {number for one in removed for number in range(one.first, one.first + len(one.words))}
+    gone = {number for argument in removed for number in range(argument.first, argument.first + len(argument.words))}
     left = [SPLICED if number == min(gone, default=-1) else word for number, word in enumerate(new)]
     left = [word for number, word in enumerate(left) if word == SPLICED or number not in gone]
     return tuple(left[:-1] if left[-1] == SPLICED and SPLICED not in words else left)

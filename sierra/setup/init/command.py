@@ -65,13 +65,13 @@ def choose(root: Path, template: str | None, given: str | None, ask: Ask | None)
     """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
     if template and template.endswith(tuple(extensions.starts())) and given is None:
         return None
-    found = (given is None and folder.of_netlogo(root, template)) or folder.simulators(root)
+    programs = (given is None and folder.of_netlogo(root, template)) or folder.simulators(root)
     lines = {
-        name: joined([*words, "{input}"] if template and "{input}" not in words else words) for name, words in found.items()
+        name: joined([*words, "{input}"] if template and "{input}" not in words else words) for name, words in programs.items()
     }
     likely = [line for name, line in lines.items() if folder.is_started(root / name)] or list(lines.values())
     unbuilt = "; build it first, or" if any((root / name).exists() for name in TO_BUILD) else ";"
-    what = f"several files could be the simulator: {', '.join(found)};" if found else f"no program found{unbuilt}"
+    what = f"several files could be the simulator: {', '.join(programs)};" if programs else f"no program found{unbuilt}"
     question = Question(
         "command: starts the simulator, without a shell\n"
         + (
@@ -137,8 +137,8 @@ def _check(root: Path, template: str | None, text: str) -> str:
     if template and not _has_input(words):
         words = [_with_input(word, template) for word in words]
     command = joined(_placed(word, root.resolve()) for word in arguments.with_ports(arguments.with_outputs(words, root), root))
-    found = platform({"template": template} if template else {}, command)[1]
-    commands.command(found, root, declared=Declared() if template else _any(found.command()))
+    guessed = platform({"template": template} if template else {}, command)[1]
+    commands.command(guessed, root, declared=Declared() if template else _any(guessed.command()))
     return command
 
 

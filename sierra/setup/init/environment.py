@@ -53,12 +53,12 @@ def read_by(root: Path, words: Iterable[str]) -> dict[str, str]:
     code = [path for path in named if path.is_file() and path.suffix in (*LANGUAGES, *SHELLS)]
     if not code:
         code = [path for path in sorted(root.iterdir()) if path.is_file() and path.suffix in LANGUAGES]
-    found: dict[str, str] = {}
+    defaults: dict[str, str] = {}
     for path in code:
         for name, default in _read(path):
             if not OF_SYSTEM.fullmatch(name):
-                found[name] = found.get(name) or default
-    return found
+                defaults[name] = defaults.get(name) or default
+    return defaults
 
 
 def split_off(command: str) -> tuple[dict[str, str], str]:
@@ -68,17 +68,17 @@ def split_off(command: str) -> tuple[dict[str, str], str]:
     except ValueError:
         return {}, command
     count = len(list(takewhile(ASSIGNED.fullmatch, words)))
-    assigned = {found[1]: found[2] for word in words[:count] if (found := ASSIGNED.fullmatch(word))}
+    assigned = {match[1]: match[2] for word in words[:count] if (match := ASSIGNED.fullmatch(word))}
     return (assigned, shlex.join(words[count:])) if count and words[count:] else ({}, command)
 
 
 def _read(path: Path) -> Iterator[tuple[str, str]]:
     with open_regular(path) as file:
         text = file.read(SIZE).decode("utf-8", "replace")
-    own = {found[1] for found in SET_BY_SHELL.finditer(text)} if path.suffix in SHELLS else set()
+    own = {match[1] for match in SET_BY_SHELL.finditer(text)} if path.suffix in SHELLS else set()
     for reads in (READS, *([OF_SHELL] if path.suffix in SHELLS else [])):
         yield from (
-            (found[1], (found[2] or "").strip()) for found in reads.finditer(text) if found[1].isupper() and found[1] not in own
+            (match[1], (match[2] or "").strip()) for match in reads.finditer(text) if match[1].isupper() and match[1] not in own
         )
 
 

@@ -77,16 +77,16 @@ def template(
 
     `main` returns the one of several files that names the others. Raises Missing, TemplateError, ConfigError.
     """
-    found = templates(root)
-    default = _default_template(root, found, main)
+    files = templates(root)
+    default = _default_template(root, files, main)
     endings = ", ".join((*TEMPLATES, *DATA))
-    what = f"several files could be the template ({', '.join(found)})" if found else f"no {endings} file found"
-    if not found and (models := _files(root, [""], NETLOGO)):
+    what = f"several files could be the template ({', '.join(files)})" if files else f"no {endings} file found"
+    if not files and (models := _files(root, [""], NETLOGO)):
         what += f"; for the NetLogo model {models[0]}, export a BehaviorSpace experiment as XML (sierra init --example netlogo)"
-    without = "" if found else ", or the arguments of a program that reads none, as in --command './sim --robots 4 --seed 1'"
+    without = "" if files else ", or the arguments of a program that reads none, as in --command './sim --robots 4 --seed 1'"
     missing = f"{root}: {what}; give the template with --template FILE{without}"
     text = f"template: the file from which the inputs of all runs are generated ({NONE} if the program reads only arguments)"
-    question = Question(text, tuple(found), default if found else NONE if ask else None, missing)
+    question = Question(text, tuple(files), default if files else NONE if ask else None, missing)
     return settled(given, question, ask, partial(_check_template, root, format))
 
 

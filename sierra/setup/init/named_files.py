@@ -74,7 +74,7 @@ def find(root: Path, template: str, others: Sequence[str] = (), *, alone: bool =
     """Return a template and `others` together with the files that they name. `alone`: no named file is a further template."""
     further = list(others)
     files: list[str] = []
-    for name in dict.fromkeys(name for one in (template, *others) for name in _reached(root, one)):
+    for name in dict.fromkeys(name for path in (template, *others) for name in _reached(root, path)):
         is_template = not alone and len(further) < AT_MOST and can_change(root / name)
         if name not in (template, *others):
             (further if is_template else files).append(name)
@@ -92,25 +92,25 @@ def main(root: Path, candidates: Sequence[str]) -> str | None:
 
 def by_command(root: Path, words: Sequence[str]) -> dict[int, str]:
     """Return the templates that the words of a command name as files, by the indices of the words."""
-    found: dict[int, str] = {}
+    templates: dict[int, str] = {}
     for number, word in enumerate(words[1:], 1):
         name = word.rpartition("=")[2].removeprefix(IN_PROJECT)
         inside = not name.startswith("/") and (root / name).is_file() and not os.path.normpath(name).startswith(os.pardir)
         if inside and name.endswith(TREES) and can_change(root / name):
-            found[number] = os.path.normpath(name)
-    return found
+            templates[number] = os.path.normpath(name)
+    return templates
 
 
 def _reached(root: Path, template: str) -> list[str]:
     """Return all files that a template names, and those that they name."""
-    found: dict[str, None] = {template: None}
+    reached: dict[str, None] = {template: None}
     pending = [template]
     while pending:
         for name in _named(root, pending.pop(0)):
-            if name not in found:
-                found[name] = None
+            if name not in reached:
+                reached[name] = None
                 pending += [name] if name.endswith(TREES) else []
-    return [name for name in found if name != template]
+    return [name for name in reached if name != template]
 
 
 def _named(root: Path, name: str) -> Iterator[str]:
@@ -159,12 +159,12 @@ def can_change(file: Path) -> bool:
 def _names(root: Path, paths: Sequence[str]) -> Mapping[str, str]:
     """Return the paths of templates by names that changes can use: the part of the file's name that tells them apart."""
     stems = [Path(path).name.split(".")[0] for path in paths]
-    found: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     for path, stem in zip(paths, stems, strict=True):
         parts = Path(path).name.split(".")
         likely = (*([stem] if stems.count(stem) == 1 else []), *parts[1:], stem)
-        found[next(name for name in _usable(root / path, likely) if name not in found)] = path
-    return found
+        by_name[next(name for name in _usable(root / path, likely) if name not in by_name)] = path
+    return by_name
 
 
 def _usable(file: Path, likely: Iterable[str]) -> Iterator[str]:
@@ -187,8 +187,8 @@ def lacking(root: Path, log: str, known: Collection[str], code: Collection[str])
     lines = [line for line in log.splitlines() if LACKING.search(line)]
     names = {word.strip(".,:;()[]'\"`") for line in lines for word in re.split(r"[\s'\"`<>=]+", line)}
     bases = {os.path.basename(name) for name in names if "." in name or "/" in name}  # noqa: PTH119
-    found = [path for path in _files(root) if os.path.basename(path) in bases and path not in known]  # noqa: PTH119
-    return tuple(path for path in found if Path(path).suffix not in code)
+    files = [path for path in _files(root) if os.path.basename(path) in bases and path not in known]  # noqa: PTH119
+    return tuple(path for path in files if Path(path).suffix not in code)
 
 
 def _files(root: Path) -> Iterator[str]:

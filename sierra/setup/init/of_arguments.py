@@ -15,27 +15,27 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
     """Return the guess for a program that reads only its arguments."""
     line = command.choose(root, None, options.command, ask) or ""
     words = shlex.split(line)
-    found = arguments.find(words)
-    if not found and not arguments.placeholders(words) and (reads := environment.read_by(root, words)):
+    own = arguments.find(words)
+    if not own and not arguments.placeholders(words) and (reads := environment.read_by(root, words)):
         return of_environment.guess(root, options, ask, line, reads)
-    numbers = arguments.numbers(found)
-    by_key = {one.key: one for one in found}
+    numbers = arguments.numbers(own)
+    by_key = {each.key: each for each in own}
     seeds = [by_key[key].name for key in variables.seeds(numbers)]
     if any("{seed}" in word for word in words) and options.seed is None:
         seed = None
     else:
-        seed = variables.choose_seed(seeds, options.seed, ask, partial(arguments.check_seed, found), "argument")
+        seed = variables.choose_seed(seeds, options.seed, ask, partial(arguments.check_seed, own), "argument")
     free = {key: value for key, value in numbers.items() if by_key[key].name not in seeds}
     named = {name: by_key[key].name for name, key in variables.named(free, ()).items()}
     used = arguments.placeholders(words)
     likely = {} if used else dict(list(named.items())[:1])
-    check = partial(arguments.check_variable, found, seed)
+    check = partial(arguments.check_variable, own, seed)
     chosen = variables.choose(named, likely, options.variables, ask, check, "NAME=ARGUMENT")
-    by_name = {one.name: one for one in found}
+    by_name = {each.name: each for each in own}
     removed = {name: by_name[argument] for name, argument in chosen.items()}
     started = command.joined(arguments.placed(words, seed, removed.values()))
-    values = {name: one.value for name, one in removed.items()}
-    places = {name: f"{{{name}}}" for name in used} | {name: one.declared for name, one in removed.items()}
+    values = {name: each.value for name, each in removed.items()}
+    places = {name: f"{{{name}}}" for name in used} | {name: each.declared for name, each in removed.items()}
     first = next((variables.around(name, value) for name, value in values.items()), None)
     platform_name, platform = command.platform({}, started)
     wrong = (*command.doubts(platform, root, {}), *command.services(started))

@@ -100,14 +100,14 @@ def _with_arguments(started: str | None, *, seeded: bool) -> tuple[str | None, d
     if started is None:
         return None, {}
     words = shlex.split(started)
-    found = {one.key: one for one in arguments.find(words)}
-    numbers = arguments.numbers(tuple(found.values()))
+    by_key = {argument.key: argument for argument in arguments.find(words)}
+    numbers = arguments.numbers(tuple(by_key.values()))
     seeds = variables.seeds(numbers)
     named = variables.named({key: value for key, value in numbers.items() if key not in seeds}, ())
-    more = {name: found[key].declared for name, key in named.items()}
+    more = {name: by_key[key].declared for name, key in named.items()}
     if seeded or not seeds or "{seed}" in started:
         return started, more
-    return command.joined(arguments.placed(words, found[seeds[0]], ())), more
+    return command.joined(arguments.placed(words, by_key[seeds[0]], ())), more
 
 
 def _inputs(root: Path, template: str, options: Options, started: str | None) -> tuple[Inputs, str | None]:

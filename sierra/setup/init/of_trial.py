@@ -31,22 +31,22 @@ def with_outputs(guess: Guess, tried: Trial) -> Guess | None:
 
     These tables are not plain ones: of some, no run would make a table, or a run would fail because of them.
     """
-    found: dict[str, Keys] = {}
+    added: dict[str, Keys] = {}
     declared = {keys["file"] for keys in guess.outputs.values()}
     for unread in tried.unread:
         if unread.keys and unread.path not in declared:
             path, name = str(unread.keys["file"]), unread.name
             if pattern := open_names.with_date(path) or open_names.with_values(path, tried.seed, tried.values.values()):
                 path, name = pattern, open_names.name_of(pattern)
-            found[name] = {**unread.keys, "file": path}
+            added[name] = {**unread.keys, "file": path}
     tables = [table for table in tried.files if table.table and table.table not in guess.outputs]
     of_robots = open_names.of_robots({table.path: tuple(table.columns) for table in tables})
     for table in tables:
         of_robot = of_robots.get(table.path)
         name = open_names.name_of(of_robot) if of_robot else str(table.table)
-        if (of_robot or table.keys) and name not in found:
-            found[name] = {"file": of_robot or table.path, **table.keys}
-    return replace(guess, outputs={**guess.outputs, **found}) if found else None
+        if (of_robot or table.keys) and name not in added:
+            added[name] = {"file": of_robot or table.path, **table.keys}
+    return replace(guess, outputs={**guess.outputs, **added}) if added else None
 
 
 def with_lacking(root: Path, guess: Guess, tried: Trial) -> Guess | None:

@@ -67,44 +67,44 @@ def numbers(template: Template) -> dict[str, str]:
 def _of_all_items(numbers: Mapping[str, str]) -> dict[str, str]:
     """Return the paths of numbers; one for the items of a list that have the same number, instead of one for each."""
     alike = Counter(ITEM.sub("/item", path) for path in numbers)
-    found: dict[str, str] = {}
+    paths: dict[str, str] = {}
     for path, value in numbers.items():
         of_all = ITEM.sub("/item", path)
-        found.setdefault(of_all if alike[of_all] > 1 and len(ITEM.findall(path)) == 1 else path, value)
-    return found
+        paths.setdefault(of_all if alike[of_all] > 1 and len(ITEM.findall(path)) == 1 else path, value)
+    return paths
 
 
 def repeats(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
     """Return the first items of lists that queries can make more or fewer of, by the name of such a variable."""
     lists = dict.fromkeys(path.partition("/item/")[0] for path in numbers if "/item/" in path)
-    found: dict[str, str] = {}
+    items: dict[str, str] = {}
     for path in lists:
         name = path.rpartition("/")[2]
         crowd = set(_words(name)) <= CROWDS and POPULATION not in known
-        if (own := POPULATION if crowd else f"number_of_{name}") not in found and refused(own, known) is None:
-            found[own] = f"{path}/item[1]"
-    return found
+        if (own := POPULATION if crowd else f"number_of_{name}") not in items and refused(own, known) is None:
+            items[own] = f"{path}/item[1]"
+    return items
 
 
 def words(template: Template, known: Collection[str]) -> dict[str, str]:
     """Return the paths of words that probably are one of a few, such as the name of a controller, by variable."""
-    found: dict[str, str] = {}
+    paths: dict[str, str] = {}
     for path, text in template.attributes():
         short, _ = _called(path)
         name = re.sub(r"\W", "_", short, flags=re.ASCII)
         is_choice = set(_words(short)) & CHOICES or text.strip().lower() in ("true", "false")
-        if is_choice and WORD.fullmatch(text.strip()) and refused(name, {*found, *known}) is None:
-            found[name] = path
-    return dict(list(found.items())[:SHOWN])
+        if is_choice and WORD.fullmatch(text.strip()) and refused(name, {*paths, *known}) is None:
+            paths[name] = path
+    return dict(list(paths.items())[:SHOWN])
 
 
 def with_comments(template: Template, text: str) -> Iterator[str]:
     """Yield a note on numbers in an INI or properties file that no change can set, because a comment stands behind them."""
     from sierra.templates.ini import IniTemplate, PropertiesTemplate
 
-    found = COMMENTED.findall(text) if isinstance(template, IniTemplate | PropertiesTemplate) else []
-    if found:
-        keys = few(list(dict.fromkeys(found)), SHOWN)
+    commented = COMMENTED.findall(text) if isinstance(template, IniTemplate | PropertiesTemplate) else []
+    if commented:
+        keys = few(list(dict.fromkeys(commented)), SHOWN)
         yield f"to vary {keys}, write the comment behind the value on a line of its own: programs read such values differently"
 
 
@@ -130,16 +130,16 @@ def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
 def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
     """Return possible variables by name; the first is population_size, unless `known` already has a criterion for it."""
     robots = None if known else _counting(numbers)
-    found = {POPULATION: robots} if robots else {}
+    paths = {POPULATION: robots} if robots else {}
     for path in sorted(numbers, key=lambda path: bool(set(_words(_called(path)[0])) & OF_TIME)):
         short, element = _called(path)
         proposed = (re.sub(r"\W", "_", name, flags=re.ASCII) for name in (short, f"{element}_{short}"))
-        name = next((name for name in proposed if not refused(name, {*found, *known})), None)
+        name = next((name for name in proposed if not refused(name, {*paths, *known})), None)
         counts_runs = set(_words(short)) <= {*OF_RUNS, *BESIDE, *COUNTS, "id"} and set(_words(short)) & OF_RUNS
         seldom = short.lower() in SELDOM or counts_runs or is_port(short, numbers[path])
-        if name and path != robots and not seldom and len(found) <= SHOWN:
-            found[name] = path
-    return found
+        if name and path != robots and not seldom and len(paths) <= SHOWN:
+            paths[name] = path
+    return paths
 
 
 def ports(numbers: Mapping[str, str]) -> dict[str, str]:
@@ -234,8 +234,8 @@ def choose(
     for text in given:
         chosen |= [check(chosen, text)]
     while ask is not None and not given:
-        so_far = ", ".join(f"{name}={place}" for name, place in chosen.items()) or "none"
-        others = [f"{name}={place}" for name, place in named.items() if place not in chosen.values()]
+        so_far = ", ".join(f"{name}={path}" for name, path in chosen.items()) or "none"
+        others = [f"{name}={path}" for name, path in named.items() if path not in chosen.values()]
         question = Question(
             f"variables so far: {so_far}\nadd one as {form} ({NONE}NAME removes one, Enter finishes)",
             tuple(others[:SHOWN]),
@@ -259,9 +259,9 @@ def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterat
         yield f"these seeds keep the template's value in all runs: {', '.join(seeds)}"
 
 
-def seeded(template: Template, changes: Sequence[Change], found: Iterable[str]) -> set[str]:
+def seeded(template: Template, changes: Sequence[Change], paths: Iterable[str]) -> set[str]:
     """Return the paths among `found` whose value changes with the seed: a path can be written in several ways."""
-    before = {path: template.find(path) for path in found}
+    before = {path: template.find(path) for path in paths}
     seed = next(number for number in count(SOME_SEED) if all((str(number),) != texts for texts in before.values()))
     try:
         after = template.reread(template.changed(changes, {"seed": seed}).render(), "template")
@@ -311,7 +311,7 @@ def _one_more(
             raise UsageError(f"there is no variable {name!r}; variables so far: {', '.join(chosen) or 'none'}")
         return {other: path for other, path in chosen.items() if other != name}
     name, new = check(chosen, text)
-    return {other: place for other, place in chosen.items() if place != new} | {name: new}
+    return {other: old for other, old in chosen.items() if old != new} | {name: new}
 
 
 def first_query(platform: Platform, template: Template, variables: Mapping[str, str]) -> str | None:

@@ -62,8 +62,8 @@ def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
         unused = folder.templates(root)
         why = f"the command has no {{input}}, so that runs do not depend on {few(unused, SHOWN)}"
         return replace(guess, notes=(*guess.notes, why)) if unused else guess
-    found = folder.template(root, options.template, options.format, ask, named_files.main)
-    return of_template.guess(root, *found, options, ask) if found else of_arguments.guess(root, options, ask)
+    template = folder.template(root, options.template, options.format, ask, named_files.main)
+    return of_template.guess(root, *template, options, ask) if template else of_arguments.guess(root, options, ask)
 
 
 def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) -> Trial | str | None:
@@ -104,8 +104,8 @@ def copy_example(name: str, target: Path) -> list[str]:
     if target.exists() and any(target.iterdir()):
         raise UsageError(f"{target} is not empty; use a new folder")
     target.mkdir(parents=True, exist_ok=True)
-    found = [file.relative_to(example) for file in example.rglob("*") if file.is_file()]
-    files = sorted(file for file in found if "__pycache__" not in file.parts)
+    paths = [file.relative_to(example) for file in example.rglob("*") if file.is_file()]
+    files = sorted(file for file in paths if "__pycache__" not in file.parts)
     for file in files:
         (target / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(example / file, target / file)

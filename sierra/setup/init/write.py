@@ -157,13 +157,13 @@ def _outputs(tried: Trial | None, guess: Guess) -> Iterator[str]:
     if tried is None or not tried.files:
         return
     yield "\n# A run wrote:"
-    for one in tried.files[:SHOWN]:
-        made = (
-            f"table {one.table}, {counted(one.rows or 0, 'row')} of {few(list(one.columns), SHOWN)}"
-            if one.table
+    for wrote in tried.files[:SHOWN]:
+        shown = (
+            f"table {wrote.table}, {counted(wrote.rows or 0, 'row')} of {few(list(wrote.columns), SHOWN)}"
+            if wrote.table
             else "no table"
         )
-        yield f"#   {one_line(one.path)}: {one_line(made)}"
+        yield f"#   {one_line(wrote.path)}: {one_line(shown)}"
     if len(tried.files) > SHOWN:
         yield f"#   and {len(tried.files) - SHOWN} more"
     for unread in tried.unread:
@@ -238,7 +238,7 @@ def _seed(guess: Guess) -> Iterator[str]:
     elif guess.platform == "command" and "{seed}" not in (guess.command or ""):
         yield f"# seed = {_example(guess, '//@seed', '/seed', '--seed {value}')}  # where the seed of each run goes"
     if guess.unset and guess.template:
-        sets = ", ".join(f"{{ set = {toml_value(place)}, value = 1 }}" for place in guess.unset)
+        sets = ", ".join(f"{{ set = {toml_value(unset)}, value = 1 }}" for unset in guess.unset)
         yield f"# changes = [{sets}]  # values if a query does not vary them"
     if guess.ports:
         sets = ", ".join(
@@ -262,20 +262,20 @@ def _variables(guess: Guess) -> Iterator[str]:
         else "the words of the command; only queries that vary it add them"
     )
     yield f"[variables]  # what queries vary: a name, and {what}"
-    yield from (f"{name} = {_declared(name, place)}" for name, place in guess.variables.items())
-    for name, place in guess.other_variables.items():
-        instead = "  # then remove these words from the command" if VALUE in place else ""
-        yield f"# {name} = {_declared(name, place)}{instead}"
+    yield from (f"{name} = {_declared(name, declared)}" for name, declared in guess.variables.items())
+    for name, declared in guess.other_variables.items():
+        instead = "  # then remove these words from the command" if VALUE in declared else ""
+        yield f"# {name} = {_declared(name, declared)}{instead}"
     if not guess.variables and not guess.other_variables:
         yield f"# population_size = {_example(guess, '//swarm/@count', '/swarm/count', '--robots {value}')}"
 
 
-def _declared(name: str, place: str) -> str:
+def _declared(name: str, path: str) -> str:
     """Return a variable as TOML: a path, words, or a variable of the environment; nothing if the command has it."""
-    if place == f"{{{name}}}":
+    if path == f"{{{name}}}":
         return "{}"
-    if place.startswith(REPEAT):
-        return f"{{ repeat = {toml_value(place.removeprefix(REPEAT))} }}"
-    if place.startswith(ENVIRONMENT):
-        return f"{{ environment = {toml_value(place.removeprefix(ENVIRONMENT))} }}"
-    return f"{{ argument = {toml_value(place)} }}" if VALUE in place else toml_value(place)
+    if path.startswith(REPEAT):
+        return f"{{ repeat = {toml_value(path.removeprefix(REPEAT))} }}"
+    if path.startswith(ENVIRONMENT):
+        return f"{{ environment = {toml_value(path.removeprefix(ENVIRONMENT))} }}"
+    return f"{{ argument = {toml_value(path)} }}" if VALUE in path else toml_value(path)
