@@ -67,11 +67,11 @@ def clock_of(name: str, recorded: pa.ChunkedArray, found: pa.ChunkedArray, first
     return Clock.PERHAPS if words & PERHAPS else Clock.NO
 
 
-def _is_moment(recorded: pa.ChunkedArray, found: pa.ChunkedArray, row: int) -> bool:
+def _is_moment(recorded: pa.ChunkedArray, replayed: pa.ChunkedArray, row: int) -> bool:
     """Check if the values are dates that became later, or seconds since 1970."""
     import datetime
 
-    was, now = (values_of(column.slice(row, 1))[0] for column in (recorded, found))
+    was, now = (values_of(column.slice(row, 1))[0] for column in (recorded, replayed))
     match was, now:
         case (bool(), _) | (_, bool()):
             return False

@@ -35,9 +35,9 @@ def other_programs(record: Record, now: Programs, root: Path) -> Iterator[str]:
     of = record.of
     if now.id != of.fingerprint:
         words = mentioned(of.spec.words, root)
-        built = {f"{{project}}/{one.name}" for one in of.build.products} if of.build else set()
-        recorded = Programs(tuple(one.program() for one in of.programs if one.name not in built))
-        now = Programs(tuple(one for one in now.all if one.name not in built))
+        built = {f"{{project}}/{program.name}" for program in of.build.products} if of.build else set()
+        recorded = Programs(tuple(program.program() for program in of.programs if program.name not in built))
+        now = Programs(tuple(program for program in now.all if program.name not in built))
         yield from (
             f"different programs: {line}" for line in fingerprint_programs.differences(recorded, now, words, record.used)
         )
@@ -68,21 +68,21 @@ def unlike_image(spec: RunSpec, inside: Contents, root: Path) -> Iterator[str]:
     Raises Missing for a program that is not on this machine.
     """
     words, variables = commands.on_host(spec, inside.image, root)
-    found = fingerprint_programs.find(words, variables, root)
-    other = [line for one in found.all if (line := _other(one, inside, root))]
+    programs = fingerprint_programs.find(words, variables, root)
+    other = [line for program in programs.all if (line := _other(program, inside, root))]
     if other:
         yield f"not executed in a container, and with other programs than in image {inside.image.name}: {few(other, SHOWN)}"
 
 
-def _other(one: Program, inside: Contents, root: Path) -> str | None:
+def _other(program: Program, inside: Contents, root: Path) -> str | None:
     """Return the difference between one program or file here and in the image; None if they are the same."""
-    if one.kind == Kind.DISTRIBUTIONS:
-        lines = set((one.version or "").splitlines())
+    if program.kind == Kind.DISTRIBUTIONS:
+        lines = set((program.version or "").splitlines())
         lacking = sorted(lines - set(inside.packages.get("python", ())))
-        return f"{one.name}: {lacking[0]} is not in the image" if lacking else None
-    if Path(one.path).is_relative_to(root):
+        return f"{program.name}: {lacking[0]} is not in the image" if lacking else None
+    if Path(program.path).is_relative_to(root):
         return None
-    there = inside.sha256(one.path)
-    if there == one.sha256:
+    there = inside.sha256(program.path)
+    if there == program.sha256:
         return None
-    return f"{one.path} is {short(one.sha256)} here, {short(there) if there else 'nothing'} in the image"
+    return f"{program.path} is {short(program.sha256)} here, {short(there) if there else 'nothing'} in the image"

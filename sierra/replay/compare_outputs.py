@@ -50,7 +50,7 @@ def compare_all(
     artifacts = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
     left = {execution: _joined(own, declared) for execution, own in artifacts.items()}
     counted = _counted(snapshot, left)
-    sides = ((left[recorded], pair(left[recorded], left[found], declared)) for recorded, found in pairs)
+    sides = ((left[recorded], pair(left[recorded], left[replayed], declared)) for recorded, replayed in pairs)
     unlike = ((both, list(_unlike(both[0], both[1].found))) for both in sides)
     for some in by_weight(unlike, _size, BYTES, lambda group, _: len(group) < PAIRS):
         compared = [files for _, differing in some for files in differing if _same_kind(*files)]
@@ -75,12 +75,12 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
 def _joined(artifacts: Artifacts, declared: Mapping[str, Output]) -> Artifacts:
     """Return the artifacts with the parts of each rotated file as one: the newest, whose table has the rows of all."""
     rotated = {name for name, output in declared.items() if output.rotated}
-    tables = {one.output: path for path, one in artifacts.items() if one.output in rotated and one.kind == "table"}
+    tables = {row.output: path for path, row in artifacts.items() if row.output in rotated and row.kind == "table"}
     parts: dict[str, list[str]] = {}
-    for path, one in sorted(artifacts.items()):
-        if one.output in tables:
-            parts.setdefault(tables[one.output], []).append(f"{path} {one.sha256}")
-    kept = {path: one for path, one in artifacts.items() if path in parts or one.output not in tables}
+    for path, row in sorted(artifacts.items()):
+        if row.output in tables:
+            parts.setdefault(tables[row.output], []).append(f"{path} {row.sha256}")
+    kept = {path: row for path, row in artifacts.items() if path in parts or row.output not in tables}
     return kept | {path: kept[path]._replace(sha256=merkle("parts", several)) for path, several in parts.items()}
 
 
@@ -96,7 +96,7 @@ def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple
             if output in outputs:
                 with contextlib.suppress(Damaged):  # a damaged file is not counted, and its rows are reported as missing
                     rows = rows_by_file(path).items()
-                    counted.update({(one, output, file): count for (one, file), count in rows if one in left})
+                    counted.update({(execution, output, file): count for (execution, file), count in rows if execution in left})
     return counted
 
 
@@ -123,9 +123,9 @@ class _Contents:
     ) -> None:
         """Read the artifacts; `counted` has the rows of all compared tables, counted in another way."""
         self._counted = counted
-        tables = [one for one in artifacts if one.kind == "table"]
-        files = [one.sha256 for one in artifacts if one.kind != "table"]
-        self._rows = rows_of(snapshot, {one.execution for one in tables}, {str(one.output) for one in tables}) if tables else {}
+        tables = [row for row in artifacts if row.kind == "table"]
+        files = [row.sha256 for row in artifacts if row.kind != "table"]
+        self._rows = rows_of(snapshot, {row.execution for row in tables}, {str(row.output) for row in tables}) if tables else {}
         self._bytes = objects(snapshot, files) if files else {}
 
     def rows(self, artifact: ArtifactRow) -> pa.Table | None:
@@ -200,9 +200,9 @@ def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: M
     old, new = contents.rows(was), contents.rows(now)
     if old is None or new is None:
         return _without_rows(was, now)
-    found = of_tables(old, new, _rules(rules, old.column_names) if rules else Rules())
-    others = OTHERS if was.member and found.verdict is not Verdict.DIFFERENT else ""
-    return replace(found, output=was.output, reason=found.reason + others)
+    agreement = of_tables(old, new, _rules(rules, old.column_names) if rules else Rules())
+    others = OTHERS if was.member and agreement.verdict is not Verdict.DIFFERENT else ""
+    return replace(agreement, output=was.output, reason=agreement.reason + others)
 
 
 def _without_matches(texts: Iterable[bytes], patterns: Sequence[str], path: str) -> bool:

@@ -139,15 +139,15 @@ class Rules:
         return own not in self.volatile and (own == column or self.of(own) == EXACT)
 
 
-def of_tables(recorded: pa.Table, found: pa.Table, rules: Rules | None = None) -> Agreement:
+def of_tables(recorded: pa.Table, replayed: pa.Table, rules: Rules | None = None) -> Agreement:
     """Compare two pyarrow tables, row by row. If the order of rows is not significant, sort both by all columns, numbers last.
 
     If only one table has a column, or their numbers of rows differ, the common part is compared as well.
     """
     rules = rules or Rules()
-    old, new = ([name for name in table.column_names if rules.compares(name)] for table in (recorded, found))
+    old, new = ([name for name in table.column_names if rules.compares(name)] for table in (recorded, replayed))
     both = [name for name in old if name in new]
-    answer = _of_columns(recorded, found, both, rules)
+    answer = _of_columns(recorded, replayed, both, rules)
     if set(old) == set(new):
         return answer
     same = {Verdict.EQUAL: "the same", Verdict.DIFFERENT: answer.reason}.get(
@@ -168,14 +168,14 @@ def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
     return f"different columns: {', '.join(sides)}" if sides else "the same columns in another order"
 
 
-def _of_columns(recorded: pa.Table, found: pa.Table, columns: list[str], rules: Rules) -> Agreement:
+def _of_columns(recorded: pa.Table, replayed: pa.Table, columns: list[str], rules: Rules) -> Agreement:
     """Compare these columns of two tables."""
-    unlike = _volatile(recorded, found, rules)
-    recorded, found = _plain(recorded.select(columns)), _plain(found.select(columns))
-    answer = _of_rows(recorded, found, rules, unlike)
+    unlike = _volatile(recorded, replayed, rules)
+    recorded, replayed = _plain(recorded.select(columns)), _plain(replayed.select(columns))
+    answer = _of_rows(recorded, replayed, rules, unlike)
     if rules.ordered or answer.verdict.fine:
         return answer
-    answer = _of_rows(_sorted(recorded), _sorted(found), rules, unlike)
+    answer = _of_rows(_sorted(recorded), _sorted(replayed), rules, unlike)
     equal = answer.verdict is Verdict.EQUAL
     return replace(answer, reason="the same rows in another order" if equal else f"after sorting the rows: {answer.reason}")
 
@@ -199,10 +199,10 @@ def _plain(table: pa.Table) -> pa.Table:
     import pyarrow as pa
 
     kinds = (pa.types.is_nested, pa.types.is_interval, pa.types.is_dictionary, pa.types.is_null)
-    for place, column in enumerate(table.schema):
+    for index, column in enumerate(table.schema):
         if any(kind(column.type) for kind in kinds):
-            texts = [None if value is None else repr(value) for value in values_of(table.column(place))]
-            table = table.set_column(place, column.name, pa.array(texts, pa.string()))
+            texts = [None if value is None else repr(value) for value in values_of(table.column(index))]
+            table = table.set_column(index, column.name, pa.array(texts, pa.string()))
     return table
 
 
@@ -218,22 +218,22 @@ def _of_rows(recorded: pa.Table, found: pa.Table, rules: Rules, unlike: Sequence
 
 def _verdict(was: int, now: int, distances: Sequence[_Distance], rules: Rules, unlike: Sequence[str]) -> Agreement:
     """Return the verdict on tables with these numbers of rows and the same columns."""
-    parted = [one for one in distances if one.first is not None]
+    parted = [column for column in distances if column.first is not None]
     if was != now:
         return _other_length(was, now, parted)
     if not parted:
         return Agreement(Verdict.EQUAL, _equal(distances, unlike))
-    beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
+    beyond = [column for column in parted if not column.keeps_to(rules.of(column.name))]
     if not beyond:
-        far = max(parted, key=lambda one: one.rel)
+        far = max(parted, key=lambda column: column.rel)
         return far.agreement(Verdict.WITHIN, f"differences of at most {far.far()} in {far.called()}")
-    first = min(beyond, key=lambda one: one.first or 0)
+    first = min(beyond, key=lambda column: column.first or 0)
     return first.agreement(Verdict.DIFFERENT, _in_a_line(first, beyond))
 
 
 def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
     """Return the reason why two tables with different bytes are equal."""
-    digits = " (fractions: the 17 digits that a double holds)" * any(one.fractions for one in distances)
+    digits = " (fractions: the 17 digits that a double holds)" * any(column.fractions for column in distances)
     if not unlike:
         return f"the same values{digits}, but different bytes"
     every = " (which are all columns)" * (not distances)
@@ -245,7 +245,7 @@ def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
 def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
     """Return the result for tables with different numbers of rows, with a comparison of the rows that both have."""
     why = f"{was} rows were recorded, {now} found"
-    first = min(parted, key=lambda one: one.first or 0, default=None)
+    first = min(parted, key=lambda column: column.first or 0, default=None)
     if first is None:
         return Agreement(Verdict.DIFFERENT, f"{why}; the first {min(was, now)} are the same" if min(was, now) else why)
     return first.agreement(Verdict.DIFFERENT, f"{why}; {_in_a_line(first, parted)}")
@@ -255,8 +255,9 @@ def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
     """Return a line with the first difference, the greatest distance in its column, and the columns and rows that differ."""
     parts = [first.where(), *([text] if (text := first.how_far()) else [])]
     if len(parted) > 1:
-        ordered = [first, *(one for one in parted if one is not first)]
-        parts.append(f"{len(parted)} columns differ: {few([f'{one.called()} in {one.rows()}' for one in ordered], NAMED)}")
+        ordered = [first, *(column for column in parted if column is not first)]
+        named = few([f"{column.called()} in {column.rows()}" for column in ordered], NAMED)
+        parts.append(f"{len(parted)} columns differ: {named}")
     else:
         parts.append(f"in {first.rows()}")
     return "; ".join(parts)
@@ -273,20 +274,20 @@ def _sorted(table: pa.Table) -> pa.Table:
     return table.sort_by([(name, "ascending") for name in names]) if names else table
 
 
-def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agreement:
+def of_texts(recorded: bytes, replayed: bytes, volatile: Sequence[str] = ()) -> Agreement:
     """Compare two files line by line, without lines that match one of the regular expressions `volatile`."""
     patterns = [re.compile(pattern.encode()) for pattern in volatile]
     ours, theirs = (
         [line for line in content.split(b"\n") if not any(pattern.search(line) for pattern in patterns)]
-        for content in (recorded, found)
+        for content in (recorded, replayed)
     )
     if ours == theirs:
         every = " (which are all lines)" * (not ours)
         return Agreement(Verdict.EQUAL, f"only volatile lines{every} differ")
-    if not all(map(_is_text, (recorded, found))):
-        return Agreement(Verdict.DIFFERENT, _of_bytes(recorded, found))
+    if not all(map(_is_text, (recorded, replayed))):
+        return Agreement(Verdict.DIFFERENT, _of_bytes(recorded, replayed))
     both = zip(ours, theirs, strict=False)
-    differing = [row for row, (one, other) in enumerate(both) if one != other]
+    differing = [row for row, (old, new) in enumerate(both) if old != new]
     row = differing[0] if differing else min(len(ours), len(theirs))
     was, now = (_cut(repr(lines[row].decode(errors="replace"))) if row < len(lines) else "nothing" for lines in (ours, theirs))
     count = len(differing) + abs(len(ours) - len(theirs))
@@ -304,14 +305,14 @@ def _is_text(content: bytes) -> bool:
         return False
 
 
-def _of_bytes(recorded: bytes, found: bytes) -> str:
+def _of_bytes(recorded: bytes, replayed: bytes) -> str:
     """Return a line that describes the difference of two binary files."""
     import numpy as np
 
-    shorter = min(len(recorded), len(found))
-    places = np.flatnonzero(np.frombuffer(recorded, np.uint8, shorter) != np.frombuffer(found, np.uint8, shorter))
+    shorter = min(len(recorded), len(replayed))
+    places = np.flatnonzero(np.frombuffer(recorded, np.uint8, shorter) != np.frombuffer(replayed, np.uint8, shorter))
     first = int(places[0]) if len(places) else shorter
-    sizes = f"{len(recorded)} bytes were recorded, {len(found)} found; " if len(recorded) != len(found) else ""
+    sizes = f"{len(recorded)} bytes were recorded, {len(replayed)} found; " if len(recorded) != len(replayed) else ""
     return f"{sizes}binary: {len(places)} of {counted(shorter, 'byte')} differ, the first at offset {first}"
 
 
@@ -319,15 +320,15 @@ class _Distance:
     """Distances of one column of two tables, in the rows that both have."""
 
     def __init__(
-        self, name: str, recorded: pa.ChunkedArray, found: pa.ChunkedArray, time: pa.ChunkedArray | None = None
+        self, name: str, recorded: pa.ChunkedArray, replayed: pa.ChunkedArray, time: pa.ChunkedArray | None = None
     ) -> None:
         import numpy as np
 
-        rows = min(len(recorded), len(found))
+        rows = min(len(recorded), len(replayed))
         self.name = name
         self._time = time
-        self._recorded, self._found = recorded.slice(0, rows), found.slice(0, rows)
-        self._kinds = {_number_kind(recorded), _number_kind(found)}
+        self._recorded, self._found = recorded.slice(0, rows), replayed.slice(0, rows)
+        self._kinds = {_number_kind(recorded), _number_kind(replayed)}
         self.numeric = "" not in self._kinds
         self.fractions = self.numeric and "float" in self._kinds
         self._apart = _differ(self._recorded, self._found)
@@ -452,24 +453,24 @@ def _doubles(column: pa.ChunkedArray) -> NDArray[np.float64]:
     return values
 
 
-def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.bool_]:
+def _differ(recorded: pa.ChunkedArray, again: pa.ChunkedArray) -> NDArray[np.bool_]:
     """Return where two columns differ, as a numpy array of bool."""
     import numpy as np
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    if recorded.type != found.type:
-        flags = [pa.types.is_boolean(column.type) for column in (recorded, found)]
-        if pa.types.is_timestamp(recorded.type) and pa.types.is_timestamp(found.type) and recorded.type.tz == found.type.tz:
+    if recorded.type != again.type:
+        flags = [pa.types.is_boolean(column.type) for column in (recorded, again)]
+        if pa.types.is_timestamp(recorded.type) and pa.types.is_timestamp(again.type) and recorded.type.tz == again.type.tz:
             with contextlib.suppress(pa.ArrowInvalid):  # outside of the years 1677 to 2262
-                recorded, found = (column.cast(pa.timestamp("ns", column.type.tz)) for column in (recorded, found))
-        old, new = _as_times(recorded, found) or (values_of(recorded), values_of(found))
+                recorded, again = (column.cast(pa.timestamp("ns", column.type.tz)) for column in (recorded, again))
+        old, new = _as_times(recorded, again) or (values_of(recorded), values_of(again))
         pairs = zip(old, new, strict=True)  # Python compares numbers exactly, 2**53 + 1 too
-        return np.array([one != other or (any(flags) and one is not None) for one, other in pairs], dtype=bool)
-    same = pc.fill_null(pc.equal(recorded, found), False)
-    same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(found)))
+        return np.array([ours != other or (any(flags) and ours is not None) for ours, other in pairs], dtype=bool)
+    same = pc.fill_null(pc.equal(recorded, again), False)
+    same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(again)))
     if pa.types.is_floating(recorded.type):
-        neither = pc.and_(pc.fill_null(pc.is_nan(recorded), False), pc.fill_null(pc.is_nan(found), False))
+        neither = pc.and_(pc.fill_null(pc.is_nan(recorded), False), pc.fill_null(pc.is_nan(again), False))
         same = pc.or_(same, neither)
     return ~np.asarray(same.to_numpy())
 
@@ -491,12 +492,12 @@ def _as_times(*columns: pa.ChunkedArray) -> list[list[int | str | None]] | None:
 
 def _nanoseconds(text: str, zoned: bool) -> int | str:
     """Return the time that a text means, in nanoseconds since 1970; the text itself if it is no such time."""
-    found = TIME.fullmatch(text.strip(" "))
-    if found is None or bool(found["zone"]) != zoned:
+    match = TIME.fullmatch(text.strip(" "))
+    if match is None or bool(match["zone"]) != zoned:
         return text
     with contextlib.suppress(ValueError):
-        since = datetime.fromisoformat(found["second"] + found["zone"]) - datetime(1970, 1, 1, tzinfo=UTC if zoned else None)
-        return (since.days * 86_400 + since.seconds) * UNITS["s"] + int((found["fraction"] or "").ljust(9, "0"))
+        since = datetime.fromisoformat(match["second"] + match["zone"]) - datetime(1970, 1, 1, tzinfo=UTC if zoned else None)
+        return (since.days * 86_400 + since.seconds) * UNITS["s"] + int((match["fraction"] or "").ljust(9, "0"))
     return text
 
 

@@ -34,9 +34,9 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
 
     Returns nothing if there is no such run, or if it fails. Raises KeyboardInterrupt when it is interrupted.
     """
-    found = states(plan, store)
+    known = states(plan, store)
     wanted = (run.id for run in plan.batch.runs if options.only is None or run.id in options.only)
-    run = next((run for run in wanted if not found[run].succeeded), None)
+    run = next((run for run in wanted if not known[run].succeeded), None)
     if run is None:
         return ()
     first = execute.run(plan, store, replaced(options, slots=1, only={run}, detach=False))
@@ -52,7 +52,7 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         return (f"run {short(run)} could not be executed a second time: {error}",)
     if answer.interrupted:
         raise KeyboardInterrupt
-    return (*(_as_note(one) for one in answer.runs), *((GPU_ADVICE,) if answer.used_gpu else ()))
+    return (*(_as_note(compared) for compared in answer.runs), *((GPU_ADVICE,) if answer.used_gpu else ()))
 
 
 def _as_note(run: Compared) -> str:

@@ -57,17 +57,17 @@ def values(
     Raises NotFound for a table or a column that does not exist, for a derived table that cannot be made, or if runs have
     several values at one time.
     """
-    found: Values = {}
+    by_metric: Values = {}
     with Frame(store, batch, executions) as frame:
         for name, metric in metrics.items():
             table = declared.get(metric.table)
             column = Column(frame, metric.table, metric.column, table.time if table else "")
             any_order = isinstance(table, Output) and table.time_order == "any"
             rows, offset = _reduced(column, metric, any_order=any_order)
-            found[name] = {
+            by_metric[name] = {
                 (row["experiment"], row["run"]): Fraction(row["value"]) + offset if offset else row["value"] for row in rows
             }
-    return found
+    return by_metric
 
 
 def _reduced(column: Column, metric: Equivalence, *, any_order: bool) -> tuple[list[dict[str, Any]], int]:

@@ -64,17 +64,17 @@ WROTE = "SELECT DISTINCT execution FROM all_artifacts SEMI JOIN taken USING (exe
 """SQL: the executions that left files or tables."""
 
 
-def find(store: Store, found: Found, options: ReplayOptions) -> Record:
+def find(store: Store, subject: Found, options: ReplayOptions) -> Record:
     """Return the recorded data of the runs to replay. Raises NotFound, Missing if there is nothing to compare with."""
     with store.snapshot() as snapshot:
-        named = take(snapshot, found)
-        good = _repeatable(snapshot, found, named)
-        taken = [one for one in good if options.includes(one)]
+        named = take(snapshot, subject)
+        good = _repeatable(snapshot, subject, named)
+        taken = [run for run in good if options.includes(run)]
         if not taken:
-            raise NotFound(f"{found.kind} {short(found.id)} has no execution to compare with; execute it with sierra run")
+            raise NotFound(f"{subject.kind} {short(subject.id)} has no execution to compare with; execute it with sierra run")
         snapshot.views.make(("batch_runs", "experiments", "batches"))
-        batch = where(snapshot, found).batch
-        snapshot.add_table("taken", execution=[str(one.judgement) for one in taken])
+        batch = where(snapshot, subject).batch
+        snapshot.add_table("taken", execution=[str(run.judgement) for run in taken])
         by = snapshot.select(
             _RecordedBy,
             "SELECT DISTINCT programs, ingest_rules, environment "
@@ -87,21 +87,21 @@ def find(store: Store, found: Found, options: ReplayOptions) -> Record:
         wrote = set(snapshot.values(str, WROTE))
         seeds: dict[str, int] = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
     record = Record(
-        found=found,
+        found=subject,
         of=plan_from_record.recall(store, batch, by[0].programs, by[0].ingest_rules),
         runs=taken,
         named=len(named),
-        whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
-        cells={place: {axis: row[axis] for axis in axes} for place, row in cells.items()},
+        whole=len(taken) == len(good) and subject.kind in ("batch", "experiment"),
+        cells={ordinal: {axis: row[axis] for axis in axes} for ordinal, row in cells.items()},
         seeds=seeds,
         tables={name: _columns(forms) for name, forms in sorted(tables.items())},
         environment=by[0].environment,
         used=used,
         notes=[],
     )
-    left = sum(one.judgement in wrote or one.status != "ok" for one in taken)  # of others, the end is compared too
+    left = sum(run.judgement in wrote or run.status != "ok" for run in taken)  # of others, the end is compared too
     if not left:
-        raise Missing(f"{found.kind} {short(found.id)} wrote only logs, and logs are not compared")
+        raise Missing(f"{subject.kind} {short(subject.id)} wrote only logs, and logs are not compared")
     if left < len(taken):
         record.notes.append(f"{len(taken) - left} of {counted(len(taken), 'run')} wrote only logs, and logs are not compared")
     if without := len(named) - len(good):

@@ -28,7 +28,7 @@ def recorded_metrics(
     if not record.whole:
         record.notes.append("equivalence is tested only for whole experiments: replay without --runs")
         return None
-    executions = {one.run: str(one.judgement) for one in record.runs if one.status == "ok"}
+    executions = {run.run: str(run.judgement) for run in record.runs if run.status == "ok"}
     tables: dict[str, Output | DerivedTable] = {**project.config.tables, **declared}
     try:
         return equivalence.values(store, record.of.batch, executions, project.config.equivalence, tables)
@@ -64,26 +64,26 @@ ENDS = "SELECT judgement, status, reason, exit_code, signal FROM all_judgements 
 
 
 def compare_runs(
-    record: Record, store: Store, made: Mapping[str, str], failed: Mapping[str, Status], declared: Mapping[str, Output]
+    record: Record, store: Store, executions: Mapping[str, str], failed: Mapping[str, Status], declared: Mapping[str, Output]
 ) -> Iterator[Compared]:
     """Yield each run with the agreement of its outputs, and of its end if it was no success.
 
-    `made`: the new executions; `failed`: the status of runs that failed now.
+    `executions`: the new ones; `failed`: the status of runs that failed now.
     """
     with store.snapshot() as snapshot:
-        names = [str(one.judgement) for one in record.runs] + [made[one.run] for one in record.runs]
+        names = [str(taken.judgement) for taken in record.runs] + [executions[taken.run] for taken in record.runs]
         snapshot.add_table("ends", judgement=names)
         snapshot.views.make(("all_judgements",))
         ends = {end.judgement: end for end in snapshot.select(_End, ENDS)}
-        both = ((one.run, ends[str(one.judgement)], ends.get(made[one.run])) for one in record.runs)
+        both = ((taken.run, ends[str(taken.judgement)], ends.get(executions[taken.run])) for taken in record.runs)
         whole = {run: _of_end(was, now, failed.get(run)) for run, was, now in both}
-        done = [one for one in record.runs if (end := whole[one.run]) is None or end.verdict is Verdict.IDENTICAL]
-        pairs = [(str(one.judgement), made[one.run]) for one in done]
-        compared = dict(zip((one.run for one in done), compare_all(snapshot, pairs, declared), strict=True))
+        done = [taken for taken in record.runs if (end := whole[taken.run]) is None or end.verdict is Verdict.IDENTICAL]
+        pairs = [(str(taken.judgement), executions[taken.run]) for taken in done]
+        compared = dict(zip((taken.run for taken in done), compare_all(snapshot, pairs, declared), strict=True))
         for taken in record.runs:
             end = whole[taken.run]
             of_end: dict[str | None, Agreement] = {} if end is None else {None: end}
-            yield Compared(taken, made[taken.run], of_end | compared.get(taken.run, {}))
+            yield Compared(taken, executions[taken.run], of_end | compared.get(taken.run, {}))
 
 
 def _of_end(was: _End, now: _End | None, failed: Status | None) -> Agreement | None:
@@ -109,7 +109,7 @@ def judge(
     by_place: dict[int, list[Compared]] = {}
     for run in sorted(compared, key=lambda run: (run.taken.ordinal, run.taken.number)):
         by_place.setdefault(run.taken.ordinal, []).append(run)
-    stochastic = {place: runs for place, runs in by_place.items() if was is not None and _wavers(runs)}
+    stochastic = {ordinal: runs for ordinal, runs in by_place.items() if was is not None and _wavers(runs)}
     now: equivalence.Values = {}
     if stochastic:
         of_runs = (run for runs in stochastic.values() for run in runs if run.taken.status == "ok")
@@ -120,12 +120,12 @@ def judge(
         except NotFound as error:
             record.notes.append(f"[equivalence]: {error}; the replay has no values to compare")
             now = {name: {} for name in project.config.equivalence}
-    for place, runs in by_place.items():
-        found: tuple[Metric, ...] = ()
-        if place in stochastic and was is not None:
+    for ordinal, runs in by_place.items():
+        tested: tuple[Metric, ...] = ()
+        if ordinal in stochastic and was is not None:
             names = [run.taken.run for run in runs if run.taken.status == "ok"]
-            found = tuple(equivalence.compare(project.config.equivalence, was, now, place, names))
-        yield OfExperiment(runs[0].taken.experiment, place, record.cells[place], tuple(runs), found)
+            tested = tuple(equivalence.compare(project.config.equivalence, was, now, ordinal, names))
+        yield OfExperiment(runs[0].taken.experiment, ordinal, record.cells[ordinal], tuple(runs), tested)
 
 
 def _wavers(runs: Sequence[Compared]) -> bool:

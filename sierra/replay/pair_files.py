@@ -27,11 +27,11 @@ class Pairs(NamedTuple):
     unpaired: Mapping[str, str]
 
 
-def pair(recorded: Artifacts, found: Artifacts, declared: Mapping[str, Output]) -> Pairs:
+def pair(recorded: Artifacts, replayed: Artifacts, declared: Mapping[str, Output]) -> Pairs:
     """Return the files in `found` with the keys of those in `recorded` that they are compared with."""
-    if recorded.keys() == found.keys():
-        return Pairs(found, {})
-    groups, others = (_grouped(one, declared) for one in (recorded, found))
+    if recorded.keys() == replayed.keys():
+        return Pairs(replayed, {})
+    groups, others = (_grouped(files, declared) for files in (recorded, replayed))
     keys: dict[str, str] = {}
     unpaired: dict[str, str] = {}
     for (name, numbers), old in groups.items():
@@ -41,7 +41,7 @@ def pair(recorded: Artifacts, found: Artifacts, declared: Mapping[str, Output]) 
             file = declared[name].file
             reason = f"{len(old)} of the files {file!r} {'was' if len(old) == 1 else 'were'} recorded, {len(new)} found"
             unpaired |= dict.fromkeys((*old, *new), reason)
-    return Pairs({keys.get(key, key): row for key, row in found.items()}, unpaired)
+    return Pairs({keys.get(key, key): row for key, row in replayed.items()}, unpaired)
 
 
 def paired(recorded: Sequence[str], found: Sequence[str]) -> Iterator[tuple[str, str]]:

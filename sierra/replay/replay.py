@@ -84,8 +84,8 @@ def unrecorded(
         raise UsageError("--keep keeps folders in the store; remove --no-record")
     if runners.find(options.runner, project.config.runner_tables)(options.slots).stays:
         raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
-    found = store.resolve(prefix)
-    project = targets.of_batch(project, store, found.batch or found.id)
+    resolved = store.resolve(prefix)
+    project = targets.of_batch(project, store, resolved.batch or resolved.id)
     own = project.config.store.model_copy(update={"work_folder": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.overlay(project.config.store.place()) as other:
@@ -164,8 +164,8 @@ class _Replaying:
 
     def answer(self) -> Replay:
         """Replay, and return the verdicts."""
-        of, found = self._of, self._record.found
-        log.info("replay of %s %s on %s with %s", found.kind, found.id, self._options.runner, of.engine.name)
+        of, resolved = self._of, self._record.found
+        log.info("replay of %s %s on %s with %s", resolved.kind, resolved.id, self._options.runner, of.engine.name)
         code = self._restored()
         limits = self._options.variation.limits(of.project.config)
         spec = self._options.variation.spec(of.spec)
@@ -176,10 +176,10 @@ class _Replaying:
         executed = self._execute(code, service)
         self._leave_source()
         experiments = () if executed.interrupted else self._judged(executed)
-        sessions = (self._session.id, *sorted({one.session for one in executed.earlier.values()}))
+        sessions = (self._session.id, *sorted({execution.session for execution in executed.earlier.values()}))
         answer = Replay(
             self._session.id,
-            found,
+            resolved,
             experiments,
             tuple(self._notes),
             interrupted=executed.interrupted,
@@ -260,9 +260,9 @@ class _Replaying:
         variation, session = self._options.variation, self._session
         context = self._context(code)
         earlier = finished(self._store, self._record, self._options, replace(context, **service.isolation.context))
-        rest = [one for one in self._record.runs if one.run not in earlier]
-        made = {one.run: commands.execution_id(session.id, one.run) for one in rest}
-        if begun := list(variation.records_before(made, self._record.of.batch)):
+        rest = [taken for taken in self._record.runs if taken.run not in earlier]
+        executions = {taken.run: commands.execution_id(session.id, taken.run) for taken in rest}
+        if begun := list(variation.records_before(executions, self._record.of.batch)):
             self._publish([begun])
         if earlier:
             runs = f"{len(earlier)} of {counted(len(self._record.runs), 'run')}"
@@ -277,13 +277,13 @@ class _Replaying:
             len(rest),
             code.programs,
             tally,
-            times=expected_durations.recorded(self._store, [one.run for one in rest]) if timed else None,
+            times=expected_durations.recorded(self._store, [taken.run for taken in rest]) if timed else None,
             doubt=lambda: service.doubt(unchanged),
             kept=self._kept,
-            experiments={one.ordinal for one in rest},
+            experiments={taken.ordinal for taken in rest},
         )
         interrupted = bool(followed and followed.interrupted) or session.paths.cancelled.exists()
-        return _Executed(tally, made | {run: one.execution for run, one in earlier.items()}, earlier, interrupted)
+        return _Executed(tally, executions | {run: finish.execution for run, finish in earlier.items()}, earlier, interrupted)
 
     def _context(self, code: _Code) -> Context:
         recorded, config = self._record.of, self._of.project.config
@@ -314,10 +314,10 @@ class _Replaying:
         failed = {run: executed.tally.statuses[run] for run in executed.tally.failed}
         counts = self._options.variation.compared
         runs = compare_runs(record, self._store, executed.made, failed, of.rules)
-        compared = [replace(one, outputs=counts(one.outputs)) for one in runs]
+        compared = [replace(run, outputs=counts(run.outputs)) for run in runs]
         before = len(record.notes)
         if of.takes_robots:
-            recorded = [str(one.execution) for one in record.runs]
+            recorded = [str(taken.execution) for taken in record.runs]
             record.notes += on_robots.other_processors(self._store, recorded, list(executed.made.values()))
         experiments = tuple(judge(of.project, self._store, record, compared, of.metrics, of.rules))
         self._say(record.notes[before:])
@@ -349,7 +349,7 @@ class _Replaying:
             lamport=lamport,
         )
         verdicts = (row for run in answer.runs for row in verdict_rows(answer.id, run))
-        metrics = (row for one in answer.experiments for row in metric_rows(answer.id, one))
+        metrics = (row for experiment in answer.experiments for row in metric_rows(answer.id, experiment))
         own = self._options.variation.records(answer, ([row], verdicts, metrics), self._store, lamport)
         self._publish([*own, [code.environment], code.programs.rows()])
 
@@ -428,8 +428,8 @@ def finished(store: Store, record: Record, options: ReplayOptions, context: Cont
         FINISHED,
         sessions=sorted(options.earlier),
         executions=sorted(options.variation.finished),
-        runs=[one.run for one in record.runs],
-        failed=[one.run for one in record.runs if not Status(str(one.status)).is_result],
+        runs=[run.run for run in record.runs],
+        failed=[run.run for run in record.runs if not Status(str(run.status)).is_result],
         programs=context.programs,
         environment=context.environment,
         rules=context.ingest_rules,

@@ -114,8 +114,8 @@ def compare(store: Store, executions: Collection[str], current: Current, known: 
         differing = {file for files in changes(sets, current).values() for file in files}
         inputs = (file for file in differing if file.use not in NOT_COMPARED and file.path not in written)
         changed = sorted({file.path for file in inputs if not _is_among(file, elsewhere, current)})
-        found = bool(sets.files) and not differing and not with_other_programs(sets, current)
-    return UsedFiles(len(asked), observed, len(sets.files), tuple(changed), found)
+        unchanged = bool(sets.files) and not differing and not with_other_programs(sets, current)
+    return UsedFiles(len(asked), observed, len(sets.files), tuple(changed), unchanged)
 
 
 def used_gpu(store: Store, executions: Collection[str]) -> bool:

@@ -146,7 +146,7 @@ def verdict_rows(replay: str, run: Compared) -> Iterator[VerdictRow]:
 def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[EquivalenceRow]:
     """Yield the rows of `equivalences` for one experiment."""
     for metric in experiment.metrics:
-        tested = asdict(metric.tested) if metric.tested else dict.fromkeys(one.name for one in fields(Tested))
+        tested = asdict(metric.tested) if metric.tested else dict.fromkeys(field.name for field in fields(Tested))
         yield EquivalenceRow(
             replay=replay,
             experiment=experiment.id,
